@@ -120,7 +120,7 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
 
 
 def _several(*_: Any) -> None:
-    from tissueid.study.one_specimen import SeveralSpecimensError
+    from tissueid.study.batch import SeveralSpecimensError
 
     raise SeveralSpecimensError
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from tissueid import IdentifyOptions, PosteriorOptions, identify, read_trials
 from tissueid.rendering.choice import as_tissue
-from tissueid.rendering.presets import PRESETS
+from tissueid.rendering.options import PRESETS
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import load_bundle
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissueid.flags import Flag
-from tissueid.residuals import ResidualSummary
 from tissueid.result import (
     Curve,
     Estimate,
@@ -21,6 +20,7 @@ from tissueid.result import (
     Nrmsd,
     Refusal,
     RelaxationRow,
+    ResidualSummary,
     SpecimenFit,
     TrialFit,
 )

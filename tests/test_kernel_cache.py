@@ -15,7 +15,7 @@ from tissueid.kernel_cache import kernel_sources, sources_key
 
 PACKAGE = Path(tissueid.__file__).resolve().parent
 #: A leaf of the chain over a population, which stands in another file.
-LEAF = "population/triangular.py"
+LEAF = "population/kernels.py"
 ASK = (
     "import numpy as np; from tissueid.population.kernels import unit_factor; "
     "print(repr(float(unit_factor(np.zeros(1), np.eye(1))[0, 0])))"
@@ -31,7 +31,7 @@ def copied(folder: Path) -> Path:
 
 def test_sources_hold_kernels_and_what_they_import() -> None:
     names = set(kernel_sources())
-    assert {"compiled.py", "model/kernels.py", "population/triangular.py", "haptics/guard.py"} <= names
+    assert {"compiled.py", "model/kernels.py", "population/kernels.py", "haptics/guard.py"} <= names
     assert {"rendering/servo_loop.py", "rendering/environment.py", "population/kernels.py"} <= names
     assert not names & {"pipeline.py", "cli/main.py", "report/page.py"}
 

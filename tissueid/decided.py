@@ -7,7 +7,7 @@ from typing import Any
 
 from tissueid.errors import UsageError
 from tissueid.flags import Flag
-from tissueid.ingest.cell_range import below_cell_range
+from tissueid.ingest.quality import below_cell_range
 from tissueid.manifest import Decision, Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions

@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import connection, parent_process
 from pathlib import Path
 
@@ -41,3 +43,25 @@ def _wait_for_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
     os._exit(1)
+
+
+_shared = False
+
+
+def threads(most: int) -> int:
+    """Threads that a computation may start.
+
+    ``most``: more would not help it.
+    """
+    return 1 if _shared else max(min(os.cpu_count() or 1, most), 1)
+
+
+@contextmanager
+def one_processor() -> Iterator[None]:
+    """Threads are not started in here: others compute on the other processors, or shall be compared with."""
+    global _shared
+    before, _shared = _shared, True
+    try:
+        yield
+    finally:
+        _shared = before

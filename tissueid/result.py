@@ -16,9 +16,26 @@ from tissueid.flags import Flag
 from tissueid.measures import Measured, SpreadRow, spread_json
 from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow, RelaxationWindow
-from tissueid.residuals import ResidualSummary
 from tissueid.trial import MM_N, Axes, TipShape
 from tissueid.uncertainty import ParameterUncertainty, Posterior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualSummary:
+    """Measured less modelled force of one log, over the samples that take part in the likelihood."""
+
+    start_s: float  # clock of the recording where the time of its kept curve is zero [s]
+    step_s: float  # median sampling interval [s]
+    edges_N: FloatArray  # (b + 1,), edges of the bins of its histogram [N]
+    #: (b + 2,): samples below the first edge, in every bin, and from the last edge on.
+    counts: NDArray[np.int64]
+    lags: NDArray[np.int64]  # (k,), in samples, ascending
+    correlation: FloatArray  # (k,), autocorrelation at these lags
+    #: (m,): middle (geometric) of a block of a hold, in time since the corner, and mean residual over it.
+    hold_since_s: FloatArray
+    hold_mean_N: FloatArray  # (m,)
+    hold_count: NDArray[np.int64]  # (m,), samples of each
+
 
 __all__ = [
     "Curve",

@@ -99,7 +99,7 @@ class ParameterUncertainty:
     ess_bulk, ess_tail, r_hat : float
         Rank-normalised (Vehtari et al. 2021, doi 10.1214/20-BA1221).
     prediction95 : tuple of float or None
-        Of the next indentation (:mod:`tissueid.inference.prediction`); ``None`` where too few logs show how
+        Of the next indentation (:mod:`tissueid.inference.reported`); ``None`` where too few logs show how
         much sites differ.
     """
 

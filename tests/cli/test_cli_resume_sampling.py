@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import LOG, QUICK, start
 
-from tissueid.store.names import IDENTIFICATION, POSTERIORS
+from tissueid.store.files import IDENTIFICATION, POSTERIORS
 from tissueid.store.posteriors import load_posteriors
 
 #: Enough for some seconds of sampling, so that a chain is on the disk before it ends.

@@ -22,8 +22,7 @@ from tissueid.inspection import describe_trial
 from tissueid.store.schema import first_problem
 from tissueid.trial import Source, Trial
 from tissueid.watch import FolderWatch, judge
-from tissueid.watch.quick_fit import quick_fit
-from tissueid.watch.session import WatchSession, load_log
+from tissueid.watch.session import WatchSession, load_log, quick_fit
 
 ONCE = ("--once", "--interval", "0.05")
 

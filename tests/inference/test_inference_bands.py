@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fit_factory import specimen_fit
 
-from tissueid.inference.bands import BAND_DRAWS, predictive_bands
+from tissueid.inference.reported import BAND_DRAWS, predictive_bands
 from tissueid.result import SpecimenFit
 
 SIGMA = 0.3

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.inference.budget import TOTAL, uncertainty_budget
+from tissueid.inference.reported import TOTAL, uncertainty_budget
 
 NAMES = (
     "ln_tau_1",

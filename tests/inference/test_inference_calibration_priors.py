@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.calibration_priors import calibration_priors
+from tissueid.inference.prior import calibration_priors
 from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.frame import linear_frame
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior

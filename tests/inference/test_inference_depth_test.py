@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.depth_test import depth_test
 from tissueid.inference.holds import drainage_time, drained_share
+from tissueid.inference.material import depth_test
 from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import Indenter
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.metrics import lag_one_correlation, nrmsd
+from tissueid.inference.trials import lag_one_correlation, nrmsd
 
 
 def test_deviation_by_range_by_mean_and_in_newtons():

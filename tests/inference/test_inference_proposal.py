@@ -8,7 +8,7 @@ from density_cases import COVARIANCE, MEAN, banana, correlated
 
 from tissueid.inference.mixture import learn_mixture
 from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal
-from tissueid.inference.psis import smoothed
+from tissueid.inference.sampling import smoothed
 
 CORNERS = {
     "a wedge": (np.array([1.0, -2.0]), np.array([[1.0, 0.0], [-0.8, 0.6]]), np.array([0.0, -0.5])),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.psis import smoothed
+from tissueid.inference.sampling import smoothed
 
 
 def test_equal_weights_are_worth_all_their_draws():

@@ -10,7 +10,7 @@ from test_inference_trials import MODEL, NEITHER, THETA, recorded
 
 from tissueid.inference.profile import LEVEL_95
 from tissueid.inference.residual_blocks import residual_blocks
-from tissueid.inference.residual_summary import BINS, residual_summary
+from tissueid.inference.summaries import BINS, residual_summary
 from tissueid.inference.trials import CORNER_POINTS, CURVE_POINTS, ResidualTotals, summarise_trial
 
 

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from density_cases import COVARIANCE, MEAN, Density, banana, correlated
 
-from tissueid.inference import checkpoint, sampling
-from tissueid.inference.checkpoint import Checkpoint
-from tissueid.inference.sampling import STEPS, WALKERS, sample
+from tissueid.inference import sampling
+from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample
 
 DRAWS = 1_500
 
 
 @pytest.fixture(autouse=True)
 def _every_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint, "EVERY_S", 0.0)
+    monkeypatch.setattr(sampling, "EVERY_S", 0.0)
 
 
 def test_a_normal_has_its_moments_within_their_errors():
@@ -190,8 +189,8 @@ def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
 
 def test_a_write_is_due_once_an_interval(tmp_path, monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr(checkpoint, "EVERY_S", 1.0)
-    monkeypatch.setattr(checkpoint.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(sampling, "EVERY_S", 1.0)
+    monkeypatch.setattr(sampling.time, "monotonic", lambda: clock[0])
     path, rng = tmp_path / "liver.npz", np.random.default_rng(1)
     keeper = Checkpoint(path, "key")
     keeper.write(rng, np.zeros((1, 3)), np.zeros(1))

@@ -7,7 +7,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference.optimum import covariance_of
-from tissueid.inference.sandwich import FEWEST_LOGS, TOGETHER, _clusters, sandwich_covariance
+from tissueid.inference.residual_blocks import FEWEST_LOGS, TOGETHER, _clusters, sandwich_covariance
 from tissueid.inference.target import SpecimenTarget
 from tissueid.synth import Hold, Log, Move
 

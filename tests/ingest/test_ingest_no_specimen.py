@@ -8,7 +8,7 @@ import pytest
 
 from tissueid.collection import TrialCache, collect
 from tissueid.ingest import read_trials
-from tissueid.ingest.no_specimen import no_specimen
+from tissueid.ingest.reading import no_specimen
 from tissueid.segment import SegmentOptions
 
 

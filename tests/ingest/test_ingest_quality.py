@@ -11,8 +11,7 @@ from clean_recordings import Recording, commanded, measured, ramp_hold
 
 from tissueid.flags import Flag
 from tissueid.ingest import ReadOptions, find_inputs, read_each
-from tissueid.ingest.cell_range import below_cell_range, capacity_in
-from tissueid.ingest.quality import quality_flags
+from tissueid.ingest.quality import below_cell_range, capacity_in, quality_flags
 from tissueid.trial import Trial
 
 #: Flags that say something of the samples, not of columns or units.

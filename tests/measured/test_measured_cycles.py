@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tissueid.inference.loop_area import with_model_viscosity
+from tissueid.inference.summaries import with_model_viscosity
 from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area, cycle_rows, loops
 from tissueid.model import ContactPath, KelvinVoigt

@@ -12,9 +12,8 @@ from tissueid.flags import Flag
 from tissueid.measured import measure, spread
 from tissueid.measured.comparison import measured_pairs
 from tissueid.measured.geometry import Geometry, TipOf
-from tissueid.measured.programs import programs
 from tissueid.measured.relaxation import relaxation_rows
-from tissueid.measured.spread import ramp_reason
+from tissueid.measured.spread import programs, ramp_reason
 from tissueid.measured.verdict import verdict_of
 from tissueid.measures import Measured
 from tissueid.model.moduli import Indenter

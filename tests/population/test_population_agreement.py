@@ -8,7 +8,7 @@ import pytest
 from cohort_factory import members
 
 from tissueid.population.agreement import agreement, order_effect, repeatability
-from tissueid.population.cohort_size import specimens_for_mean, specimens_for_sd
+from tissueid.population.cohort import specimens_for_mean, specimens_for_sd
 from tissueid.population.members import Member
 
 

@@ -7,7 +7,7 @@ import pytest
 from cohort_factory import COORDINATES, TYPICAL
 
 from tissueid.population.members import Member, stage_one
-from tissueid.population.mixture_kernels import log_mixture
+from tissueid.population.moves import log_mixture
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design
 from tissueid.population.surrogate import Mixture, mixture_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.population.triangular import factor, inverse_factor, solved
+from tissueid.population.kernels import factor, inverse_factor, solved
 
 
 def test_factors_are_those_of_numpy() -> None:

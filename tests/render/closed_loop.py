@@ -26,9 +26,9 @@ from tissueid.haptics.simulated_layout import QUANTUM
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import scaling_for
 from tissueid.rendering.environment import INFO_DEPTH_MM
+from tissueid.rendering.options import PRESETS, preset_tissue
 from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
 from tissueid.rendering.precheck import scaling_at
-from tissueid.rendering.presets import PRESETS, preset_tissue
 from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 

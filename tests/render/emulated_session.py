@@ -19,8 +19,8 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.states import Fault, State
+from tissueid.rendering.options import preset_check, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.presets import preset_check, preset_tissue
 from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
+from tissueid.rendering.options import preset_check, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.presets import preset_check, preset_tissue
 from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.tissue_block import Plane, tissue_block

@@ -9,8 +9,8 @@ from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.control import admittance
 from tissueid.rendering.control.admittance import render_on_simulated, require_force_sensor
+from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
 from tissueid.rendering.precheck import check_before_force
-from tissueid.rendering.presets import ASSUMED_DEVICE, preset_tissue
 
 PAPER_A = preset_tissue("paper-a")
 

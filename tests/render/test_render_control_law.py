@@ -22,7 +22,7 @@ from tissueid.rendering.control.block import SATURATION
 from tissueid.rendering.control.law import saturate
 from tissueid.rendering.control.plant import damping_form, generalised_force, inertia, solve
 from tissueid.rendering.control.simulation import loop_block
-from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.options import preset_tissue
 
 PAPER_A = preset_tissue("paper-a")
 #: Large gains and estimates from 0, so that the adaptation's share of V' is large.

@@ -24,7 +24,7 @@ from tissueid.rendering.control.law import saturate
 from tissueid.rendering.control.measures import measured
 from tissueid.rendering.control.simulation import loop_block
 from tissueid.rendering.control.virtual_mass import turn_multiplier, virtual_mass_bound
-from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 
 PAPER_A = preset_tissue("paper-a")

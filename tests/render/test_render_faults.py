@@ -28,7 +28,7 @@ from tissueid.haptics.guard_states import GAIN, HEARTBEAT_LOST, PHASE, YIELDING,
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.environment import LAW
-from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns
+from tissueid.rendering.servo_loop import CLOCK_SIZE, monotonic_ns
 
 pytestmark = pytest.mark.needs_jit
 

@@ -12,8 +12,8 @@ from rendered_tissues import PAPER_A, TWO_BRANCHES
 from tissueid.errors import DeviceError, UsageError
 from tissueid.model import KelvinVoigt
 from tissueid.model.passivity import required_damping
+from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
 from tissueid.rendering.precheck import Demands, check_before_force, scaling_at
-from tissueid.rendering.presets import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 
 FALCON_LIKE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=1.5)

@@ -20,7 +20,7 @@ from emulated_session import HOMED_S, TICK_S, EmulatedSession
 from tissueid.cli.main import main
 from tissueid.haptics.hand import scripted_hand
 from tissueid.haptics.states import Fault, State
-from tissueid.rendering.presets import ASSUMED_DEVICE, preset_tissue
+from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
 from tissueid.store.session_log import raw_head, read_session_log
 
 pytestmark = pytest.mark.needs_jit

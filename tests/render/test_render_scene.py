@@ -14,9 +14,8 @@ from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDANCE, GUIDED, KIND
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.rendering.guidance_check import check_guidance, needed_damping, weaker
-from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.plan import plan_session
-from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.scene import load_scene, scene_names
 from tissueid.store.schema import first_problem
 

@@ -16,8 +16,8 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
+from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.presets import preset_tissue
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
 from tissueid.rendering.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick

@@ -15,9 +15,18 @@ from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_loop, servo_schedule
 from tissueid.rendering.selftest import Figure, SelfTest, TickTimes, run_selftest, time_ticks
-from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns, readable, sleep_until
-from tissueid.rendering.servo_loop import BINS, ENDED_TICKS, compiled_loop, new_watch, realtime_loop
-from tissueid.rendering.servo_statistics import PeriodStatistics, period_statistics
+from tissueid.rendering.servo_loop import (
+    BINS,
+    CLOCK_SIZE,
+    ENDED_TICKS,
+    compiled_loop,
+    monotonic_ns,
+    new_watch,
+    readable,
+    realtime_loop,
+    sleep_until,
+)
+from tissueid.rendering.servo_plan import PeriodStatistics, period_statistics
 from tissueid.rendering.servo_tick import BLOCK_SIZE, MISSED, new_servo
 
 PERIOD_NS = 1_000_000

@@ -36,8 +36,8 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import Fault, State
 from tissueid.model import KelvinVoigt
+from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check
 from tissueid.rendering.precheck import check_before_force
-from tissueid.rendering.presets import ASSUMED_DEVICE, PRESETS, preset_check
 from tissueid.rendering.tissue_block import Tissue
 
 pytestmark = pytest.mark.needs_jit

@@ -13,8 +13,8 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.servo_access import UNANSWERED
 from tissueid.haptics.states import Lamp, State
+from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import TOTAL_J, PassivityLimits
-from tissueid.rendering.presets import preset_tissue
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
 from tissueid.rendering.tissue_block import Plane, tissue_block

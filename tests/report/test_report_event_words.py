@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tissueid.report.event_words import event_words, took
+from tissueid.report.wording import event_words, took
 
 MM_N = {"length": "mm", "force": "N"}
 

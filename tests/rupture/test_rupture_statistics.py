@@ -9,9 +9,9 @@ import pytest
 from rupture_cohorts import known_cohort, recorded_cohort, typical_threshold
 from scipy.stats import binom
 
-from tissueid.rupture.decision import KINDS, Decision, decide
 from tissueid.rupture.evidence import threshold_of
 from tissueid.rupture.run import run_rupture
+from tissueid.rupture.study import KINDS, Decision, decide
 from tissueid.rupture_law import CRITERIA
 
 TRUTHS = ("work", "weighted-force", "depth")

@@ -9,12 +9,11 @@ import pytest
 from rupture_cohorts import known_cohort, typical_threshold
 
 from tissueid.errors import NotIdentifiedError
-from tissueid.rupture.decision import decide
+from tissueid.rupture.document import sentences
 from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import Failure
 from tissueid.rupture.speeds import Hardening, change_with_speed, hardening_of
-from tissueid.rupture.study import rupture_study
-from tissueid.rupture.words import sentences
+from tissueid.rupture.study import decide, rupture_study
 from tissueid.rupture_law import CRITERIA
 
 

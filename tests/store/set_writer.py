@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fit_factory import identification, specimen_fit
 
-from tissueid.store.names import REPORT
+from tissueid.store.files import REPORT
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 

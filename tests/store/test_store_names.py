@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tissueid.store.names import bundle_names, safe_name
+from tissueid.store.files import bundle_names, safe_name
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store import outputs as outputs_module
 from tissueid.store.bundle import load_bundle
-from tissueid.store.names import REPORT
+from tissueid.store.files import REPORT
 from tissueid.store.outputs import OutputSet, complete_refresh, current_run
 from tissueid.store.results import output_problems, read_results, validate_outputs, write_results
 

@@ -12,7 +12,7 @@ from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.errors import BundleError
-from tissueid.store.names import POSTERIORS
+from tissueid.store.files import POSTERIORS
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import load_posteriors, posteriors_of_fits, write_posteriors
 from tissueid.store.results import output_problems, read_results, write_results

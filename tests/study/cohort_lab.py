@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from study_folder import LOG
 
-from tissueid.processors import threads
+from tissueid.own_process import threads
 from tissueid.store.results import each_result
 
 HEADER_LINES = 6

@@ -19,10 +19,9 @@ from tissueid.haptics.ring import RECORD, Ring
 from tissueid.viewer.feed import LiveFeed
 from tissueid.viewer.frames import Frame, read_frame
 from tissueid.viewer.hello import hello
-from tissueid.viewer.pointer import HandPointer
 from tissueid.viewer.security import Access
 from tissueid.viewer.server import ViewerServer
-from tissueid.viewer.stage import Stage
+from tissueid.viewer.stage import HandPointer, Stage
 
 PATIENCE_S = 20.0
 

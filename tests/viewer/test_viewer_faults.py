@@ -22,8 +22,8 @@ from tissueid.haptics.simulated_layout import POINTER
 from tissueid.store.session_log import read_session_log
 from tissueid.viewer import serving, stage
 from tissueid.viewer.hello import hello
-from tissueid.viewer.pointer import HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
+from tissueid.viewer.stage import HandPointer
 
 REST_M = [0.0, 0.0, 0.15]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]

@@ -12,8 +12,7 @@ from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_b
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.scene import load_scene
-from tissueid.viewer.guided_objects import guided_objects
-from tissueid.viewer.hello import hello
+from tissueid.viewer.hello import guided_objects, hello
 
 
 @pytest.mark.parametrize("kind", ["hyperboloid", "cone"])

@@ -28,12 +28,10 @@ from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import write_bundle
 from tissueid.viewer import server_process, serving
-from tissueid.viewer.band import band_of
-from tissueid.viewer.elsewhere import reach
 from tissueid.viewer.hello import hello
 from tissueid.viewer.security import LOOPBACK
-from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.showing import check_log, show_log, show_session
+from tissueid.viewer.serving import ServedViewer, ViewerOptions, reach
+from tissueid.viewer.showing import band_of, check_log, show_log, show_session
 
 REST_M = [0.0, 0.0, 0.155]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]

@@ -122,7 +122,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]
             raise UsageError(msg)
         return [(_compared(load_bundle(path), None), [])]
     from tissueid.measures import SpreadRow
-    from tissueid.store.names import bundle_names
+    from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
     document, _, posteriors = read_results(str(path))

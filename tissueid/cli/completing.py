@@ -43,7 +43,7 @@ def _dialects() -> Iterable[str]:
 
 
 def _presets() -> Iterable[str]:
-    from tissueid.rendering.presets import PRESETS
+    from tissueid.rendering.options import PRESETS
 
     return PRESETS
 

@@ -109,7 +109,7 @@ def command(**flags: Any) -> int:
 def _tissue(flags: Mapping[str, Any]) -> tuple[Tissue, str]:
     from tissueid.errors import UsageError
     from tissueid.rendering.choice import as_tissue
-    from tissueid.rendering.presets import preset_tissue
+    from tissueid.rendering.options import preset_tissue
     from tissueid.store.bundle import load_bundle
 
     if (flags["bundle"] is None) == (flags["preset"] is None):

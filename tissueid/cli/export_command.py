@@ -125,7 +125,7 @@ def _bundles(flags: dict[str, Any]) -> list[Bundle]:
 
     from tissueid.errors import UsageError
     from tissueid.store.bundle import load_bundle
-    from tissueid.store.names import bundle_names
+    from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
     path = Path(flags["out"])
@@ -144,7 +144,7 @@ def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: dict[str, Any]) 
 
     from tissueid.errors import UsageError
     from tissueid.exchange import netcdf_bytes
-    from tissueid.store.names import file_names
+    from tissueid.store.files import file_names
 
     if flags["output"] is None:
         msg = "netcdf is no text for a terminal: name a file with -o, as -o chains.nc"

@@ -172,7 +172,7 @@ def _print_phases(one: dict[str, Any], length: str) -> None:
 
 
 def _print_corners(one: dict[str, Any], length: str) -> None:
-    from tissueid.report.event_words import event_words, took
+    from tissueid.report.wording import event_words, took
 
     for corner in one["corners"]:
         line = f"  stop        at {corner['time_s']:.6g} s, {took(corner['duration_s'])}"

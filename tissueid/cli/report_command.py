@@ -25,7 +25,7 @@ def command(**flags: Any) -> int:
     from pathlib import Path
 
     from tissueid.errors import BundleError
-    from tissueid.store.names import CURVES, REPORT
+    from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_results
     from tissueid.study.pages import report_page, write_report

@@ -58,7 +58,7 @@ def command(**flags: Any) -> int:
     Writes rupture.json, rupture.html and a bundle a specimen; tissueid render breaks a tissue whose bundle
     holds a criterion. Exit code 4 where too few tests ruptured, 7 where something was left out.
     """
-    from tissueid.rupture.writing import write_rupture
+    from tissueid.rupture.document import write_rupture
 
     quiet = flags["quiet"]
     refuse_same_folder(flags["paths"], flags["out"])

@@ -105,7 +105,7 @@ def _without_nan(attempt: Attempt) -> dict[str, Any]:
 
 def _learning(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """A curve for each person and measure, where there are attempts enough."""
-    from tissueid.training.learning import learning_curve
+    from tissueid.training.measures import learning_curve
 
     found = []
     for who in dict.fromkeys(row["pseudonym"] for row in rows):

@@ -58,7 +58,7 @@ def _play(flags: dict[str, Any], path: Path) -> int:
 
 def _open_elsewhere(flags: dict[str, Any], what: str) -> int:
     """Open the page of a session that is served already, once it answers."""
-    from tissueid.viewer.elsewhere import reach
+    from tissueid.viewer.serving import reach
 
     url = reach(what, flags["token"])
     echo(f"viewer     {url}", err=True)

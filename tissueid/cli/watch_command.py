@@ -131,7 +131,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
 
 
 def _fit(trial: Trial, options: SegmentOptions, study: Study | None) -> dict[str, Any] | None:
-    from tissueid.watch.quick_fit import quick_fit
+    from tissueid.watch.session import quick_fit
 
     return quick_fit(trial, options, study)
 

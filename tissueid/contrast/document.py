@@ -10,11 +10,66 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
-from tissueid.contrast.curves import force_curves
+from tissueid.arrays import FloatArray
 from tissueid.contrast.decision import LEVEL, difference, rows
 from tissueid.contrast.noticeable import noticed
-from tissueid.contrast.numbers import Compared, common_range, draws_of_numbers
+from tissueid.contrast.numbers import MOST_DRAWS, Common, Compared, common_range, draws_of_numbers
+from tissueid.model.channels import loading_force
 from tissueid.model.scaling import scaling_for
+
+#: Points of a drawn curve.
+POINTS = 61
+#: A hold is drawn for so many of the longest median relaxation time of all, and from so small a part of it.
+HOLD_TAUS = 5.0
+HOLD_FROM = 1e-3
+CENTRAL = (0.025, 0.5, 0.975)
+_NAMES = ("low", "median", "high")
+
+
+def force_curves(tissues: list[Compared], common: Common) -> list[dict[str, Any]]:
+    """Curves of every tissue on the same depths, speeds and times.
+
+    Returns ``loading``, one a speed: ``speed_mm_s``, ``depth_mm`` and the 2.5, 50 and 97.5 % quantiles of the
+    force [N] as ``low``, ``median``, ``high``; ``hold``: the same over ``time_s`` after the end of the
+    fastest common ramp to the common depth.
+    """
+    depth = np.linspace(0.0, common.depth_mm, POINTS)
+    speeds = list(dict.fromkeys(common.speeds_mm_s))
+    longest = max((_longest(tissue) for tissue in tissues), default=0.0)
+    time = np.concatenate([[0.0], np.geomspace(HOLD_FROM, 1.0, POINTS - 1)]) * HOLD_TAUS * (longest or 1.0)
+    return [_of_tissue(tissue, depth, speeds, time) for tissue in tissues]
+
+
+def _longest(tissue: Compared) -> float:
+    """Median of the longest relaxation time [s]; 0 without a branch."""
+    if not tissue.model.branches:
+        return 0.0
+    return float(np.median([tissue.model.times(theta).max() for theta in tissue.draws[:MOST_DRAWS]]))
+
+
+def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> dict[str, Any]:
+    keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
+    ramps = np.empty((len(speeds), keep.size, depth.size))
+    holds = np.empty((keep.size, time.size))
+    for row, theta in enumerate(tissue.draws[keep]):
+        for place, speed in enumerate(speeds):
+            ramps[place, row] = loading_force(tissue.model, theta, depth, speed_mm_s=speed)
+        still = float(tissue.model.static_force(theta, depth[-1:])[0])
+        holds[row] = still + tissue.model.relaxing(theta, float(depth[-1]), time, speeds[-1])
+    return {
+        "name": tissue.name,
+        "loading": [
+            {"speed_mm_s": speed, "depth_mm": depth.tolist(), **_band(ramps[place])}
+            for place, speed in enumerate(speeds)
+        ],
+        "hold": {"time_s": time.tolist(), **_band(holds)},
+    }
+
+
+def _band(forces: FloatArray) -> dict[str, list[float]]:
+    return {
+        name: row.tolist() for name, row in zip(_NAMES, np.quantile(forces, CENTRAL, axis=0), strict=True)
+    }
 
 
 def contrast_document(

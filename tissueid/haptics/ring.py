@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.ordered_words import read_ordered, write_ordered
-from tissueid.haptics.shared_memory import shared_memory
+from tissueid.haptics.shared_memory import read_ordered, shared_memory, write_ordered
 
 #: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard
 #: let through; ``depth_mm``, ``tissue_force_N`` and ``speed_mm_per_s`` are the tissue's; ``energy_J`` the

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
 
+from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
 
 
@@ -20,3 +22,31 @@ def shared_memory(name: str, size: int) -> int:
         raise DeviceError(msg) from error
     os.set_inheritable(descriptor, False)
     return descriptor
+
+
+_KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
+
+
+def read_ordered(words: IntArray, at: int) -> int:
+    """``words[at]``, before everything read after.
+
+    ``words``: shared.
+    """
+    if _KEEPS_ORDER:
+        return int(words[at])
+    from tissueid.haptics.atomic import load_acquire
+
+    return int(load_acquire(words[at : at + 1]))
+
+
+def write_ordered(words: IntArray, at: int, value: int) -> None:
+    """Set ``words[at]``, after everything written before.
+
+    ``words``: shared.
+    """
+    if _KEEPS_ORDER:
+        words[at] = value
+        return
+    from tissueid.haptics.atomic import store_release
+
+    store_release(words[at : at + 1], value)

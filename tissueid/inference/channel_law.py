@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
 from tissueid.model.channels import ChannelModel
+from tissueid.model.damped import DampedModel
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
@@ -364,3 +365,56 @@ def _growing_rows(powers: int) -> FloatArray:
     k = np.arange(1.0, powers + 1)
     rows = k * u[:, None] ** (k - 1.0)
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class DampedLaw(ChannelLaw):
+    """Static law with a damping parameter in the place of an inside channel's ratio."""
+
+    logs: int = 1  # of the specimen
+    only: tuple[int, ...] | None = None  # the logs that a path of some of them is of
+
+    @cached_property
+    def linear(self) -> int:
+        """Static coefficients, and the reading in air of each log."""
+        return self.static_size + self.logs
+
+    def _damped(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Factor on the static force, (m,) or (n, m)."""
+        assert isinstance(self.model_of, DampedModel)  # noqa: S101 -- it is made from one
+        factor = self.model_of.damping.factor(self._of_branch(self._values(log_times), 0)[0])
+        return np.asarray(np.maximum(1.0 + factor * path.speed_ratio, 0.0))
+
+    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Columns along a path, shape (linear, m) or (linear, n, m)."""
+        out = np.zeros((self.linear, *path.depth_mm.shape))
+        self._static_columns(path, self._values(log_times), out)
+        out[: self.static_size] *= self._damped(log_times, path)
+        ends = np.append(path.fresh[1:], path.step_s.size)
+        numbers = range(self.logs) if self.only is None else self.only
+        for number, first, last in zip(numbers, path.fresh, ends, strict=True):
+            out[self.static_size + number, ..., first:last] = 1.0
+        return out
+
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+        """F_s' (1 + chi r); what a frame gives way to changes the depth, not the measured speed."""
+        shapes = self._of_static(self._values(log_times))
+        full = self._full(shapes)
+        slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / full.reshape(len(full), 1)
+        direct = (linear[: self.static_size] @ slope) * self._damped(log_times, path)
+        return Slopes(np.asarray(direct), np.zeros((1, direct.size)), np.ones(1))
+
+    def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
+        """Theta of the contact model, of one point or of rows of points; readings in air are none of it."""
+        return super().theta(log_times, linear[..., : self.static_size], exact=exact)
+
+    def along(self, logs: tuple[int, ...]) -> DampedLaw:
+        """The same law for a path of some logs."""
+        return replace(self, only=logs)
+
+
+def law_of(model: ChannelModel, logs: int) -> ChannelLaw:
+    """The law of a model, as the engine fits it to a number of logs."""
+    if isinstance(model, DampedModel):
+        return DampedLaw(model.static, 0, model.relaxation, 1, model.depth_mm, model, logs)
+    return ChannelLaw.of(model)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
+from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
     Groups,
     Rival,
@@ -29,7 +29,6 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
-from tissueid.inference.damped_law import law_of
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
 from tissueid.inference.memory import scan_memory
 from tissueid.inference.noise import Memory

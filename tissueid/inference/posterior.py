@@ -3,7 +3,7 @@
 One set of draws with the machine open.  The total interval is read off them as they are; the statistical one
 off the same draws with the machine at its posterior mean, by the linear dependence of the tissue on it.  The
 printed value is the median.  Where the law misses more than the noise, draws are of the generalised posterior
-(:mod:`tissueid.inference.sandwich`).
+(:mod:`tissueid.inference.residual_blocks`).
 """
 
 from __future__ import annotations
@@ -16,20 +16,23 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
-from tissueid.inference.bands import predictive_bands
-from tissueid.inference.budget import uncertainty_budget
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.coherence import outside, withheld
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
 from tissueid.inference.misfit import misfit_alarm
-from tissueid.inference.prediction import next_indentation
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
 from tissueid.inference.remarks import posterior_flags
-from tissueid.inference.reported import interval95, reported_draws
+from tissueid.inference.reported import (
+    interval95,
+    next_indentation,
+    predictive_bands,
+    reported_draws,
+    uncertainty_budget,
+)
+from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.sampling import Sampled, sample
-from tissueid.inference.sandwich import sandwich_covariance
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target

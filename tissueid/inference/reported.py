@@ -7,9 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import REFERENCE_DEPTH
+from tissueid.inference.optimum import minimise
+from tissueid.inference.prior import prior_rows
+from tissueid.inference.system import Effects, Point, System
+from tissueid.inference.target import SpecimenTarget
+from tissueid.measures import predicted
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import TissueModel, viscous
+from tissueid.result import SpecimenFit
+from tissueid.uncertainty import BudgetRow
 
 #: Ends of the central 95 % interval, and the end of the one that begins at an active bound.
 CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95
@@ -48,3 +56,121 @@ def interval95(draws: Mapping[str, FloatArray]) -> dict[str, tuple[float, float]
             low, high = 0.0, np.quantile(values, FROM_BOUND_95)
         out[name] = (float(low), float(high))
     return out
+
+
+#: Fewest logs, and steps of the fit of each.
+FEWEST, STEPS = 3, 12
+
+
+def _alone(identified: Identified, index: int) -> FloatArray:
+    """Theta of one log under the specimen's law."""
+    found, law = identified.optimum, identified.law.along((index,))
+    system = System([identified.system.logs[index]], law, identified.system.depth_mm, Effects())
+    at, effects = found.point, identified.system.effects
+    contact = at.own[index, int(effects.gain)] if effects.contact else 0.0
+    gain = float(np.exp(at.own[index, 0])) if effects.gain else 1.0
+    start = Point(at.log_times, at.machine, gain * at.linear, np.array([[contact]]))
+    one = minimise(
+        system,
+        start,
+        lambda point: prior_rows(
+            system, law, point, identified.scatter, identified.request.priors, machine=False
+        ),
+        machine=False,
+        steps=STEPS,
+    )
+    return np.asarray(law.theta(one.point.log_times, one.point.linear)[0])
+
+
+def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
+    """Prediction intervals of the reported parameters.
+
+    Returns name -> interval; empty with fewer than three logs, and without parameters that no log determines.
+    """
+    logs = len(identified.system.logs)
+    if logs < FEWEST:
+        return {}
+    theta = np.array([_alone(identified, i) for i in range(logs)])
+    out = {}
+    for name, values in reported_draws(identified.law.model(), theta).items():
+        if (values > 0.0).all():
+            ln = np.log(values)
+            found = predicted(float(ln.mean()), float(ln.std(ddof=1)), logs)
+            if found is not None:
+                out[name] = found
+    return out
+
+
+TOTAL = "total"
+#: Names of the machine's coordinates as sources.
+SOURCES = {
+    "frame_compliance_mm_per_N": "frame",
+    "skew_s": "time skew",
+    "force_filter_s": "force filter",
+    "contact": "contact points",
+}
+
+
+def uncertainty_budget(
+    target: SpecimenTarget, vectors: FloatArray, gains: FloatArray, draws: Mapping[str, FloatArray]
+) -> tuple[BudgetRow, ...]:
+    """Standard deviation by source of every reported parameter.
+
+    ``vectors`` (n, size); ``gains`` (n, 2); ``draws``: reported parameter -> draws with the machine open.
+    """
+    columns, names = [gains[:, 0], gains[:, 1]], ["force gain", "displacement gain"]
+    for k, name in enumerate(target.names):
+        if name in SOURCES and target.free[k]:
+            columns.append(vectors[:, k])
+            names.append(SOURCES[name])
+    matrix = np.column_stack(columns)
+    matrix = matrix - matrix.mean(axis=0)
+    spread = np.maximum(matrix.std(axis=0), 1e-300)
+    rows = []
+    for parameter, values in draws.items():
+        centred = values - values.mean()
+        variance = float(np.mean(centred**2))
+        slope, *_ = np.linalg.lstsq(matrix / spread, centred, rcond=1e-8)
+        parts = np.minimum(slope**2, variance)
+        left = max(variance - float(parts.sum()), 0.0)
+        shares = [(name, float(part)) for name, part in zip(names, parts, strict=True)]
+        shares = [("noise", left), *shares]
+        whole = sum(part for _, part in shares) or 1.0
+        rows += [BudgetRow(parameter, name, float(np.sqrt(part)), part / whole) for name, part in shares]
+        rows.append(BudgetRow(parameter, TOTAL, float(np.sqrt(variance)), None))
+    return tuple(rows)
+
+
+#: Draws that a band is made of.
+BAND_DRAWS = 120
+TWO_SIDED_95 = 1.959963984540054
+
+
+def predictive_bands(
+    fit: SpecimenFit, target: SpecimenTarget, vectors: FloatArray, *, sigma_N: float
+) -> dict[tuple[str, str | None], FloatArray]:
+    """The 95 % predictive band of every trial.
+
+    ``vectors`` (n, size): draws, machine and contact with them: what they share moves no force; ``sigma_N``:
+    standard deviation of the noise [N].  Returns (path, sheet) -> ndarray, shape (3, m): low, middle, high
+    [N] at the samples of the trial's curve.
+    """
+    system = target.system
+    rows = np.linspace(0, len(vectors) - 1, min(len(vectors), BAND_DRAWS)).astype(np.int64)
+    force = target.forces(vectors[rows])
+    change = force - np.median(force, axis=0)
+    bands = {}
+    for i, trial in enumerate(fit.trials):
+        mine, curve = system.log == i, trial.curve
+        own = change[:, mine]
+        if len(fit.trials) > 1:
+            # logs differ in level: their own gain takes up what all depths share
+            base = np.median(force[:, mine], axis=0)
+            own = own - ((own @ base) / max(float(base @ base), 1e-300))[:, None] * base
+        # a few draws far out would be the whole of a variance
+        sd = np.subtract(*np.quantile(own, [0.84, 0.16], axis=0)) / 2.0
+        since = system.mid[mine] - system.logs[i].time_s[0]
+        spread = np.interp(curve.time_s, since - since[0], sd)
+        half = TWO_SIDED_95 * np.sqrt(spread**2 + sigma_N**2)
+        bands[trial.path, trial.sheet] = np.stack([curve.model_N - half, curve.model_N, curve.model_N + half])
+    return bands

@@ -6,7 +6,11 @@ a run that was killed goes on from there to the same draws.
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,12 +22,120 @@ from scipy.special import ndtri
 from scipy.stats.qmc import Sobol
 
 from tissueid.arrays import FloatArray
-from tissueid.inference.checkpoint import Checkpoint
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.mixture import learn_mixture, tempered
 from tissueid.inference.proposal import cut_normal
-from tissueid.inference.psis import Weighed, smoothed
 from tissueid.inference.target import Target
+from tissueid.store.files import write_file
+
+#: Seconds between two writes.
+EVERY_S = 1.0
+
+
+class Checkpoint:
+    """Points and weights so far in one file, written apart and renamed.
+
+    ``path``: ``None`` keeps nothing; ``key``: of everything the draws depend on; a file with another key is
+    not used.
+    """
+
+    def __init__(self, path: Path | None, key: str) -> None:
+        self.path, self.key = path, key
+        self._last = time.monotonic()
+
+    def resume(self, rng: np.random.Generator, size: int) -> tuple[FloatArray, FloatArray]:
+        """Points and their log weights so far; the generator stands where it stood."""
+        nothing = np.empty((0, size)), np.empty(0)
+        if self.path is None or not self.path.is_file():
+            return nothing
+        try:
+            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as found:
+                if str(found["key"]) != self.key or found["points"].shape[1] != size:
+                    return nothing
+                state = json.loads(str(found["generator"]))
+                points, log_weight = found["points"], found["log_weight"]
+        except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile):
+            return nothing
+        rng.bit_generator.state = state
+        return points, log_weight
+
+    def write(self, rng: np.random.Generator, points: FloatArray, log_weight: FloatArray) -> None:
+        """Keep what there is, once in a while; a disk that is full or read-only stops nothing."""
+        if self.path is None or time.monotonic() - self._last < EVERY_S:
+            return
+        buffer = io.BytesIO()
+        np.savez(
+            buffer,
+            key=np.array(self.key),
+            generator=np.array(json.dumps(rng.bit_generator.state)),
+            points=points,
+            log_weight=log_weight,
+        )
+        # without the file a run that is killed begins anew
+        with contextlib.suppress(OSError):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_file(self.path, buffer.getvalue())
+        self._last = time.monotonic()
+
+
+#: Points of positive weight that are too few to weigh, and to fit a tail to.
+FEWEST, FEWEST_TAIL = 50, 8
+#: Prior of the Pareto shape: a mean, worth so many points.
+SHAPE_PRIOR, PRIOR_WORTH = 0.5, 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """Smoothed importance weights, the independent draws they are worth, and the shape of their tail."""
+
+    weights: FloatArray
+    worth: float
+    pareto: float
+
+
+def _pareto(tail: FloatArray) -> tuple[float, float]:
+    """Shape and scale of a generalised Pareto distribution of ascending exceedances."""
+    n = tail.size
+    grid = 30 + int(np.sqrt(n))
+    quartile = max(float(tail[int(n / 4 + 0.5) - 1]), 1e-300)
+    b = 1.0 - np.sqrt(grid / (np.arange(1.0, grid + 1) - 0.5))
+    b = b / (3.0 * quartile) + 1.0 / tail[-1]
+    k = np.log1p(-b[:, None] * tail).mean(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        profile = n * (np.log(-b / k) - k - 1.0)
+    profile = np.where(np.isfinite(profile), profile, -np.inf)
+    weight = np.exp(profile - profile.max())
+    best = float((b * weight).sum() / weight.sum())
+    shape = float(np.log1p(-best * tail).mean())
+    scale = -shape / best
+    shape = (n * shape + PRIOR_WORTH * SHAPE_PRIOR) / (n + PRIOR_WORTH)
+    return shape, float(scale)
+
+
+def smoothed(log_weight: FloatArray) -> Weighed:
+    """Smooth the largest weights by the Pareto distribution that they follow.
+
+    ``log_weight`` (n,): log density over log proposal; minus infinity where the density is none.
+    """
+    inside = np.flatnonzero(np.isfinite(log_weight))
+    weights = np.zeros(log_weight.size)
+    if inside.size < FEWEST:
+        return Weighed(weights, 0.0, np.inf)
+    part = np.exp(log_weight[inside] - log_weight[inside].max())
+    size = int(min(0.2 * part.size, 3.0 * np.sqrt(part.size)))
+    shape = -np.inf
+    order = np.argsort(part)
+    cut = part[order[-size - 1]]
+    tail = part[order[-size:]] - cut
+    if size >= FEWEST_TAIL and tail[-1] > 1e-12 and tail[0] >= 0.0 and np.ptp(tail) > 0.0:
+        tail = np.maximum(tail, 1e-300)
+        shape, scale = _pareto(tail)
+        far = -np.log1p(-(np.arange(size) + 0.5) / size)
+        quantiles = scale * (np.expm1(np.minimum(shape * far, 600.0)) / shape if abs(shape) > 1e-9 else far)
+        part[order[-size:]] = np.minimum(cut + quantiles, part.max())
+    weights[inside] = part / part.sum()
+    return Weighed(weights, float(1.0 / (weights**2).sum()), float(shape))
+
 
 #: Walkers, and steps of each from where importance sampling put it.
 WALKERS, STEPS = 128, 30

@@ -12,18 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
 from tissueid.inference.evidence import LogEvidence, log_evidence
 from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.lm import both_optimisers
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
-from tissueid.inference.material import with_moduli
+from tissueid.inference.material import depth_test, with_moduli
 from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers, with_form
 from tissueid.inference.relaxation_window import relaxation_window
+from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
-from tissueid.inference.sandwich import sandwich_covariance
 from tissueid.inference.summaries import Summaries, second_pass
 from tissueid.inference.system import Point, System
 from tissueid.inference.target import SpecimenTarget

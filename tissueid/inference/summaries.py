@@ -9,25 +9,148 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
-from tissueid.inference.loop_area import with_model_viscosity
-from tissueid.inference.residual_blocks import ResidualBlocks, residual_blocks
-from tissueid.inference.residual_summary import residual_summary
+from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
 from tissueid.inference.trials import Adjustment, ResidualTotals, summarise_trial
 from tissueid.inference.window import FittedLog
 from tissueid.measured import measure
-from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.cycles import closed_area, cycle_rows
 from tissueid.measured.geometry import NO_TIP, TipOf
 from tissueid.measured.relaxation import relaxation_rows
-from tissueid.processors import threads
-from tissueid.quantities import CycleRow, RelaxationRow
-from tissueid.result import Nrmsd, TrialFit
-from tissueid.trial import Segmentation, Trial
+from tissueid.model.channels import TissueModel
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import surface_path
+from tissueid.own_process import threads
+from tissueid.quantities import CycleRow, Measure, RelaxationRow
+from tissueid.result import Nrmsd, ResidualSummary, TrialFit
+from tissueid.trial import Segmentation, Trial, contact_frame
 from tissueid.uncertainty import NoiseFit
+
+#: Factors of K that are tried: outside, the model has another kind of loop than the tissue.
+FACTORS = np.geomspace(0.1, 10.0, 13)
+#: Depth, as a share of the fitted one, at which viscosity is quoted where K varies.
+REFERENCE_DEPTH = 0.5
+
+
+def _ranges(time_s: FloatArray, rows: Sequence[CycleRow]) -> list[slice]:
+    """Samples of each loop."""
+    return [
+        slice(int(np.searchsorted(time_s, row.start_s)), int(np.searchsorted(time_s, row.end_s, "right")))
+        for row in rows
+    ]
+
+
+def with_model_viscosity(
+    trial: Trial,
+    segmentation: Segmentation,
+    rows: Sequence[CycleRow],
+    model: TissueModel,
+    theta: FloatArray,
+    adjustment: Adjustment,
+) -> tuple[CycleRow, ...]:
+    """Loops of one trial with ``viscosity_model_N_s_per_mm`` filled where the model reaches their area.
+
+    ``trial``, ``segmentation``: the recording; has a contact; ``rows``: its loops; ``model``, ``theta``: the
+    specimen's tissue; passive; ``adjustment``: gain and contact offset of this log.
+    """
+    if not rows or not isinstance(model, KelvinVoigt) or model.branches == 0:
+        return tuple(rows)
+    assert segmentation.contact is not None  # noqa: S101  (there are loops)
+    depth, _ = contact_frame(trial, segmentation)
+    ranges = _ranges(trial.time_s, rows)
+    # from the last sample in air, so that the surface starts at rest where it is
+    first = max(segmentation.contact.index - 1, 0)
+    if ranges[0].start < first:  # preconditioning comes before the contact of the test
+        air = np.flatnonzero(depth[: ranges[0].start + 1] <= 0.0)
+        first = int(air[-1]) if air.size else 0
+    weights = [closed_area(depth[one]) for one in ranges]
+    static, stiffness, tau = model.split(theta)
+    law = np.ascontiguousarray(depth - adjustment.contact_offset_mm)
+    areas = np.empty((FACTORS.size, len(rows)))
+    force = np.zeros(depth.size)
+    for k, factor in enumerate(FACTORS):
+        _, force[first:] = surface_path(
+            np.concatenate([[0.0], static]),
+            np.ascontiguousarray(factor * stiffness),
+            np.ascontiguousarray(tau),
+            model.depth_mm,
+            trial.time_s[first:],
+            law[first:],
+        )
+        areas[k] = [adjustment.gain * float(w @ force[one]) for w, one in zip(weights, ranges, strict=True)]
+    reference = np.array([REFERENCE_DEPTH * model.depth_mm])
+    eta = float((model.stiffness(theta, reference)[:, 0] * tau).sum())
+    return tuple(_filled(row, areas[:, k], eta) for k, row in enumerate(rows))
+
+
+def _filled(row: CycleRow, areas: FloatArray, eta: float) -> CycleRow:
+    """One loop: the factor at which the area is the measured one, by interpolation in ln(area)."""
+    wanted, spread = row.dissipated_mJ.value, row.dissipated_mJ.stderr
+    grows = bool((np.diff(areas) > 0.0).all()) and areas[0] > 0.0
+    if wanted is None or spread is None or not grows or not areas[0] <= wanted <= areas[-1]:
+        return row
+    logs, at = np.log(areas), float(np.log(wanted))
+    curve = PchipInterpolator(logs, np.log(FACTORS))
+    factor, slope = float(np.exp(curve(at))), float(curve(at, 1))
+    error = eta * factor * slope * spread / wanted
+    return replace(row, viscosity_model_N_s_per_mm=Measure(eta * factor, error))
+
+
+#: Bins of the histogram, and half its width in standard deviations of the noise.
+BINS = 40
+HALF_WIDTH_SD = 5.0
+#: Lags grow geometrically, the same for every log, to a quarter of it.
+LAGS_PER_DECADE = 6
+LARGEST_LAG_SHARE = 0.25
+
+
+def _correlation(residual: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Lags in samples and the autocorrelation there; none for fewer than eight samples."""
+    largest = int(LARGEST_LAG_SHARE * residual.size)
+    centred = residual - residual.mean() if residual.size else residual
+    power = float(centred @ centred)
+    if largest < 2 or power == 0.0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    places = np.arange(int(LAGS_PER_DECADE * np.log10(largest)) + 1) / LAGS_PER_DECADE
+    lags = np.unique((10.0**places).round().astype(np.int64))
+    found = [float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in lags.tolist()]
+    return lags, np.array(found)
+
+
+def residual_summary(
+    log: FittedLog, fitted: FloatArray, blocks: ResidualBlocks, *, sigma_N: float
+) -> ResidualSummary:
+    """Summarise what the model leaves of one log.
+
+    ``fitted`` (n,): force of the specimen's model along it [N]; ``blocks``: of the same log; ``sigma_N``:
+    standard deviation of the specimen's noise: the scale of the histogram [N].
+    """
+    data = log.data
+    residual = (data.force_N - fitted)[data.include]
+    # a fit without noise has no scale but the residual's own
+    scale = sigma_N if sigma_N > 0.0 else float(np.abs(residual).max(initial=0.0)) or 1.0
+    edges = np.linspace(-HALF_WIDTH_SD * scale, HALF_WIDTH_SD * scale, BINS + 1)
+    places = np.searchsorted(edges, residual, side="right")
+    lags, correlation = _correlation(residual)
+    held = blocks.hold
+    return ResidualSummary(
+        start_s=float(data.time_s[0]),
+        step_s=log.step_s,
+        edges_N=edges,
+        counts=np.bincount(places, minlength=BINS + 2).astype(np.int64),
+        lags=lags,
+        correlation=correlation,
+        hold_since_s=10.0 ** ((blocks.place[held] + 0.5) / HOLD_BLOCKS_PER_DECADE),
+        hold_mean_N=blocks.mean_N[held],
+        hold_count=blocks.count[held].astype(np.int64),
+    )
+
 
 #: Threads that look at logs.
 MAX_WORKERS = 4

@@ -7,7 +7,7 @@ largest state, and polynomials of a single log about the contact of the optimum:
 then move alone.
 
 Where the law misses more than the noise, the generalised posterior is normal about the optimum within the
-passive set, its precision that of the clustered sandwich (:mod:`tissueid.inference.sandwich`).
+passive set, its precision that of the clustered sandwich (:mod:`tissueid.inference.residual_blocks`).
 """
 
 from __future__ import annotations

@@ -6,11 +6,10 @@ refused with line and column (:data:`REFUSAL_CODES`), never repaired.
 
 from tissueid.ingest.discovery import each_input, find_inputs
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.plugins import forget_readers, reader_faults
 from tissueid.ingest.reading import match_of, read_each, read_one, read_trials
 from tissueid.ingest.recipe import InputFile, Match, Recipe, Table
 from tissueid.ingest.refusals import REFUSAL_CODES, REFUSAL_MEANINGS
-from tissueid.ingest.registry import RECIPES
+from tissueid.ingest.registry import RECIPES, forget_readers, reader_faults
 
 __all__ = [
     "RECIPES",

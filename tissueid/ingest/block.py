@@ -7,14 +7,19 @@ kept as blank ones, so that a refusal still points at the line of the file.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
+from tissueid.errors import InputError
+from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.layout import Layout, Row, find_decimal, split_line
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
+from tissueid.ingest.vocabulary import Channel, rank_of
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
@@ -86,4 +91,74 @@ def block_layout(
             bool(sample) and all(i < len(row) and looks_numeric(row[i]) for row in sample[:50])
             for i in range(n_columns)
         ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SpecimenColumns:
+    """The columns ``[start, stop)`` of one specimen, and its name: that above them, or its number."""
+
+    name: str
+    start: int
+    stop: int
+    is_named: bool
+
+
+def specimen_columns(
+    above: Sequence[str], names: Sequence[str], units: Sequence[str], options: ReadOptions
+) -> list[SpecimenColumns]:
+    """The specimens of a table, each beginning under its name, or else at a column of time.
+
+    ``above``, ``names``, ``units``: the row with the specimens' names, and the two below it.  Returns empty
+    where the columns are not those of specimens.  A specimen may lack its time where others of the same names
+    stand beside it: it is refused by itself.
+    """
+    by_name = [index for index, name in enumerate(above[: len(names)]) if name.strip()]
+    spans = _spans(by_name, names)
+    if len(spans) > 1 and all(
+        _holds_force(names[start:stop], units[start:stop], options) for start, stop in spans
+    ):
+        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
+    spans = _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
+    if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
+        return []
+    if all(_named(above[start:stop]) for start, stop in spans):
+        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
+    groups = {tuple(name.strip() for name in names[start:stop] if name.strip()) for start, stop in spans}
+    if len(spans) < 2 or len(groups) > 1:
+        return []
+    return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
+
+
+def _is(name: str, channel: Channel) -> bool:
+    return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
+
+
+def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:
+    """Columns from each start to the next; none where named columns stand before the first."""
+    if not starts or any(name.strip() for name in names[: starts[0]]):
+        return []
+    return list(pairwise([*starts, len(names)]))
+
+
+def _holds_force(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
+    """Columns of a recording, its time apart."""
+    return has_channels(names, units, options) or (
+        sum(bool(name.strip()) for name in names) == 2
+        and any(_is(name, "force") for name in names)
+        and any(_is(name, "displacement") for name in names)
+    )
+
+
+def _named(above: Sequence[str]) -> bool:
+    """True where one name stands above a group: over its first column, or over each."""
+    cells = {cell.strip() for cell in above if cell.strip()}
+    return len(cells) == 1 and above[0].strip() in cells
+
+
+def shifted(error: InputError, columns: int) -> InputError:
+    """A refusal that points at the column of the file, not of the specimen."""
+    column = None if error.column is None else error.column + columns
+    return InputError(
+        error.code, error.message, path=error.path, sheet=error.sheet, line=error.line, column=column
     )

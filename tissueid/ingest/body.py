@@ -30,7 +30,7 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import RowReader
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS
-from tissueid.processors import threads
+from tissueid.own_process import threads
 
 _PIECE_BYTES, _QUOTED_BYTES = 1 << 22, 1 << 19
 _MOST_THREADS = 6

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from tissueid.ingest.layout import Row
 from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
-from tissueid.ingest.protocol_words import (
+from tissueid.ingest.text import (
     DEPTH,
     HOLD,
     LOAD_LIMIT,

@@ -5,23 +5,72 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.cell_range import capacity_in
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
-from tissueid.ingest.no_specimen import no_specimen
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.quality import quality_flags
+from tissueid.ingest.quality import capacity_in, quality_flags
 from tissueid.ingest.recipe import InputFile, Match, Table, open_input
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.registry import match_recipe
-from tissueid.ingest.vocabulary import Channel
+from tissueid.ingest.vocabulary import Channel, plain_words
 from tissueid.trial import Axes, Source, Trial
+
+_MEANS = (
+    r"(?:mean|averaged?|typical|median|representative)(?: (?:curve|specimen|sample|test|trace|values?))?"
+    r"|mittelwert(?:e|s?kurve)?|mittelkurve|mittlere (?:kurve|probe)|durchschnitt(?:skurve|swerte?)?"
+    r"|(?:typische|reprasentative) (?:kurve|probe)|typkurve"
+    r"|(?:eprouvette|courbe|essai|valeurs?) (?:moyen(?:ne)?s?|type|typique|medianes?|representative?)|moyenne"
+    r"|(?:curva|probeta|ensayo|provino|prova|corpo de prova) (?:medi[ao]|promedio|tipic[ao])"
+    r"|promedio|(?:krzywa|probka) (?:srednia|typowa)|srednia"
+    r"|平均(?:曲线|值|试样)?|典型(?:曲线|试样)|代表曲线"
+)
+_SUMMARIES = (
+    r"statistics|summary|results?|statistik|zusammenfassung|ergebnisse|statistiques?|synthese|resume"
+    r"|resultats?|estadisticas?|resumen|resultados|statistic(?:a|he)|riepilogo|risultati|estatisticas?|resumo"
+    r"|statystyk[ai]|podsumowanie|wyniki|统计|汇总|结果|統計|結果"
+)
+_SEARCHES = (
+    r"(?:find(?:ing)?|search(?: for)?|seek(?:ing)?|detect(?:ing)?) (?:the )?contact"
+    r"|contact (?:search|find(?:er|ing)?)"
+    r"|kontakt ?suche|kontaktfindung|recherche (?:de |du )?contact|busqueda de(?:l)? contacto"
+    r"|ricerca (?:del |di )?contatto|busca de contato|szukanie kontaktu|接触(?:查找|搜索|寻找)"
+)
+#: Words that are a mean among sheets, but may name a file of anything.
+_AMONG_SHEETS = r"medi[ao]s?"
+_KINDS = (("mean", _MEANS), ("summary", _SUMMARIES), ("search", _SEARCHES))
+_WHAT = {
+    "mean": "a mean or typical curve",
+    "summary": "a summary",
+    "search": "the machine's search for contact",
+}
+
+
+def no_specimen(path: str, sheet: str | None) -> Flag | None:
+    """``not_a_specimen``, where the name of a file, sheet, block or specimen says so.
+
+    ``path``: file; ``sheet``: sheet, block, specimen or member of an archive; parts behind ``::``.
+    """
+    names = [PurePosixPath(path.replace("\\", "/")).stem]
+    parts = [] if sheet is None else sheet.split("::")
+    names += [PurePosixPath(part).stem if "/" in part or "." in part else part for part in parts]
+    for name in names:
+        words = re.sub(r"^\d+ | \d+$", "", plain_words(name))
+        for kind, pattern in _KINDS:
+            sheets = kind == "mean" and parts and name is not names[0] and re.fullmatch(_AMONG_SHEETS, words)
+            if sheets or re.fullmatch(pattern, words):
+                return Flag(
+                    "not_a_specimen",
+                    f"{name!r} is {_WHAT[kind]}, no specimen, and is not fitted",
+                    {"kind": kind},
+                )
+    return None
+
 
 #: Longest travel [mm] and largest force [N] of a materials testing machine, with room to spare.
 TRAVEL_LIMIT_MM = 5_000.0

@@ -17,14 +17,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from tissueid.errors import InputError
-from tissueid.ingest.block import Head, block_layout, block_text
+from tissueid.ingest.block import Head, SpecimenColumns, block_layout, block_text, shifted, specimen_columns
 from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.side_by_side import SpecimenColumns, shifted, specimen_columns
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import plain_words
 

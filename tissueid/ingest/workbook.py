@@ -24,6 +24,7 @@ import python_calamine
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
+from tissueid.ingest.block import shifted, specimen_columns
 from tissueid.ingest.broken_rows import broken_row
 from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
@@ -33,7 +34,6 @@ from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workb
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.remarks import begins_a_table, flag_head
 from tissueid.ingest.results import results_below, results_flag
-from tissueid.ingest.side_by_side import shifted, specimen_columns
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
 
-from tissueid.measured.programs import programs
-from tissueid.measured.spread import ramp_reason
+from tissueid.measured.spread import programs, ramp_reason
 from tissueid.measures import SpreadRow
 
 #: Numbers that say what was done to the tissue, whatever it answered.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.population.agreement import (
     Agreement,
@@ -16,14 +19,12 @@ from tissueid.population.agreement import (
     order_effect,
     repeatability,
 )
-from tissueid.population.cohort_size import SizeRow, size_rows
 from tissueid.population.confounding import Confounding, speed_confounding
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described, design_of
 from tissueid.population.held_out import HeldOut, held_out
 from tissueid.population.members import FEWEST_SPECIMENS, LeftOut, Member, fit_for_cohort, stage_one
 from tissueid.population.predictive import Predictive, predictive_specimens
-from tissueid.population.remarks import population_flags
 from tissueid.population.rows import (
     EffectRow,
     QuantityRow,
@@ -32,10 +33,153 @@ from tissueid.population.rows import (
     quantity_rows,
     specimen_rows,
 )
-from tissueid.population.sampler import PopulationDraws, SamplerOptions, sample_population
+from tissueid.population.sampler import ESS_A_CHAIN, R_HAT, PopulationDraws, SamplerOptions, sample_population
 from tissueid.population.shared_instrument import shared_instrument
 from tissueid.population.stage_one import StageOne
 from tissueid.priors import PopulationPriors
+
+#: Names in one sentence.
+LONGEST_LIST = 8
+#: Refused predictive draws that are worth a word.
+MANY_REFUSED = 0.05
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - LONGEST_LIST} more" if len(names) > LONGEST_LIST else ""
+    return ", ".join(names[:LONGEST_LIST]) + more
+
+
+def population_flags(
+    draws: PopulationDraws,
+    predictive: Predictive,
+    specimens: Sequence[SpecimenRow],
+    described: Described,
+    floored: Mapping[str, int],
+) -> list[Flag]:
+    """Flags of a population.
+
+    ``floored``: specimen -> draws of which a number was zero.
+    """
+    flags = [*_of_chains(draws), *_of_outliers(specimens)]
+    smoothed = [row.specimen for row in specimens if row.smoothed]
+    if smoothed:
+        message = (
+            f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
+            f"(first {smoothed[0]})"
+        )
+        flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
+    if floored:
+        message = (
+            f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
+            f"{sum(floored.values())} draws"
+        )
+        flags.append(
+            Flag("draws_floored", message, {"specimens": list(floored), "draws": list(floored.values())})
+        )
+    if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
+        share = 100 * predictive.refused_share
+        message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
+        if predictive.typical_is_drawn:
+            message += ", the typical one too"
+        flags.append(
+            Flag(
+                "population_not_passive",
+                message,
+                {"refused": predictive.refused, "kept": len(predictive.theta)},
+            )
+        )
+    for key, who in described.missing.items():
+        message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
+        flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
+    return flags
+
+
+def _of_chains(draws: PopulationDraws) -> list[Flag]:
+    if draws.converged:
+        return []
+    worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
+    least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
+    wanted = ESS_A_CHAIN * draws.nu.shape[0]
+    message = (
+        f"chains over the population: R-hat {worst.r_hat:.3f} (wanted {R_HAT}), {least:.0f} effective draws "
+        f"(wanted {wanted:.0f})"
+    )
+    return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
+
+
+def _of_outliers(specimens: Sequence[SpecimenRow]) -> list[Flag]:
+    outliers = [row for row in specimens if row.outlier is not None]
+    if not outliers:
+        return []
+    said = "; ".join(
+        f"{row.specimen} (probability {row.far:.2f}, {row.outlier} {row.deviation:+.1f} sd)"
+        for row in sorted(outliers, key=lambda row: -row.far)[:LONGEST_LIST]
+    )
+    more = f"; and {len(outliers) - LONGEST_LIST} more" if len(outliers) > LONGEST_LIST else ""
+    message = (
+        f"far from the others: {said}{more}; of a normal population {0.01 * len(specimens):.2g} would be"
+    )
+    return [Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})]
+
+
+#: Wanted half widths, relative.
+PRECISIONS = (0.02, 0.05, 0.10)
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True, slots=True)
+class SizeRow:
+    """Specimens for one quantity and one precision: median, and at the ends of the interval of D."""
+
+    name: str
+    precision: float
+    mean: int
+    mean_range: tuple[int, int]
+    sd: int
+    sd_range: tuple[int, int]
+
+    def as_json(self) -> dict[str, Any]:
+        """A row of ``cohort_size``."""
+        return {
+            "name": self.name,
+            "precision": self.precision,
+            "mean": self.mean,
+            "mean_range": list(self.mean_range),
+            "sd": self.sd,
+            "sd_range": list(self.sd_range),
+        }
+
+
+def specimens_for_mean(between_sd: float, own_sd: float, precision: float) -> int:
+    """Specimens for a relative half width of the 95 % interval of the mean; at least 3."""
+    half = math.log1p(precision)
+    return max(math.ceil(Z95**2 * (between_sd**2 + own_sd**2) / half**2), 3)
+
+
+def specimens_for_sd(between_sd: float, own_sd: float, precision: float) -> int:
+    """Specimens for a relative half width of the 95 % interval of the standard deviation; at least 3."""
+    inflated = (between_sd**2 + own_sd**2) / between_sd**2
+    return max(math.ceil(1.0 + 0.5 * (Z95 * inflated / precision) ** 2), 3)
+
+
+def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[SizeRow, ...]:
+    """A row a quantity and precision.
+
+    ``sd`` (n, p): draws of D; ``own_sd`` (p,): typical standard deviation of one specimen's ln quantity.
+    """
+    low, middle, high = np.quantile(sd, [0.025, 0.5, 0.975], axis=0)
+    rows = []
+    for k, name in enumerate(names):
+        for precision in PRECISIONS:
+            means = [
+                specimens_for_mean(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)
+            ]
+            sds = [specimens_for_sd(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)]
+            rows.append(
+                SizeRow(name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds)))
+            )
+    return tuple(rows)
+
 
 #: Coordinate of the static force at the common depth.
 STATIC_AT_DEPTH = 2

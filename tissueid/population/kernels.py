@@ -15,7 +15,44 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import kernel
 from tissueid.population.scale_kernels import draw_log_sd
-from tissueid.population.triangular import factor, inverse_factor, solved
+
+
+@kernel()
+def factor(a: FloatArray) -> FloatArray:
+    """Lower factor; NaN on the diagonal where the matrix is not positive definite."""
+    n = a.shape[0]
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            value = a[i, j]
+            for k in range(j):
+                value -= low[i, k] * low[j, k]
+            low[i, j] = np.sqrt(value) if i == j else value / low[j, j]
+    return low
+
+
+@kernel()
+def inverse_factor(low: FloatArray) -> FloatArray:
+    """Inverse of a lower triangular matrix."""
+    inverse = np.zeros(low.shape)
+    for i in range(low.shape[0]):
+        inverse[i, i] = 1.0 / low[i, i]
+        for j in range(i):
+            for k in range(j, i):
+                inverse[i, j] -= low[i, k] * inverse[k, j]
+            inverse[i, j] /= low[i, i]
+    return inverse
+
+
+@kernel()
+def solved(low: FloatArray, away: FloatArray) -> FloatArray:
+    """The z of ``low @ z = away``."""
+    z = away.copy()
+    for i in range(z.size):
+        for k in range(i):
+            z[i] -= low[i, k] * z[k]
+        z[i] /= low[i, i]
+    return z
 
 
 class Cohort(NamedTuple):
@@ -29,7 +66,7 @@ class Cohort(NamedTuple):
     start: IntArray  # (n + 1,), where each specimen's draws begin
     #: (n,): row in the arrays of smooth likelihoods, -1 for a specimen that is among its draws.
     smooth: IntArray
-    #: (p,): see :func:`tissueid.population.mixture_kernels.log_mixture`, as the next four.
+    #: (p,): see :func:`tissueid.population.moves.log_mixture`, as the next four.
     linear: NDArray[np.bool_]
     middle: FloatArray  # (s, p)
     log_weight: FloatArray  # (s, c)

@@ -59,7 +59,7 @@ class Pilot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """A likelihood as a mixture of normals, see :func:`tissueid.population.mixture_kernels.log_mixture`."""
+    """A likelihood as a mixture of normals, see :func:`tissueid.population.moves.log_mixture`."""
 
     centre: FloatArray  # (p,)
     log_weight: FloatArray  # (c,)

@@ -26,7 +26,7 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
-from tissueid.model.rupture_kernels import static_force_in, stored_energy_in
+from tissueid.model.rupture import static_force_in, stored_energy_in
 from tissueid.rendering.guidance import (
     GUIDANCE_MEMORY,
     SAID_BONE_N,

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.errors import UsageError, printable
 from tissueid.haptics.hand import Hand
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.passivity import DEFAULT_DELAY_TICKS
 from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
+from tissueid.rendering.precheck import Demands, Precheck, check_before_force
 from tissueid.rendering.scene import Scene
+from tissueid.rendering.tissue_block import Tissue
 
 
 class Carried(Protocol):
@@ -65,3 +71,44 @@ class RenderOptions:
     virtual: bool = False  # as fast as it can be computed
     bridge: bool = False  # whether another program moves the session
     led: bool = False  # whether a pointer may lead the hand of the simulated device, where no script does
+
+
+#: A device of which nothing was measured.
+ASSUMED_DEVICE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=DEFAULT_DELAY_TICKS)
+
+
+def _paper_a() -> Tissue:
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    theta = model.join(np.array([47.42, -5.577, 0.3804]), np.array([[63.62]]), np.array([0.021]))
+    return Tissue(model, theta, (10.0 / 60.0, 500.0 / 60.0), name="paper-a")
+
+
+def _meat() -> Tissue:
+    model = KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=5.0)
+    static = np.array([0.0960, -0.0411, 0.0084])
+    stiffness = np.array([[0.0748, 0.1671], [0.0, 0.0233]])
+    theta = model.join(static, stiffness, np.array([0.353, 3.978]))
+    return Tissue(model, theta, (1.2, 1.2), name="meat")
+
+
+#: name -> the tissue.
+PRESETS: Mapping[str, Callable[[], Tissue]] = MappingProxyType({"paper-a": _paper_a, "meat": _meat})
+
+
+def preset_tissue(name: str) -> Tissue:
+    """The tissue of that name.
+
+    Raises UsageError: there is none.
+    """
+    if name not in PRESETS:
+        msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
+        raise UsageError(msg)
+    return PRESETS[name]()
+
+
+def preset_check(name: str) -> Precheck:
+    """Scale and numbers of a preset on the device that is assumed where nothing was measured.
+
+    Raises UsageError: there is none of that name.
+    """
+    return check_before_force(preset_tissue(name), ASSUMED_DEVICE)

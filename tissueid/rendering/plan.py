@@ -33,10 +33,9 @@ from tissueid.rendering.choice import (
 )
 from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
 from tissueid.rendering.law_session import guided_session, law_session
-from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.options import RenderOptions, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force, demands_of
-from tissueid.rendering.presets import preset_tissue
 from tissueid.rendering.script import RAMP_S, Script, read_script
 from tissueid.rendering.session_plan import SessionPlan, session_head
 from tissueid.rendering.surface import TOOL_RADIUS

@@ -10,10 +10,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import types
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.device import ZERO_COMMANDS
+from tissueid.haptics.foreign import libc_function
 from tissueid.haptics.guard import transition
 from tissueid.haptics.guard_states import (
     ENGAGED,
@@ -26,8 +28,47 @@ from tissueid.haptics.limits import HEARTBEAT_S
 from tissueid.haptics.parameter_block import COMMAND_STOP, beats
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.states import Lamp
-from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns, readable, sleep_until
 from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
+
+#: int64 words of room: a ``timespec``, then one ``pollfd``.
+CLOCK_SIZE = 4
+_POLLFD_AT = 2
+
+CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
+INTERRUPTED = 4
+NANOSECONDS = 1_000_000_000
+#: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
+POLL_IN, EVENTS_SHIFT, RETURNED_SHIFT = 0x1, 32, 48
+
+_gettime = libc_function("clock_gettime", types.int32, types.int32, types.int64)
+_nanosleep = libc_function("clock_nanosleep", types.int32, types.int32, types.int32, types.int64, types.int64)
+_poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
+
+
+@tick_kernel
+def monotonic_ns(room: IntArray) -> int:
+    """CLOCK_MONOTONIC [ns], which no clock jump moves; ``room`` is int64, shape (CLOCK_SIZE,)."""
+    _gettime(CLOCK_MONOTONIC, room.ctypes.data)
+    return int(room[0] * NANOSECONDS + room[1])
+
+
+@tick_kernel
+def sleep_until(deadline_ns: int, room: IntArray) -> None:
+    """Sleep to a moment of CLOCK_MONOTONIC; no spinning, which a real-time class is punished for."""
+    room[0] = deadline_ns // NANOSECONDS
+    room[1] = deadline_ns % NANOSECONDS
+    while _nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, room.ctypes.data, 0) == INTERRUPTED:
+        pass
+
+
+@tick_kernel
+def readable(descriptor: int, room: IntArray) -> bool:
+    """True where a descriptor has bytes, or its other end is gone; False for a negative one."""
+    if descriptor < 0:
+        return False
+    room[_POLLFD_AT] = descriptor | (POLL_IN << EVENTS_SHIFT)
+    return bool(_poll(room.ctypes.data + 8 * _POLLFD_AT, 1, 0) > 0 and room[_POLLFD_AT] >> RETURNED_SHIFT)
+
 
 #: Why a loop ended: a fault; the owner's wish; a signal; all ticks asked for are done.
 ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL, ENDED_TICKS = 0, 1, 2, 3

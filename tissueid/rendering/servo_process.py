@@ -32,9 +32,15 @@ from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
-from tissueid.rendering.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
+from tissueid.rendering.servo_plan import (
+    REASONS,
+    ServoEnd,
+    ServoPlan,
+    period_statistics,
+    receive_plan,
+    send_line,
+)
 from tissueid.rendering.servo_schedule import make_punctual, settled
-from tissueid.rendering.servo_statistics import period_statistics
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
+from tissueid.haptics.atomic import publish
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.guard import guard, observe, observe_wire, transition
 from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.ring_publishing import publish
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.velocity import velocity_step

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.digits import number
-from tissueid.measured.programs import programs
+from tissueid.measured.spread import programs
 from tissueid.report.tissue import brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve

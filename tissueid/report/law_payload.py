@@ -13,7 +13,7 @@ from tissueid.report.groups import curve_groups
 from tissueid.report.remarks import trial_label
 from tissueid.report.speeds import SpeedGroup, peaks_payload, speed_groups
 from tissueid.report.tissue import ENDS, Tissue, brief, tissue_of
-from tissueid.residuals import ResidualSummary
+from tissueid.result import ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 

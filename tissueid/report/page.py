@@ -20,7 +20,6 @@ from markupsafe import Markup
 
 from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
 from tissueid.errors import UsageError
-from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload, curves_by_trial
 from tissueid.report.groups import curve_groups
 from tissueid.report.law_payload import law_payload
@@ -34,10 +33,12 @@ from tissueid.report.sentences import overview_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
+    event_words,
     in_units,
     misfit_raised,
     parameter_words,
     symbol_words,
+    took,
     unit_words,
     verdict,
 )

@@ -11,7 +11,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.digits import number
-from tissueid.measured.programs import SAME_SPEED, clusters
+from tissueid.measured.spread import SAME_SPEED, clusters
 from tissueid.report.remarks import trial_label
 from tissueid.report.tissue import Tissue, brief, speed_unit
 from tissueid.result import Curve

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.segment.bins import bin_samples
 from tissueid.segment.lattice import locate
-from tissueid.segment.ramp_shape import RampShape
+from tissueid.segment.ramp_shape import RampShape, bin_samples
 
 #: Shortest branch length, in resolutions of the contact (no branch at all), and the longest as a share of
 #: the window.

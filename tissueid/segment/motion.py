@@ -1,6 +1,6 @@
 """Motion of the crosshead, from measured displacement: moves in, moves out, standstills.
 
-The displacement is reduced to a polyline within its noise (:mod:`tissueid.segment.polyline`); pieces become
+The displacement is reduced to a polyline within its noise (:mod:`tissueid.segment.motion`); pieces become
 moves and standstills; what is too short or too small to be either (rounded stops, overshoot, event rows)
 belongs to the move before it.  A standstill is where the displacement is constant: drifting by more than
 :data:`HOLD_DRIFT` of the move before is slow motion (creep under load control), not a hold.
@@ -15,8 +15,39 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.segment.edges import corner_near
-from tissueid.segment.polyline import corners
 from tissueid.signal_noise import quantum, white_noise_sd
+
+IndexArray = NDArray[np.intp]
+
+
+def corners(time_s: FloatArray, values: FloatArray, *, tolerance: float) -> IndexArray:
+    """Indices of the corners, first and last sample included.
+
+    ``time_s``, ``values`` (n,): non-decreasing times; ``tolerance``: largest distance of a sample from the
+    polyline, in the unit of the values, > 0.  Returns (k,), growing, k >= 2.
+    """
+    found = {0, values.size - 1}
+    open_stretches = [(0, values.size - 1)]
+    while open_stretches:
+        first, last = open_stretches.pop()
+        if last - first < 2:
+            continue
+        span = time_s[last] - time_s[first]
+        rise = values[last] - values[first]
+        inside = slice(first + 1, last)
+        if span > 0.0:
+            off = values[inside] - (time_s[inside] - time_s[first]) * (rise / span)
+            off -= values[first]
+        else:
+            off = values[inside] - values[first]
+        low, high = int(off.argmin()), int(off.argmax())
+        worst = high if off[high] >= -off[low] else low
+        if abs(off[worst]) > tolerance:
+            at = first + 1 + worst
+            found.add(at)
+            open_stretches += [(first, at), (at, last)]
+    return np.array(sorted(found), dtype=np.intp)
+
 
 #: Longer recordings are averaged down to about so many blocks before their polyline is drawn.
 BLOCKS = 10_000

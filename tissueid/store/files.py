@@ -9,9 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+import shutil
+import unicodedata
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from tempfile import SpooledTemporaryFile
+from types import TracebackType
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -92,3 +96,135 @@ def json_bytes(document: Any) -> bytes:
     """
     text = json.dumps(plain_json(document), ensure_ascii=False, indent=2, allow_nan=False)
     return (text + "\n").encode("utf-8")
+
+
+#: Public files of a run.
+IDENTIFICATION = "identification.json"
+CURVES = "curves.h5"
+POSTERIORS = "posteriors.h5"
+REPORT = "report.html"
+ONLY_BUNDLE = "bundle.h5"
+
+# Device names that Windows keeps for itself, whatever their extension
+_RESERVED = frozenset(
+    {"con", "prn", "aux", "nul", "conin$", "conout$"}
+    | {f"{port}{digit}" for port in ("com", "lpt") for digit in "0123456789¹²³"}
+)
+
+#: Longest safe name in UTF-8 bytes: most file systems allow 255, and paths are long already.
+_LONGEST_BYTES = 80
+
+
+def safe_name(name: str) -> str:
+    """Turn a name into a part of a file name: letters and digits of any script, ``.``, ``_``, ``-``.
+
+    Different names may come out alike; :func:`file_names` keeps them apart.
+
+    Returns at most 80 bytes of UTF-8, never empty, not reserved, not beginning or ending with a dot.
+    """
+    composed = unicodedata.normalize("NFC", name)
+    kept = "".join(char if char.isalnum() or char in "._-" else "_" for char in composed)
+    while len(kept.encode("utf-8")) > _LONGEST_BYTES:
+        kept = kept[:-1]
+    kept = kept.strip("._ ") or "specimen"
+    return f"{kept}_" if kept.split(".")[0].casefold() in _RESERVED else kept
+
+
+def bundle_names(specimens: Iterable[str]) -> dict[str, str]:
+    """Name the bundle file of every specimen: ``{"kidney 3": "bundle-kidney_3.h5"}``."""
+    return file_names(specimens, "bundle", ".h5")
+
+
+def file_names(specimens: Iterable[str], stem: str, suffix: str) -> dict[str, str]:
+    """Name a file of every specimen: ``{"kidney 3": "stem-kidney_3.suffix"}``.
+
+    Where two names would meet on a file system that ignores case or composes letters differently,
+    each gets eight digits of its own hash, whatever their order.
+
+    ``specimens``: distinct names; ``stem``, ``suffix``: what the files begin and end with.
+    """
+    specimens = list(specimens)
+    plain = {specimen: safe_name(specimen) for specimen in specimens}
+    met: dict[str, int] = {}
+    for name in plain.values():
+        met[_folded(name)] = met.get(_folded(name), 0) + 1
+    names = {}
+    for specimen, name in plain.items():
+        mark = hashlib.sha256(specimen.encode("utf-8")).hexdigest()[:8]
+        own = name if met[_folded(name)] == 1 else f"{name}-{mark}"
+        names[specimen] = f"{stem}-{own}{suffix}"
+    return names
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFKC", name).casefold()
+
+
+_INDENT = 2
+#: A list stays in memory up to this size [bytes].
+_SPOOL_BYTES = 1 << 20
+
+
+def _spelled(value: Any, level: int) -> bytes:
+    """A value as it stands ``level`` levels deep in a document; a line break is never inside a string."""
+    text = json.dumps(plain_json(value), ensure_ascii=False, indent=_INDENT, allow_nan=False)
+    return text.replace("\n", "\n" + " " * (_INDENT * level)).encode("utf-8")
+
+
+class JsonList:
+    """A list of a document, written down as it grows.
+
+    ``level``: how deep its elements stand in the document: 2 for a list that is a value of its root.
+    """
+
+    def __init__(self, level: int) -> None:
+        self.level = level
+        self.count = 0
+        self._file = SpooledTemporaryFile(max_size=_SPOOL_BYTES)  # noqa: SIM115 -- closed by close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def add(self, value: Any) -> None:
+        """Append one element.
+
+        Raises ValueError: for NaN or infinity, which JSON does not have.
+        """
+        pad = b" " * (_INDENT * self.level)
+        self._file.write((b",\n" if self.count else b"\n") + pad + _spelled(value, self.level))
+        self.count += 1
+
+    def copy_into(self, stream: IO[bytes]) -> None:
+        """Write the whole list."""
+        if self.count == 0:
+            stream.write(b"[]")
+            return
+        stream.write(b"[")
+        self._file.seek(0)
+        shutil.copyfileobj(self._file, stream)
+        stream.write(b"\n" + b" " * (_INDENT * (self.level - 1)) + b"]")
+
+
+def write_json(stream: IO[bytes], value: Any, *, level: int = 0) -> None:
+    """Write a document whose mappings may hold :class:`JsonList` in place of lists.
+
+    ``level``: how deep it stands.
+    """
+    if isinstance(value, JsonList):
+        value.copy_into(stream)
+    elif isinstance(value, Mapping) and value:
+        pad = b" " * (_INDENT * (level + 1))
+        for number, (key, child) in enumerate(value.items()):
+            stream.write((b",\n" if number else b"{\n") + pad)
+            stream.write(json.dumps(str(key), ensure_ascii=False).encode("utf-8") + b": ")
+            write_json(stream, child, level=level + 1)
+        stream.write(b"\n" + b" " * (_INDENT * level) + b"}")
+    else:
+        stream.write(_spelled(value, level))
+    if level == 0:
+        stream.write(b"\n")

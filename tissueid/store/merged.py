@@ -19,8 +19,15 @@ import numpy as np
 from tissueid.errors import BundleError
 from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, load_bundle, write_bundle
 from tissueid.store.curves import get_curves, write_curves
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
-from tissueid.store.names import CURVES, ONLY_BUNDLE, POSTERIORS, bundle_names
+from tissueid.store.files import (
+    CURVES,
+    ONLY_BUNDLE,
+    POSTERIORS,
+    TEMPORARY_PREFIX,
+    bundle_names,
+    json_bytes,
+    replace_file,
+)
 from tissueid.store.outputs import OutputSet
 
 #: Folder of the files of specimens, in the output folder.

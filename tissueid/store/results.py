@@ -18,15 +18,17 @@ from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
-from tissueid.store.files import json_bytes, plain_json, sha256_of
-from tissueid.store.merged import LISTED, SPECIMENS, read_listed
-from tissueid.store.names import (
+from tissueid.store.files import (
     CURVES,
     IDENTIFICATION,
     ONLY_BUNDLE,
     POSTERIORS,
     bundle_names,
+    json_bytes,
+    plain_json,
+    sha256_of,
 )
+from tissueid.store.merged import LISTED, SPECIMENS, read_listed
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
 from tissueid.store.posteriors import (
     StoredPosterior,

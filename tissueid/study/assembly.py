@@ -25,14 +25,19 @@ from tissueid.covariates import (
 from tissueid.manifest import Study
 from tissueid.pipeline import IdentifyOptions, exit_of, run_provenance
 from tissueid.result import Exit, Refusal
-from tissueid.store.files import TEMPORARY_PREFIX, plain_json, replace_file
+from tissueid.store.files import (
+    IDENTIFICATION,
+    TEMPORARY_PREFIX,
+    JsonList,
+    plain_json,
+    replace_file,
+    write_json,
+)
 from tissueid.store.index import Index, JobRow
 from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, merge_files
-from tissueid.store.names import IDENTIFICATION
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_record
-from tissueid.store.streamed_json import JsonList, write_json
 
 #: Specimens from which on a set has no merged files and its report has pages.
 LARGE = 200

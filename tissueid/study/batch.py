@@ -20,7 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tissueid.collection import display_names
-from tissueid.errors import BundleError
+from tissueid.errors import BundleError, InputError
+from tissueid.pipeline import identify
 from tissueid.result import Identification, Refusal
 from tissueid.store.files import sha256_of, write_file
 from tissueid.store.index import Index, JobRow
@@ -29,13 +30,66 @@ from tissueid.store.outputs import OutputSet
 from tissueid.store.specimen_file import specimen_bytes
 from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import Inventory
-from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
 from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
 from tissueid.study.partition import StudyParts
+from tissueid.study.recordings import read_decided, read_decided_one
 from tissueid.study.request import Progress, Request, Workplace, expected_seconds
-from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, fit_here, result_of
+from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, chain_file, fit_here, result_of
+from tissueid.study.survey import found_in, recording_rows
 from tissueid.study.tasks import Fault, Outcome, Task, packed, perform, unpacked
-from tissueid.trial import Source
+from tissueid.trial import Source, Trial
+
+
+class SeveralSpecimensError(Exception):
+    """The recordings are of more than one specimen."""
+
+
+def fit_while_read(
+    inventory: Inventory, chains: Path, recent: RecentTrials, progress: Progress
+) -> Identification:
+    """Read every file of a request and fit its one specimen.
+
+    ``inventory``: told of every file; ``chains``: folder for chains that are being sampled; ``recent``: told
+    of every trial, for the jobs where there are several specimens.  Raises SeveralSpecimensError: there is
+    more than one.
+    """
+    request = inventory.request
+    names: dict[str, str] = {}
+    return identify(
+        _trials(inventory, names, recent),
+        study=request.study,
+        options=request.options,
+        reload=lambda source: read_decided_one(source.path, source.sheet, request.reading, request.study),
+        provenance=request.provenance,
+        progress=progress,
+        checkpoint=lambda name: chain_file(chains, name),
+        names=names,
+    )
+
+
+def _trials(inventory: Inventory, names: dict[str, str], recent: RecentTrials) -> Iterator[Trial]:
+    """Trials of one specimen as they are read; its name as shown goes into ``names``."""
+    for position in range(len(inventory.request.found)):
+        file = inventory.file(position)
+        if file is None:
+            continue
+        found = []
+        for item in read_decided(Path(file.path), file.options, file.study):
+            found.append(found_in(item))
+            if isinstance(item, InputError):
+                continue
+            recent.keep(item)
+            (row,) = recording_rows(file.path, found[-1:], inventory.parts)
+            if row.kind in {"trial", "excluded"} and row.specimen not in names:
+                if names:
+                    raise SeveralSpecimensError
+                source = Source(path=row.path, sheet=row.sheet)
+                names.update(display_names([(row.specimen, source)]))
+            yield item
+        inventory.put_down(position, found)
+    inventory.request.all_read()
+    recent.clear()
+
 
 #: What a page is expected to cost [s].
 SECONDS_A_PAGE = 0.05

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from tissueid.errors import BundleError, UsageError
-from tissueid.processors import one_processor
+from tissueid.own_process import one_processor
 from tissueid.study.processes import Started
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, unpacked, versions
 

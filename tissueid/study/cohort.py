@@ -16,8 +16,7 @@ from tissueid.population.members import thawed_among_fresh
 from tissueid.population.sampler import SamplerOptions
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
-from tissueid.store.files import json_bytes, plain_json, sha256_of
-from tissueid.store.names import IDENTIFICATION
+from tissueid.store.files import IDENTIFICATION, json_bytes, plain_json, sha256_of
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import each_result, read_identification
 from tissueid.store.schema import check

@@ -13,8 +13,8 @@ import numpy as np
 import tomlkit
 
 from tissueid.collection import display_names
-from tissueid.ingest.cell_range import capacity_in
 from tissueid.ingest.manifest import SCHEMA
+from tissueid.ingest.quality import capacity_in
 from tissueid.result import Refusal
 from tissueid.store.schema import load_schema
 from tissueid.study.programs import programs_of

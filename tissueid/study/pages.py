@@ -18,9 +18,8 @@ from tissueid.report import render_report
 from tissueid.report.index_page import index_row, render_index
 from tissueid.report.page import plotly_script
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import write_file
+from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, write_file
 from tissueid.store.merged import LISTED, SPECIMENS, read_listed
-from tissueid.store.names import CURVES, IDENTIFICATION, POSTERIORS, REPORT
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.specimen_file import load_record, load_specimen

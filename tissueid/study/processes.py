@@ -18,8 +18,7 @@ from multiprocessing import connection, get_context
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from tissueid.own_process import end_with_parent
-from tissueid.processors import one_processor
+from tissueid.own_process import end_with_parent, one_processor
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, perform, unpacked
 
 #: Times a task may take its process with it.

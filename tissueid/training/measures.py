@@ -8,7 +8,7 @@ each of them.  The noise of a record has a memory: its samples are counted by th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -185,3 +185,35 @@ def _log_jerk(time: FloatArray, smooth: FloatArray) -> float:
     span, length = float(time[-1] - time[0]), float(np.linalg.norm(smooth[-1] - smooth[0]))
     energy = float((jerk**2).sum()) * JERK_STEP_S
     return math.nan if length == 0.0 or energy == 0.0 else -math.log(energy * span**5 / length**2)
+
+
+#: Attempts from which a slope has a standard error worth a word.
+FEWEST = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Learning:
+    """A fitted curve."""
+
+    first: float  # a: the fitted value at the first attempt
+    #: b; negative where the measure falls.
+    exponent: float
+    exponent_se: float
+    attempts: int
+
+
+def learning_curve(values: Sequence[float]) -> Learning | None:
+    """The curve through a measure of attempts in their order; None for fewer than four positive ones.
+
+    ``values``: NaN where an attempt has none.
+    """
+    y = np.asarray(values, dtype=np.float64)
+    number = np.arange(1, y.size + 1)
+    known = np.isfinite(y) & (y > 0.0)
+    if int(known.sum()) < FEWEST:
+        return None
+    design = np.column_stack([np.ones(int(known.sum())), np.log(number[known])])
+    (intercept, slope), *_ = np.linalg.lstsq(design, np.log(y[known]), rcond=None)
+    left = np.log(y[known]) - design @ np.array([intercept, slope])
+    variance = float(left @ left) / (left.size - 2) * np.linalg.inv(design.T @ design)
+    return Learning(math.exp(intercept), float(slope), math.sqrt(float(variance[1, 1])), int(left.size))

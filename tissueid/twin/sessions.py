@@ -25,10 +25,9 @@ from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import carried
 from tissueid.haptics.states import Fault, State
 from tissueid.ingest import read_trials
-from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.plan import plan_session
-from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.recorder import Recorder
 from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
 from tissueid.rendering.session import Session

@@ -87,7 +87,7 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
     from tissueid.haptics.ring import Ring
     from tissueid.haptics.shared_hand import SharedHand
     from tissueid.viewer.feed import LiveFeed
-    from tissueid.viewer.pointer import HandPointer
+    from tissueid.viewer.stage import HandPointer
 
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     pointer = None

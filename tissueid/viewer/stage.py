@@ -5,14 +5,18 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer.security import RefusalLog
 
 if TYPE_CHECKING:
     from tissueid.viewer.feed import LiveFeed, Source
-    from tissueid.viewer.pointer import HandPointer
 
 #: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
 TURN_S = 0.01
@@ -103,3 +107,26 @@ class Stage:
     def _wake(self) -> None:
         waiting, self._news = self._news, asyncio.Event()
         waiting.set()
+
+
+#: How far beyond the workspace a hand may be led [m]: 6 N of a 300 N/m hand.
+BEYOND_M = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandPointer:
+    """Leads a hand within its workspace."""
+
+    hand: SharedHand
+    rest_m: NDArray[np.float64]  # (3,), where it goes when it is let go [m]
+    #: (3,): corners of the workspace [m].
+    low_m: NDArray[np.float64]
+    high_m: NDArray[np.float64]  # (3,)
+
+    def lead(self, position_m: Sequence[float] | None) -> None:
+        """Lead the hand to a point, or back to its rest.
+
+        ``position_m``: device frame [m]; cut to the workspace and 20 mm around it.
+        """
+        wanted = self.rest_m if position_m is None else np.asarray(position_m, dtype=np.float64)
+        self.hand.point_at(np.clip(wanted, self.low_m - BEYOND_M, self.high_m + BEYOND_M).tolist())

@@ -9,7 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import InputError
+from tissueid.inference.specimen import FitOptions
+from tissueid.inspection import as_decided
+from tissueid.manifest import Study
+from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions
 from tissueid.store.files import write_file
 from tissueid.store.schema import first_problem
 from tissueid.trial import Trial
@@ -157,3 +162,24 @@ def load_log(path: Path) -> list[Verdict]:
         if first_problem(verdict, "watch") is None:
             found.append(verdict)
     return found
+
+
+def quick_fit(
+    trial: Trial, options: SegmentOptions | None, study: Study | None = None
+) -> dict[str, Any] | None:
+    """Parameters of the test alone; ``None`` where nothing can be fitted.
+
+    ``trial``: as read; ``study``: followed.  Returns ``fit`` of ``schemas/watch.schema.json``.
+    """
+    trial, options, _ = as_decided(trial, options, study)
+    quick = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0), segment=options)
+    fits = identify([trial], options=quick).specimens
+    if not fits:
+        return None
+    return {
+        "nrmsd": fits[0].nrmsd.range,
+        "parameters": [
+            {"name": one.name, "unit": one.unit, "value": one.value, "stderr": one.stderr}
+            for one in fits[0].parameters
+        ],
+    }

@@ -23,13 +23,12 @@ from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
 from tissueid.haptics.velocity import velocity_step
 from tissueid.model.kernels import STATE_SIZE
-from tissueid.rendering.control.command import command
-from tissueid.rendering.control.law import adapt
+from tissueid.rendering.control.law import adapt, command
 from tissueid.rendering.control.mechanics import Mechanics
 from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
 from tissueid.rendering.control.simulation import loop_block, tissue_law
+from tissueid.rendering.options import ASSUMED_DEVICE
 from tissueid.rendering.precheck import check_before_force
-from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.tissue_block import Tissue
 
 #: Into the tissue: away from the user.

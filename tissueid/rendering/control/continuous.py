@@ -23,6 +23,7 @@ from tissueid.rendering.control.block import (
     TOUCHED_BY_DEVICE,
     VARIANT,
     VARIANT_B,
+    record_row,
 )
 from tissueid.rendering.control.drive import disturbance, environment_force, hand_push, tool_acceleration
 from tissueid.rendering.control.law import (
@@ -35,7 +36,6 @@ from tissueid.rendering.control.law import (
     sigma_at,
 )
 from tissueid.rendering.control.plant import generalised_force, inertia, regress, solve
-from tissueid.rendering.control.row import record_row
 from tissueid.rendering.control.sampled import LARGEST_M
 
 Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]

@@ -12,12 +12,10 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
-from tissueid.rendering.control.block import PERIOD, SUBSTEPS
-from tissueid.rendering.control.command import command
+from tissueid.rendering.control.block import PERIOD, SUBSTEPS, record_row
 from tissueid.rendering.control.drive import disturbance, hand_push
-from tissueid.rendering.control.law import adapt, lyapunov, not_covered, sigma_at
+from tissueid.rendering.control.law import adapt, command, lyapunov, not_covered, sigma_at
 from tissueid.rendering.control.plant import generalised_force, inertia, solve
-from tissueid.rendering.control.row import record_row
 
 #: A device that is farther away than this has diverged [m].
 LARGEST_M = 10.0
@@ -94,7 +92,7 @@ def run_sampled(
     ``parameters`` (p,): of device and hand together, of the hand, and what the estimates should be;
     ``adaptation``: gains, shape (p,), and bounds, shape (2, p); ``drive`` (DRIVE_ROWS, n); ``noise`` (ticks,
     n): added to the force sensor [N]; ``room``: of :func:`sampled_room`: zeros to work in, and the first
-    estimates; ``out`` (ticks, row_size(n, p)): **Written**, see :mod:`tissueid.rendering.control.row`: each
+    estimates; ``out`` (ticks, row_size(n, p)): **Written**, see :mod:`tissueid.rendering.control.block`: each
     row at its tick, before anything moves.  Returns rows written; fewer than ticks where the loop diverged.
     """
     n = drive.shape[1]

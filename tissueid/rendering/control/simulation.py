@@ -10,10 +10,10 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.control import block as at
+from tissueid.rendering.control.block import SCALARS, VECTORS, row_size
 from tissueid.rendering.control.continuous import continuous_room, run_continuous
 from tissueid.rendering.control.drive import DRIVE_ROWS
 from tissueid.rendering.control.mechanics import TASKS, Signal
-from tissueid.rendering.control.row import SCALARS, VECTORS, row_size
 from tissueid.rendering.control.sampled import run_sampled, sampled_room
 from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.virtual_mass import check_virtual_mass
