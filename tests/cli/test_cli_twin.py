@@ -12,7 +12,7 @@ from test_cli_laws import STUDY, recorded
 
 import tissueid as ti
 from tissueid.haptics.simulated_layout import MAX_KNOTS
-from tissueid.rendering.script import read_script
+from tissueid.rendering.session_plan import read_script
 from tissueid.twin.program import program_of_recording, program_of_script
 
 

@@ -10,10 +10,8 @@ import pytest
 from rendered_tissues import PAPER_A, TWO_BRANCHES
 from scipy.stats import beta, kstest
 
-from tissueid.contrast.decision import difference, rows
-from tissueid.contrast.document import contrast_document
-from tissueid.contrast.noticeable import LIMITS, noticed
-from tissueid.contrast.numbers import Common, Compared, common_range, draws_of_numbers
+from tissueid.contrast.decision import LIMITS, difference, noticed, rows
+from tissueid.contrast.document import Common, Compared, common_range, contrast_document, draws_of_numbers
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
 from tissueid.rendering.tissue_block import Tissue

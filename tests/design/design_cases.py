@@ -12,8 +12,7 @@ import numpy as np
 from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.arrays import FloatArray
 from tissueid.design.given import given_protocol
-from tissueid.design.indentation import Indentation, ramp_of
-from tissueid.design.information import Chain
+from tissueid.design.information import Chain, Indentation, ramp_of
 from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
 from tissueid.design.precision import Asked, Ledger, Protocol

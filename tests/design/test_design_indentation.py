@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissueid.design.indentation import Indentation, ramp_of, seconds_of
+from tissueid.design.information import Indentation, ramp_of, seconds_of
 from tissueid.design.machine import PRESETS
 
 MACHINE = PRESETS["paper-a"]

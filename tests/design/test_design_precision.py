@@ -21,8 +21,7 @@ from design_cases import (
     two_branches,
 )
 
-from tissueid.design.indentation import Indentation
-from tissueid.design.information import Chain, information
+from tissueid.design.information import Chain, Indentation, information
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.precision import relative_sd
 from tissueid.selfcheck.recording import ProtocolLog, low_pass, recorded_force

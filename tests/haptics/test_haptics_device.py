@@ -13,7 +13,6 @@ from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
-from tissueid.haptics import homing
 from tissueid.haptics.device import ZERO_COMMANDS, HapticDevice
 from tissueid.haptics.states import Fault, State
 
@@ -209,11 +208,11 @@ def test_a_host_that_stood_still_has_not_waited_for_the_device(monkeypatch):
         clock["now"] += clock.pop("stall", 0.001)
         return read()
 
-    monkeypatch.setattr(homing.time, "monotonic", lambda: clock["now"])
+    monkeypatch.setattr(device.time, "monotonic", lambda: clock["now"])
     monkeypatch.setattr(device, "read", stalled)
-    homing.await_homed(device, 2.0)
+    device.await_homed(device, 2.0)
     assert device.state is State.ARMED
     with pytest.raises(DeviceError, match="not in time"):
-        homing.wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
+        device.wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
     assert 31.5 < clock["now"] < 33.0
     device.close()

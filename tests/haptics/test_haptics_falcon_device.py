@@ -67,7 +67,7 @@ class Wire:
 @pytest.fixture(autouse=True)
 def _no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time is the emulator's: nothing is waited for."""
-    monkeypatch.setattr("tissueid.haptics.homing.TICK_S", 0.0)
+    monkeypatch.setattr("tissueid.haptics.device.TICK_S", 0.0)
 
 
 def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:

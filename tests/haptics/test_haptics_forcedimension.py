@@ -122,7 +122,7 @@ def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub: Stub) 
 def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(
     stub: Stub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tissueid.haptics.homing.TICK_S", 0.0)
+    monkeypatch.setattr("tissueid.haptics.device.TICK_S", 0.0)
     with ForceDimensionDevice(homing_timeout_s=0.05) as device:
         with pytest.raises(DeviceError, match="homing never completed"):
             device.home()

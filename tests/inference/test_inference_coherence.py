@@ -9,9 +9,9 @@ import pytest
 from fit_factory import specimen_fit
 
 from tissueid.flags import Flag
-from tissueid.inference.coherence import outside, unsampled, withheld
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.reported import interval95, reported_draws
+from tissueid.inference.verdict import outside, unsampled, withheld
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.result import Estimate
 from tissueid.uncertainty import ParameterUncertainty

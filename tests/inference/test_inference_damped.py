@@ -11,9 +11,9 @@ import pytest
 import tissueid as ti
 from tissueid.errors import InputError
 from tissueid.inference import logs
+from tissueid.inference.channel_law import with_speed_ratio
 from tissueid.inference.logs import LogHandle, speed_handles
 from tissueid.inference.specimen import FitOptions
-from tissueid.inference.speed_ratio import with_speed_ratio
 from tissueid.inference.window import fitted_log
 from tissueid.model.grammar import candidates
 from tissueid.pipeline import IdentifyOptions, identify

@@ -9,7 +9,7 @@ import pytest
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each, read_trials
-from tissueid.ingest.remarks import row_like
+from tissueid.ingest.rows import row_like
 
 HEAD = 'Text Inputs : Specimen label,"synthetic"\n\nTime,Extension,Load\n(sec),(mm),(N)\n'
 

@@ -9,7 +9,7 @@ import pytest
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import each_input, read_each, read_trials
-from tissueid.ingest.remote import url_of
+from tissueid.ingest.loading import url_of
 
 fsspec = pytest.importorskip("fsspec")
 

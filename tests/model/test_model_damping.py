@@ -8,8 +8,15 @@ from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, tissue
 
 from tissueid.model import KelvinVoigt
 from tissueid.model.kelvin_voigt import constant_speed_force
-from tissueid.model.passivity import DEFAULT_DELAY_TICKS, damping_bound, required_damping
-from tissueid.model.scaling import CLAMP_SHARE, Scaling, largest_tangent, scaling_for
+from tissueid.model.passivity import (
+    CLAMP_SHARE,
+    DEFAULT_DELAY_TICKS,
+    Scaling,
+    damping_bound,
+    largest_tangent,
+    required_damping,
+    scaling_for,
+)
 
 PERIOD_S = 1e-3
 FASTEST_MM_S = 250.0 / 60.0

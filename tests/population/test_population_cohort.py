@@ -13,8 +13,8 @@ from tissueid.population.design import design_of
 from tissueid.population.document import as_document, population_bundle
 from tissueid.population.held_out import prediction_error
 from tissueid.population.members import Member, common_model
+from tissueid.population.rows import shared_instrument
 from tissueid.population.sampler import SamplerOptions
-from tissueid.population.shared_instrument import shared_instrument
 from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem

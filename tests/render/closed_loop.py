@@ -23,8 +23,7 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.sim_io import SimulatedIO
 from tissueid.haptics.simulated_layout import QUANTUM
-from tissueid.model.passivity import required_damping
-from tissueid.model.scaling import scaling_for
+from tissueid.model.passivity import required_damping, scaling_for
 from tissueid.rendering.environment import INFO_DEPTH_MM
 from tissueid.rendering.options import PRESETS, preset_tissue
 from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits

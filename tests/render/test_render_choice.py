@@ -23,7 +23,7 @@ from tissueid.rendering.choice import (
     pick_quantile,
 )
 from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.rendering.script import REST_S, read_script
+from tissueid.rendering.session_plan import REST_S, read_script
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, surface_from
 from tissueid.trial import TipShape
 

@@ -14,7 +14,7 @@ from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import completeness_of_result
-from tissueid.study.rendering import rendering_of
+from tissueid.study.pages import rendering_of
 
 pytestmark = pytest.mark.browser
 

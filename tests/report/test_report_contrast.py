@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from rendered_tissues import PAPER_A
 
-from tissueid.contrast.document import contrast_document
-from tissueid.contrast.numbers import Compared
+from tissueid.contrast.document import Compared, contrast_document
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.report.contrast_page import contrast_verdict, render_contrast
 from tissueid.store.files import plain_json

@@ -18,8 +18,7 @@ from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
 from tissueid.report.inspect_decisions import UNIT_TO_WRITE, decisions, toml_string
-from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording
-from tissueid.report.inspect_payload import drawn_recording, kept_samples
+from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording, kept_samples
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem

@@ -10,9 +10,8 @@ from rupture_cohorts import known_cohort, typical_threshold
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from tissueid.rupture.evidence import standardised, threshold_of
+from tissueid.rupture.evidence import Outcomes, log_likelihood, specimen_means, standardised, threshold_of
 from tissueid.rupture.failures import Failure
-from tissueid.rupture.likelihood import Outcomes, log_likelihood, specimen_means
 
 MU, S, B = 0.3, 0.08, 0.12
 Z = np.array([0.25, 0.31, 0.36, 0.45, 0.2])

@@ -17,8 +17,8 @@ from tissueid.ingest import read_trials
 from tissueid.ingest.manifest import read_study
 from tissueid.manifest import Calibration, Study
 from tissueid.store.schema import first_problem
-from tissueid.study.anonymise import Anonymiser, recording_text
 from tissueid.study.completeness import ITEMS, completeness
+from tissueid.study.crate import Anonymiser, recording_text
 
 NAMES = ("Muster", "Anna", "kidney", "E-123", "Klinikum", "2024")
 WHO = (

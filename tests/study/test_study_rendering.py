@@ -17,7 +17,7 @@ from tissueid.result import SpecimenFit
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import ITEMS, completeness_of_result
-from tissueid.study.rendering import rendering_of
+from tissueid.study.pages import rendering_of
 from tissueid.trial import Axes
 
 
@@ -56,7 +56,7 @@ def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
 
 def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
-    monkeypatch.setattr("tissueid.study.rendering._devices", lambda: weak)
+    monkeypatch.setattr("tissueid.study.pages._devices", lambda: weak)
     (row,) = rendering(specimen_fit())["devices"]
     assert "can't be felt on this device" in row["refused"]
 

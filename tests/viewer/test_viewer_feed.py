@@ -12,8 +12,8 @@ from live_server import client, frame_of, record, served, until
 from tissueid.haptics.ring import RECORD, Ring
 from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed
 from tissueid.viewer.frames import read_frame, samples_of
-from tissueid.viewer.messages import Play
 from tissueid.viewer.playback import Playback
+from tissueid.viewer.protocols import Play
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection
 from tissueid.errors import UsageError
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer import protocols
-from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
+from tissueid.viewer.protocols import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
 from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
 from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES
 from tissueid.viewer.serving import ServedViewer, ViewerOptions

@@ -13,7 +13,7 @@ from tissueid.cli.reading import reading_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.contrast.numbers import Compared
+    from tissueid.contrast.document import Compared
     from tissueid.measures import SpreadRow
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
@@ -142,7 +142,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]
 
 
 def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "statistical") -> Compared:
-    from tissueid.contrast.numbers import Compared
+    from tissueid.contrast.document import Compared
 
     bundle.require_renderable()
     model = bundle.contact_model()

@@ -195,8 +195,7 @@ def export(**flags: Any) -> int:
     from datetime import UTC, date, datetime
 
     from tissueid.collection import display_names
-    from tissueid.study.anonymise import Anonymiser, read_salt
-    from tissueid.study.crate import crate_files, crate_metadata, write_crate
+    from tissueid.study.crate import Anonymiser, crate_files, crate_metadata, read_salt, write_crate
     from tissueid.study.recordings import locate_study
 
     study, paths = locate_study((flags["study"],))

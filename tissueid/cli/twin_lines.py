@@ -23,10 +23,10 @@ HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 
 def twin(flags: dict[str, Any]) -> int:
     """Run the twin of a bundle, write it, print it."""
-    from tissueid.contrast.noticeable import LIMITS
+    from tissueid.contrast.decision import LIMITS
     from tissueid.errors import UsageError
     from tissueid.notebook import svg_file
-    from tissueid.report.twin_page import render_twin
+    from tissueid.report.plain_page import render_twin
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
     from tissueid.twin.twin import run_twin, twin_drawing
@@ -64,7 +64,7 @@ def twin(flags: dict[str, Any]) -> int:
 def _program(flags: dict[str, Any], bundle: Bundle) -> Program:
     """A recording's travel, a script, or pushes over the identified speeds."""
     from tissueid.ingest import read_trials
-    from tissueid.rendering.script import read_script
+    from tissueid.rendering.session_plan import read_script
     from tissueid.twin.program import program_of_recording, program_of_script
 
     if flags["against"] is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tissueid.design.indentation import Indentation
+from tissueid.design.information import Indentation
 from tissueid.design.precision import Protocol
 from tissueid.design.tissues import Guess, Tissues, of_draws, of_guesses
 from tissueid.errors import UsageError

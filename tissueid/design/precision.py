@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.design.indentation import Indentation, seconds_of
-from tissueid.design.information import Chain, information, peak_force
+from tissueid.design.information import Chain, Indentation, information, peak_force, seconds_of
 from tissueid.design.tissues import Tissues, Want
 
 #: Depths at which the greatest allowed one is looked for.

@@ -12,7 +12,7 @@ from typing import Any
 
 import tomlkit
 
-from tissueid.design.indentation import Indentation
+from tissueid.design.information import Indentation
 from tissueid.design.machine import Machine
 from tissueid.design.plan import Judged
 from tissueid.design.precision import Asked

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from tissueid.errors import InputError
 from tissueid.inference.blocks import Blocks, log_blocks
-from tissueid.inference.speed_ratio import with_speed_ratio
+from tissueid.inference.channel_law import with_speed_ratio
 from tissueid.inference.unloading import FreeSurface, with_unloading
 from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_log, with_holds_cut
 from tissueid.model.grammar import Candidates

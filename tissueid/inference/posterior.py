@@ -17,13 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
-from tissueid.inference.coherence import outside, withheld
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
 from tissueid.inference.misfit import misfit_alarm
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
-from tissueid.inference.remarks import posterior_flags
 from tissueid.inference.reported import (
     interval95,
     next_indentation,
@@ -36,7 +34,7 @@ from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
-from tissueid.inference.verdict import unidentified
+from tissueid.inference.verdict import outside, posterior_flags, unidentified, withheld
 from tissueid.model.base import scaled_theta
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit

@@ -6,15 +6,16 @@ at a bound; :mod:`tissueid.inference.profile`).  Everything here is a warning be
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
-from tissueid.result import Estimate, Nrmsd, TrialFit
-from tissueid.uncertainty import NoiseFit
+from tissueid.result import Estimate, Nrmsd, SpecimenFit, TrialFit
+from tissueid.uncertainty import MisfitAlarm, MisfitCheck, NoiseFit, ParameterUncertainty, Posterior
 
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
@@ -207,3 +208,162 @@ def specimen_flags(
             )
         )
     return tuple(flags)
+
+
+def _inside(value: float, interval: tuple[float, float] | None, margin: float) -> bool:
+    if interval is None:
+        return False
+    spare = margin * (interval[1] - interval[0])
+    return interval[0] + spare <= value <= interval[1] - spare
+
+
+def outside(
+    parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty], *, margin: float = 0.0
+) -> tuple[str, ...]:
+    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
+
+    ``found``: name -> intervals; a total interval that is missing where others have one counts as outside;
+    ``margin``: share of an interval's width that the value must keep from its ends.
+    """
+    totals = any(one.ci95_total is not None for one in found.values())
+    out = []
+    for one in parameters:
+        if one.value is None or one.name not in found:
+            continue
+        own = found[one.name]
+        good = _inside(one.value, own.ci95, margin)
+        if totals or own.ci95_total is not None:
+            good &= _inside(one.value, own.ci95_total, margin)
+        if not good:
+            out.append(one.name)
+    return tuple(out)
+
+
+def withheld(
+    parameters: tuple[Estimate, ...], names: tuple[str, ...], why: str
+) -> tuple[tuple[Estimate, ...], tuple[Flag, ...]]:
+    """Parameters without the intervals that can't be believed, which are then not identified.
+
+    ``names``: of those without; ``why``: ends the sentence.
+    """
+    if not names:
+        return parameters, ()
+    held = [one.symbol for one in parameters if one.name in names]
+    symbols = ", ".join(held) if len(held) <= LONGEST_LIST else f"{held[0]} and {len(held) - 1} more"
+    kept = tuple(
+        replace(one, identified=False, detail={**one.detail, "withheld": why}) if one.name in names else one
+        for one in parameters
+    )
+    flag = Flag(
+        "interval_withheld",
+        f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}",
+        {"names": list(names)},
+    )
+    return kept, (flag,)
+
+
+def unsampled(fit: SpecimenFit, why: str, flags: tuple[Flag, ...]) -> SpecimenFit:
+    """A fit without a posterior: its values stand without intervals, and none is called identified.
+
+    ``why``: ends the sentence "no interval is given"; ``flags``: what is said of it.
+    """
+    names = tuple(one.name for one in fit.parameters if one.value is not None)
+    parameters, _ = withheld(fit.parameters, names, why)
+    return replace(fit, parameters=parameters, flags=(*fit.flags, *flags))
+
+
+#: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
+DOMINATES = 3.0
+#: Check of the residual -> where it looks.
+_PLACES: Mapping[str, str] = {
+    "shared structure": "alike in all logs",
+    "within logs": "within logs",
+    "early hold": "early in holds",
+    "ramp start": "where ramps start",
+}
+VISCOSITY = "viscosity_N_s_per_mm"
+
+
+def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
+    """Flags of a posterior."""
+    sampler = posterior.sampler
+    flags = _misfit(posterior.misfit)
+    if not sampler.converged:
+        reason = str(sampler.detail.get("reason", "its rule was not met"))
+        flags.append(
+            Flag(
+                "sampler_not_converged",
+                f"the sampler stopped after {sampler.draws:,} draws, before its rule was met",
+                {"reason": reason},
+            )
+        )
+    total = sampler.detail.get("total")
+    if total is not None and not total["converged"]:
+        flags.append(
+            Flag(
+                "sampler_not_converged",
+                f"no total interval: its draws are worth {total['worth']:.0f} independent ones",
+                {"total_worth": total["worth"]},
+            )
+        )
+    flags += _machine(posterior)
+    return tuple(flags)
+
+
+def _where(check: MisfitCheck) -> str:
+    """The place of a check in a sentence."""
+    return _PLACES.get(check.name, f"in the check of {check.name}")
+
+
+def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
+    """The alarm, where it is raised."""
+    if alarm is None or not alarm.raised:
+        return []
+    raised = [check for check in alarm.checks if check.raised]
+    return [
+        Flag(
+            "misfit",
+            f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
+            "checks): no interval holds",
+            {"checks": [check.name for check in raised]},
+        )
+    ]
+
+
+def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
+    """Remark on a fit whose posterior lies nowhere near a point it can be linearised about."""
+    said = Flag(
+        "sampler_not_converged",
+        "no interval, standard errors only: nowhere near the optimum is the posterior like a normal one",
+        {"reason": str(error)},
+    )
+    return (said, *_misfit(alarm))
+
+
+def without_posterior(error: Exception) -> Flag:
+    """Remark on a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
+    return Flag(
+        "sampler_not_converged",
+        "no posterior could be sampled: standard errors only",
+        {"reason": str(error)},
+    )
+
+
+def _machine(posterior: Posterior) -> list[Flag]:
+    """Remark where what is not known of the machine outweighs the noise of the recordings."""
+    eta = posterior.parameters.get(VISCOSITY)
+    if eta is None or eta.ci95_total is None:
+        return []
+    statistical, total = eta.ci95[1] - eta.ci95[0], eta.ci95_total[1] - eta.ci95_total[0]
+    if total < DOMINATES * statistical:
+        return []
+    rows = [row for row in posterior.budget if row.parameter == VISCOSITY and row.share is not None]
+    parts = [row for row in rows if row.source not in {"total", "noise"}]
+    worst = max(parts, key=lambda row: row.sd).source if parts else "the machine"
+    return [
+        Flag(
+            "calibration_dominates",
+            f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}",
+            {"ratio": total / statistical, "source": worst},
+        )
+    ]

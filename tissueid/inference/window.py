@@ -60,7 +60,7 @@ class LogData:
     breaks: NDArray[np.bool_] | None = None
     #: The travel is straight between samples and known exactly: a rendered law followed just it.
     exact: bool = False
-    #: (n,): speed over that at which each contact began (:mod:`tissueid.inference.speed_ratio`).
+    #: (n,): speed over that at which each contact began (:mod:`tissueid.inference.channel_law`).
     speed_ratio: FloatArray | None = None
 
 

@@ -23,7 +23,7 @@ from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.remarks import flag_rows_above
+from tissueid.ingest.rows import flag_rows_above
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 

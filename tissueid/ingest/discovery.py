@@ -15,10 +15,9 @@ from typing import Literal
 from tissueid.errors import InputError, UsageError, printable
 from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
-from tissueid.ingest.loading import LARGEST_BYTES
+from tissueid.ingest.loading import LARGEST_BYTES, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.remote import remote_bytes, remote_files, url_of
 from tissueid.ingest.text import HEAD_BYTES, decode_text
 
 #: Suffixes taken from a directory.

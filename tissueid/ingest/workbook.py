@@ -32,8 +32,8 @@ from tissueid.ingest.layout import Anchor, Row, anchor
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.remarks import begins_a_table, flag_head
 from tissueid.ingest.results import results_below, results_flag
+from tissueid.ingest.rows import begins_a_table, flag_head
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 

@@ -36,8 +36,7 @@ from tissueid.rendering.law_session import guided_session, law_session
 from tissueid.rendering.options import RenderOptions, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force, demands_of
-from tissueid.rendering.script import RAMP_S, Script, read_script
-from tissueid.rendering.session_plan import SessionPlan, session_head
+from tissueid.rendering.session_plan import RAMP_S, Script, SessionPlan, read_script, session_head
 from tissueid.rendering.surface import TOOL_RADIUS
 from tissueid.rendering.tissue_block import (
     Plane,

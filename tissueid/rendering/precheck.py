@@ -1,6 +1,6 @@
 """Before any force: whether this device can render this tissue, at which scale, and what will be felt.
 
-The tissue is scaled by the guard's own clamp (:mod:`tissueid.model.scaling`); the damping it then needs
+The tissue is scaled by the guard's own clamp (:mod:`tissueid.model.passivity`); the damping it then needs
 over all frequencies, with the device's delay (:mod:`tissueid.model.passivity`), is held against the damping
 the device has.  A scale that was computed is lowered until it fits; one that the user asked for is refused,
 with the largest that fits.
@@ -15,8 +15,13 @@ import numpy as np
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device_facts import Capabilities
 from tissueid.model.channels import loading_force
-from tissueid.model.passivity import required_damping
-from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
+from tissueid.model.passivity import (
+    DEFAULT_MOTION_SCALE,
+    Scaling,
+    largest_tangent,
+    required_damping,
+    scaling_for,
+)
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.tissue_block import Tissue
 

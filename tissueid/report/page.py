@@ -211,7 +211,7 @@ def render_report(
 
     ``identification``: the document of identification.json; ``curves``: from ``curves.h5``; trials without a
     curve are listed but not drawn; ``posteriors``: from ``posteriors.h5``: draws, chains and predictive
-    bands; ``renderings``: one a specimen, from :func:`tissueid.study.rendering.rendering_of`; ``metadata``:
+    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``metadata``:
     how complete the study's description is: the document of ``schemas/study-check.schema.json``; ``created``:
     time stamp to print; without it equal input gives an equal page; ``script_file``: where the drawing
     library stands, from the page; without it the page holds it.  Returns HTML, UTF-8.

@@ -52,7 +52,7 @@ def _device(row: Mapping[str, Any], depth_mm: float) -> dict[str, Any]:
 def rendering_view(rendering: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     """Rows of devices and sentences on passivity; ``None`` where nothing was worked out.
 
-    ``rendering``: from :func:`tissueid.study.rendering.rendering_of`.
+    ``rendering``: from :func:`tissueid.study.pages.rendering_of`.
     """
     if rendering is None:
         return None

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.rendering.control.measures import Measures, measured
+from tissueid.rendering.control.document import Measures, measured
 from tissueid.rendering.control.mechanics import Mechanics
 from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.simulation import ControlRun, simulate

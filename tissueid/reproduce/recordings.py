@@ -15,8 +15,7 @@ from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import read_trials
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import SpecimenFit
-from tissueid.synth.dataset import write_set
-from tissueid.synth.exports import EXPORTS
+from tissueid.synth.dataset import EXPORTS, write_set
 from tissueid.synth.recipe import Recipe
 from tissueid.synth.simulate import SyntheticLog
 from tissueid.trial import Trial

@@ -10,7 +10,6 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.air import drift_in_air
 from tissueid.segment.contact import find_contact
 from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
@@ -20,7 +19,7 @@ from tissueid.segment.motion import Piece, displacement_tolerance, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
-from tissueid.segment.signs import signs
+from tissueid.segment.signs import drift_in_air, signs
 from tissueid.segment.spikes import without_spikes
 from tissueid.segment.stop import placed_stops, settlings, speed_flags, travel_line, with_braking
 from tissueid.signal_noise import white_noise_sd

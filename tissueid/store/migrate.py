@@ -30,8 +30,7 @@ from tissueid.store.bundle import (
 )
 from tissueid.store.files import TEMPORARY_PREFIX, replace_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
-from tissueid.store.lock import FolderLock
-from tissueid.store.outputs import OutputSet, current_run
+from tissueid.store.outputs import FolderLock, OutputSet, current_run
 
 #: Document and arrays of one version -> those of the next.
 Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]

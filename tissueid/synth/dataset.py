@@ -12,16 +12,88 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from tissueid.errors import UsageError
-from tissueid.synth.exports import EXPORTS
+from tissueid.synth.bluehill import bluehill_csv
+from tissueid.synth.dialects import DIALECTS
+from tissueid.synth.machines import (
+    chiaro_text,
+    chiaro_zip,
+    mach1_text,
+    mts793_text,
+    shimadzu_text,
+    tra_text,
+)
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
+from tissueid.synth.workbooks import bluehill_workbook, zwick_workbook
+
+Decimals = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """A way to write a log."""
+
+    description: str  # one line for the help
+    suffix: str  # of the file, with its point
+    write: Callable[..., bytes]  # ``write(log, decimals=...) -> bytes``
+
+
+def _one(write: Callable[..., bytes], **how: object) -> Callable[..., bytes]:
+    """A writer of several logs, given one."""
+
+    def written(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
+        return write([log], decimals=decimals, **how)
+
+    return written
+
+
+#: Exports by name.
+EXPORTS: Mapping[str, Export] = MappingProxyType(
+    {
+        **{
+            name: Export(f"Bluehill: {dialect.description}", ".csv", partial(bluehill_csv, dialect=dialect))
+            for name, dialect in DIALECTS.items()
+        },
+        "bluehill-workbook": Export(
+            "Bluehill's table as .xlsx, with half-cycle counters", ".xlsx", _one(bluehill_workbook)
+        ),
+        "testxpert-tra": Export("testXpert .TRA, English", ".TRA", partial(tra_text, language="en")),
+        "testxpert-tra-fr": Export("testXpert .TRA, French", ".TRA", partial(tra_text, language="fr")),
+        "testxpert-tra-de": Export(
+            "testXpert .TRA, German, semicolons and decimal commas",
+            ".TRA",
+            partial(tra_text, language="de", delimiter=";", decimal=","),
+        ),
+        "testxpert-workbook": Export(
+            "testXpert .xlsx, English", ".xlsx", _one(zwick_workbook, language="en")
+        ),
+        "testxpert-workbook-fr": Export(
+            "testXpert .xlsx, French", ".xlsx", _one(zwick_workbook, language="fr")
+        ),
+        "testxpert-workbook-de": Export(
+            "testXpert .xlsx, German", ".xlsx", _one(zwick_workbook, language="de")
+        ),
+        "mach-1": Export("Mach-1 text: a contact block, then the log, in gf", ".txt", _one(mach1_text)),
+        "mts-793": Export("MTS 793 text, English", ".dat", _one(mts793_text, language="en")),
+        "mts-793-de": Export(
+            "MTS 793 text, German, decimal commas, kN", ".dat", _one(mts793_text, language="de")
+        ),
+        "shimadzu": Export("Shimadzu text: three head rows", ".csv", _one(shimadzu_text)),
+        "chiaro": Export("Optics11 Chiaro text, in uN and nm", ".txt", chiaro_text),
+        "chiaro-zip": Export("Optics11 Chiaro text in a zip archive", ".zip", chiaro_zip),
+    }
+)
+
 
 #: Digits of a number in truth.json: more than any test can see, fewer than differ between machines.
 TRUTH_DIGITS = 12
@@ -31,7 +103,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
     """Simulate a recipe and write the set.
 
     ``directory``: created where it does not exist; ``seed``: seed of ``numpy.random.default_rng``;
-    ``dialect``: key of :data:`~tissueid.synth.exports.EXPORTS`.  Returns the files written, CSVs first.
+    ``dialect``: key of :data:`~tissueid.synth.dataset.EXPORTS`.  Returns the files written, CSVs first.
     Raises UsageError: if the dialect is unknown, or the directory holds files of something else, which a
     reader of the whole directory would take for part of the set.
     """

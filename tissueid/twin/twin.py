@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.contrast.noticeable import LEAST_FORCE_N, LIMITS
+from tissueid.contrast.decision import LEAST_FORCE_N, LIMITS
 from tissueid.errors import DeviceError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -24,7 +24,7 @@ from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.rendering.choice import as_tissue
-from tissueid.rendering.script import read_script
+from tissueid.rendering.session_plan import read_script
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle_content import Bundle

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.arrays import RecordArray
-from tissueid.viewer.messages import Play
+from tissueid.viewer.protocols import Play
 
 
 class Playback:

@@ -24,8 +24,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
-from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
-from tissueid.viewer.protocols import PunctualHttp, SparingWebSocket
+from tissueid.viewer.protocols import (
+    LARGEST_MESSAGE,
+    Answer,
+    Play,
+    Pointer,
+    PunctualHttp,
+    SparingWebSocket,
+    parse_message,
+)
 from tissueid.viewer.security import Access, RefusalLog
 from tissueid.viewer.stage import Stage
 

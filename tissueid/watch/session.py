@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tissueid.errors import InputError
 from tissueid.inference.specimen import FitOptions
-from tissueid.inspection import as_decided
+from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
+from tissueid.measures import MeasuredPush
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
@@ -19,7 +23,67 @@ from tissueid.store.files import write_file
 from tissueid.store.schema import first_problem
 from tissueid.trial import Trial
 from tissueid.watch.folder import FolderWatch
-from tissueid.watch.verdict import Verdict, refused_verdict, samples_digest
+
+Verdict = dict[str, Any]
+
+#: What a verdict keeps of ``inspect --json``.
+_KEPT = (
+    "path", "sheet", "specimen", "excluded", "units", "contact", "measured", "verdict", "flags",
+)  # fmt: skip
+
+
+def samples_digest(trial: Trial) -> str:
+    """SHA-256 of the samples: tells a sheet that changed from one that was only saved again."""
+    digest = hashlib.sha256()
+    for channel in (trial.time_s, trial.displacement_mm, trial.force_N):
+        digest.update(np.ascontiguousarray(channel, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def refused_verdict(refusal: Refusal, trial: Trial | None = None) -> Verdict:
+    """The verdict on a file that can't be read, or on a trial that defeats the arithmetic."""
+    nothing: Verdict = dict.fromkeys(_KEPT)
+    return nothing | {
+        "path": refusal.path,
+        "sheet": refusal.sheet,
+        "specimen": None if trial is None else trial.specimen,
+        "verdict": {"level": "refused", "reason": f"this file can't be used: {refusal}"},
+        "flags": [],
+        "digest": None if trial is None else samples_digest(trial),
+        "error": refusal.as_json()["error"],
+        "fit": None,
+    }
+
+
+def judge(
+    trial: Trial,
+    earlier: Iterable[Mapping[str, Any]] = (),
+    *,
+    options: SegmentOptions | None = None,
+    study: Study | None = None,
+) -> Verdict:
+    """Judge one test.
+
+    ``trial``: as read; ``earlier``: verdicts on earlier tests, in their order; those of the same specimen are
+    compared, but for excluded ones; ``study``: followed.  Returns the object of
+    ``schemas/watch.schema.json``.
+    """
+    trial, options, excluded = as_decided(trial, options, study)
+    divided = segmented(trial, options=options)
+    if isinstance(divided, Refusal):
+        return refused_verdict(divided, trial)
+    before = [
+        MeasuredPush.of_json(one["measured"]["push"])
+        for one in earlier
+        if one["specimen"] == trial.specimen and one["excluded"] is None and one["measured"] is not None
+        if one["measured"]["push"] is not None
+    ]
+    found = describe_segmented(
+        trial, divided, excluded=excluded, measured=measured_of(trial, divided, study), earlier=before
+    )
+    kept = {name: found[name] for name in _KEPT}
+    return kept | {"digest": samples_digest(trial), "error": None, "fit": None}
+
 
 #: Name of the log in the output folder.
 LOG = "watch.jsonl"

@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
     HANDLES_SIZE,
+    HOMING_TIMEOUT_S,
     AskedDevice,
     Capabilities,
     CompiledIO,
     DetectedDevice,
     DeviceSample,
     HapticDevice,
+    await_homed,
+    wait_with_zero_force,
 )
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
@@ -33,7 +36,6 @@ from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, U
 from tissueid.haptics.falcon.packet_kernels import leds_of_state
 from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command
 from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
-from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed, wait_with_zero_force
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure.link import UNSEEN_TICKS
 

@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
     HANDLES_SIZE,
+    HOMING_TIMEOUT_S,
     AskedDevice,
     Capabilities,
     CompiledIO,
     DetectedDevice,
     DeviceSample,
     HapticDevice,
+    await_homed,
 )
 from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.forcedimension.sdk import Sdk
-from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed
 from tissueid.haptics.limits import GuardLimits
 
 #: Rows: our axes in the SDK's frame, which has x toward the user, y to the right and z up.
