@@ -105,7 +105,7 @@ def _loop() -> Check:
         return Check("servo loop", "missing", "rendering needs Linux")
     if not installed("numba"):
         return Check("servo loop", "missing", "numba is not installed", "pip install 'tissueid[haptics]'")
-    from tissueid.rendering.servo_spawn import is_compiled
+    from tissueid.rendering.first_start import is_compiled
 
     if is_compiled():
         return Check("servo loop", "ok", "compiled")
@@ -184,7 +184,7 @@ def warm(tell: Callable[[str], None]) -> None:
         options = IdentifyOptions(fit=FitOptions(noise=noise), posterior=PosteriorOptions(draws=1000))
         identify(trials, options=options)
     if sys.platform != "win32" and installed("numba"):
-        from tissueid.rendering.servo_spawn import compile_loop
+        from tissueid.rendering.first_start import compile_loop
 
         tell("compiling the servo's loop")
         compile_loop()

@@ -1,4 +1,4 @@
-"""Processes of our own: they run the same files as the one that starts them, and end with it.
+"""Processes of our own: they run the same files as the one that starts them; how many may compute.
 
 ``python -m`` puts the folder one stands in before everything installed: beside a checkout another guard would
 run than the one the session's owner checked, and a loop would be compiled where nobody looks for it.

@@ -10,7 +10,7 @@ import pytest
 from command_line import run
 
 from tissueid import doctor
-from tissueid.rendering import servo_spawn
+from tissueid.rendering import first_start
 from tissueid.viewer import bundling
 
 NAMES = [
@@ -44,7 +44,7 @@ def test_a_page_that_was_not_built_is_missing(tmp_path: Path, monkeypatch: pytes
 
 
 def test_a_loop_that_is_not_compiled_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(servo_spawn, "is_compiled", lambda: False)
+    monkeypatch.setattr(first_start, "is_compiled", lambda: False)
     check = look("servo loop")
     assert (check.state, check.way_out) == ("note", "tissueid doctor --warm")
 

@@ -13,7 +13,7 @@ from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
-from tissueid.haptics.device import ZERO_COMMANDS, HapticDevice
+from tissueid.haptics.device import ZERO_COMMANDS, HapticDevice, await_homed, wait_with_zero_force
 from tissueid.haptics.states import Fault, State
 
 SOURCES = Path(devices.__file__).parents[1]
@@ -208,11 +208,11 @@ def test_a_host_that_stood_still_has_not_waited_for_the_device(monkeypatch):
         clock["now"] += clock.pop("stall", 0.001)
         return read()
 
-    monkeypatch.setattr(device.time, "monotonic", lambda: clock["now"])
+    monkeypatch.setattr(devices.time, "monotonic", lambda: clock["now"])
     monkeypatch.setattr(device, "read", stalled)
-    device.await_homed(device, 2.0)
+    await_homed(device, 2.0)
     assert device.state is State.ARMED
     with pytest.raises(DeviceError, match="not in time"):
-        device.wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
+        wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
     assert 31.5 < clock["now"] < 33.0
     device.close()

@@ -26,7 +26,7 @@ def twin(flags: dict[str, Any]) -> int:
     from tissueid.contrast.decision import LIMITS
     from tissueid.errors import UsageError
     from tissueid.notebook import svg_file
-    from tissueid.report.plain_page import render_twin
+    from tissueid.report.twin_page import render_twin
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
     from tissueid.twin.twin import run_twin, twin_drawing

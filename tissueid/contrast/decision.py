@@ -1,8 +1,12 @@
-"""Do two tissues differ?  One test over all forces together, and what it costs to be wrong.
+"""Verdicts on two tissues: do they differ, what does it cost to be wrong, could a hand tell.
 
 Differences of ln force have the covariance of both posteriors; Mahalanobis' distance of their mean is
 chi-squared where the tissues are one.  Forces at neighbouring depths are nearly one number, so directions in
 which the posteriors say next to nothing of their own are left out.
+
+Could a hand tell two tissues apart?  Published just-noticeable differences, and the scale of a device.
+The conditions of those experiments are not those of a hand on a stylus: limbs, amplitudes and devices differ,
+and the numbers vary between studies.  They say an order of magnitude.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""All pairs of tissues, as one document."""
+"""All pairs of tissues as one document: numbers and curves they have in common.
+
+Comparable numbers of tissues whose models may differ: forces on the same paths, and what both have.
+Parameters of different models mean different things.  Forces at the depths and speeds that all tissues were
+identified at do not; they carry the comparison, and parameters stand beside them where the models agree.
+"""
 
 from __future__ import annotations
 

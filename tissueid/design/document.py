@@ -1,4 +1,4 @@
-"""The document of ``tissueid design``: what was asked, found and ranked, as plain data."""
+"""The document of ``tissueid design``: what was asked, found, ranked and remarked, as plain data."""
 
 from __future__ import annotations
 

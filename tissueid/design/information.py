@@ -1,4 +1,4 @@
-"""Fisher information of one indentation about a tissue, its gain and contact point eliminated.
+"""One indentation: its path and time, and its Fisher information about a tissue, gain and contact eliminated.
 
 With z_n the derivatives of the logged force by (coefficients of F_s and K, ln tau), w_n those by the log's ln
 gain and contact offset, and noise of variance sigma^2, white or AR(1) with correlation phi between samples,
@@ -8,6 +8,10 @@ gain and contact offset, and noise of variance sigma^2, white or AR(1) with corr
 on rows whitened as the fit whitens them (z_n - phi z_{n-1}) / sqrt(1 - phi^2).  The force follows the whole
 path; samples within three standard deviations of the contact point are left out, as in the fit.  A low-pass
 acts on every column, and calibration nuisances, where wanted, are further columns that all logs share.
+
+One indentation: the path a machine will take, and how long it takes.
+The tool starts ``standoff`` above the tissue, accelerates at a constant rate to the speed, slows down at the
+same rate to rest at the depth, holds, and returns.  Time and depth are counted from contact.
 """
 
 from __future__ import annotations

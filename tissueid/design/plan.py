@@ -1,4 +1,4 @@
-"""From what is asked to ranked protocols: settings enumerated, the best refined, judged on all tissues."""
+"""From what is asked to ranked protocols, judged on all tissues, and what limits their precision."""
 
 from __future__ import annotations
 

@@ -4,6 +4,11 @@ Deterministic, without random numbers.  Every indentation of the grid and every 
 proportions is scaled to the fewest repeats that reach the wants (or, where none does, to what the budget
 allows).  The best are then refined: an indentation is moved to a neighbour off the grid, taken out, or one
 of the grid added; repeats are balanced anew each time, until nothing shortens the protocol.
+
+The indentations that a search starts from, and the neighbours of each.
+Speeds, depths and holds lie on a grid that follows machine and tissue: speeds from the machine's greatest
+downwards, depths as shares of what force and depth allow at that speed, holds as multiples of the longest
+relaxation time.  Numbers are rounded to what a test sheet should say.
 """
 
 from __future__ import annotations

@@ -1,4 +1,11 @@
-"""Anonymous memory that a spawned process inherits by its descriptor alone."""
+"""Memory that a spawned process inherits by its descriptor alone, and words in it that are read in order.
+
+One 64-bit integer that other processes see in order, read and written from Python.
+x86-64 keeps loads in the order of the program, and stores too (Intel 64 Architectures Software Developer's
+Manual, volume 3, 10.2.2): a plain aligned word is an acquire and a release, and between two steps of the
+interpreter no compiler moves anything.  Elsewhere the compiled ones of :mod:`tissueid.haptics.atomic` are
+taken.  Loading those costs a process half a second, which most readers of a ring would spend on nothing else.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,18 @@
-"""Any contact model as the engine sees it: columns along a path, a passive cone, and theta.
+"""Any contact model, damped or not, as the engine sees it: columns along a path, a passive cone, and theta.
 
 Linear parameters are forces [N]: each static coefficient's at the largest depth, then for each branch the
 coefficients of K_j depth by powers of u = x / depth.  What is not linear is a positive number, sought in its
 logarithm: first the relaxation times, then shapes of the static law, then of each branch the ratio of an
 inside channel and further shapes of its relaxation.
+
+A damped static law as the engine sees it: static columns times 1 + chi r, r measured along the path.
+Beside them every log has its reading in air, a constant force: where nothing relaxes, the ratio of two forces
+is all that tells the damping, and a reading that is off by 0.3 % of the force is off by as much in it.
+
+Speed along a log over the speed at which each contact began.
+Speeds are slopes of a line through a short stretch of displacement that never reaches over the corner of a
+phase: a machine's speed changes at corners, and a window across one would blur them.  They are those of the
+recorded travel: what a frame gives way to changes the depth of the tip, not this ratio.
 """
 
 from __future__ import annotations

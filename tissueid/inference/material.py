@@ -1,8 +1,13 @@
-"""E_0 and E_inf of a fitted tissue under a known tip, and whether its relaxation may be fluid flow.
+"""Elastic moduli of a fitted tissue under a known tip, and whether its relaxation may be fluid flow.
 
 Without a tip the stiffness of a fit is structural: of this tip on this support.  With its shape, and the
 thickness where the tissue is a layer, the static force gives the equilibrium modulus and the force of an
 ideal step the instantaneous one, by every formula that fits the tip.
+
+Drainage or viscosity, by holds at several depths.
+Fluid drains from under a contact of radius a in a time that grows as a^2; a viscous tissue does not know the
+contact (Hu, Zhao, Vlassak & Suo 2010, doi 10.1063/1.3370354).  The slope of ln tau on ln a tells them apart,
+where a tip is known, is not buried, and holds of one length stand at two depths or more.
 """
 
 from __future__ import annotations

@@ -3,6 +3,12 @@
 Coefficients of F_s / x and of each K in the Bernstein basis are normal around 0 with the standard deviation
 at which that part alone would carry :data:`tissueid.priors.WEAK_FACTOR` times the largest force (of a branch:
 at its largest state), unless the study states one.
+
+Priors of the instrument's nuisances from [calibration] of a study; defaults else.
+A class is a limit of error in percent of the reading (ISO 7500-1 for force, ISO 9513 for displacement),
+taken as two standard deviations.  A frame that is known has been taken off the displacement already
+(:mod:`tissueid.inference.tip`): what remains is a compliance around zero, of either sign, as uncertain as its
+calibration.  A delay and a filter are taken off by nobody: their priors are around what was stated.
 """
 
 from __future__ import annotations

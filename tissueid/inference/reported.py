@@ -1,4 +1,15 @@
-"""From draws of the contact model to the numbers that are reported: one value a draw for each parameter."""
+"""From draws of the contact model to reported values, bands, shares of sources and the next indentation.
+
+The next indentation: how far each parameter of another log may be from those that were seen.
+Every log is fitted alone under the specimen's law, the machine where all of them put it.  What one log says
+differs from the next by its site as much as by its noise: Student's t on the log scale over the logs, times
+sqrt(1 + 1/n), is the 95 % prediction interval of one more.
+
+Uncertainty budget of a reported parameter by source, read off the draws.
+Parameters depend on the machine's coordinates, on the gains of its channels and on a single log's contact
+almost linearly over the posterior: each source's share is its variance in that linear dependence, and noise
+(with the scatter between logs) is what remains.
+"""
 
 from __future__ import annotations
 

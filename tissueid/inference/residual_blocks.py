@@ -1,9 +1,15 @@
-"""Means of a log's residual over blocks of its program: what is left of N samples for a look at misfit.
+"""Means of a log's residual over blocks of its program, and the covariance that follows from their scores.
 
 A hold is cut into blocks of equal ln(time since its corner), a ramp (or any other move) into fractions of its
 own path, finer where it starts.  Blocks of one place in the program carry one key in every log, so that an
 error of the model, which repeats, can be told from noise, which does not.  Beside every mean stands the mean
 of the model's derivatives over the same samples: what the fit has taken out of the residual.
+
+Covariance where a law misses more than the noise: the clustered sandwich.
+Scores of clusters at the optimum say how much the misfit moves each direction (Mueller 2013, doi
+10.3982/ECTA9097).  Clusters are logs where there are four or more, otherwise stretches of each log: fractions
+of its travel in ramps, equal in ln time in holds.  Few clusters leave directions unseen: their scores are
+drawn towards the mean over all directions, and Student's t stands for the normal.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 Walkers move in coordinates whitened at the optimum.  A chain is written beside the result while it grows, and
 a run that was killed goes on from there to the same draws.
+
+Pareto-smoothed importance sampling.
+Vehtari et al. 2024, JMLR 25: 72; the tail by Zhang & Stephens 2009, doi 10.1198/tech.2009.08017.
 """
 
 from __future__ import annotations

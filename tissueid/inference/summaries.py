@@ -1,4 +1,10 @@
-"""The second pass over the logs of a specimen: everything that needs samples and the fitted tissue."""
+"""The second pass over the logs of a specimen: everything that needs samples and the fitted tissue.
+
+Viscosity for which a fitted tissue has the measured area of a loop, its relaxation times kept.
+The closed form of :mod:`tissueid.measured.cycles` holds where the path is slow against the relaxation times.
+Here the model itself walks the measured path, contact loss and all, with every K times the same factor;
+the factor that gives the measured area, found on a grid, scales the viscosity of all branches together.
+"""
 
 from __future__ import annotations
 

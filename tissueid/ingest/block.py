@@ -1,7 +1,15 @@
-"""A table that is one of several in a text, laid out as if it stood alone.
+"""A table that is one of several in a text, below or beside others, laid out as if it stood alone.
 
 Formats that hold many tables in one file, or side by side, cut them out; the lines above a table are
 kept as blank ones, so that a refusal still points at the line of the file.
+
+Specimens whose columns stand side by side in one table, each under its name.
+
+::
+
+    1_1             1_2
+    Time Force Stroke Time Force Stroke
+    sec  N     mm     sec  N     mm
 """
 
 from __future__ import annotations

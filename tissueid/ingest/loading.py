@@ -2,6 +2,10 @@
 
 A recording of five million rows is some 200 MB.  What is no table is told by its first bytes, so that a
 disk image named ``.csv`` costs no more than a page of it.
+
+Recordings at a URL: read where they lie, by fsspec, which is asked for only when a URL is.
+A path of two letters or more before its first colon and slash is a URL, unless such a file exists.  Paths
+drop the second slash of ``s3://bucket/logs``; it is put back before fsspec sees it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,17 @@
-"""Quality of a recording's numbers at first sight; nothing is removed.
+"""Quality of a recording's numbers at first sight, of its time and its force's range; nothing is removed.
 
 Only what is cheap and certain is said, each with its numbers: time stamps (:mod:`.timestamps`), levels
 (:mod:`.levels`), single samples (:mod:`.spikes`), the origin of the displacement (:mod:`.commanded`), the
 load cell (:mod:`.cell_range`).
+
+The force against the range in which the load cell was verified.
+A load cell is calibrated in a range (ISO 7500-1, ASTM E4), which ends well above zero: below it the force is
+a number without a class.  The lower end stands in the calibration certificate, the capacity often in the
+header of the export.
+
+Time stamps of a recording: repeated times, event rows, gaps.
+Different sampling in ramp and hold is neither a gap nor an event row: an interval counts only against the
+intervals on both of its sides.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""From a path to trials: the shell around the recipes."""
+"""From a path to trials: the shell around the recipes; recordings that are no specimens.
+
+Recordings that are no specimens, by the names that test programs give them.
+testXpert writes mean and typical curves as sheets beside the tests (``Eprouvette moyenne``, ``Mittelwert``),
+other programs summaries and statistics; a Mach-1 file begins with the machine's own search for contact.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The recipes, and the choice between them."""
+"""The recipes, those of other distributions too, and the choice between them.
+
+Readers of other distributions, by the entry-point group ``tissueid.readers``.
+An entry point names a :class:`~tissueid.ingest.recipe.Recipe`.  One that can't be loaded, or breaks while
+it reads, is named in :func:`reader_faults` and never stops the others.
+"""
 
 from __future__ import annotations
 

@@ -8,6 +8,10 @@ is; the fast path reads a subset of this grammar to the same values.
   numbers, or that names other columns or units, is no comment.
 - A last line with too few cells, or broken off inside a number, is left out and flagged.
 - Everything else must have the cells of its neighbours and numbers in the three columns.
+
+Lines beside the rows of a table: remarks that may be passed over, and rows that may not.
+A remark holds no number where a number could stand.  A line of digits that is no row of the table is a
+damaged row, or a row of another table, and leaving it out would lose data.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 Numbers are ASCII in every encoding seen; what must be decoded is the header and the names.  Where the
 bytes are not UTF-8, the code page is the one in which the most column names and header keys are words
 that test machines print; charset-normalizer decides what that leaves open.
+
+Header keys that state the protocol, in the languages of the test programs.
+Each pattern matches the last part of a key in plain words (lower case, without accents, unit and group):
+``"Prüfung : Geschwindigkeit 1"`` is ``geschwindigkeit 1``.
 """
 
 from __future__ import annotations

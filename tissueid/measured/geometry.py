@@ -1,4 +1,9 @@
-"""Tip and tissue, as far as a modulus needs them."""
+"""Tip and tissue, and Young's modulus of one push where both are known.
+
+Young's modulus of one push, where the tip is known and the depth within what its formula allows.
+Small strain is asked of every law: a/R at most 0.4, depth at most the radius, and the limits of the formula
+and of the layer (:mod:`tissueid.model.moduli`).  Beyond them the modulus is refused with the number.
+"""
 
 from __future__ import annotations
 

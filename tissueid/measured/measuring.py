@@ -1,4 +1,9 @@
-"""Compose what one recording showed from its phases."""
+"""Compose what one recording showed from its phases; forces of a hold at stated times.
+
+The force of a hold at a stated time, and its standard deviation.
+A parabola through the samples within a fifth of the time where there are enough of them, without those far
+off it; else between the two neighbours.  Nothing is said beyond the hold, nor where no sample is near.
+"""
 
 from __future__ import annotations
 

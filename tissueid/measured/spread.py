@@ -1,4 +1,4 @@
-"""Mean and spread of what was measured, over the logs of a specimen.
+"""Mean and spread of what was measured, over the logs of a specimen, program by program.
 
 Numbers are pooled within one program only (:mod:`tissueid.measured.spread`), and forces that still know
 the ramp only where ramp times differ by no more than a factor of two.

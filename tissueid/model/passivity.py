@@ -1,4 +1,4 @@
-"""Damping that a device needs to render a tissue without adding energy (model.md 6.4, derived).
+"""Scaling of forces into the reach of a device, and the damping it needs to render them (model.md 6.4, 6.5).
 
 Sampled-data passivity after Colgate & Schenkel (doi 10.1002/rob.4620140110): a law rendered at step
 T through a zero-order hold, its force arriving ``m`` whole ticks late, needs a device damping
@@ -11,6 +11,10 @@ tissue ``H(z) = k0 + sum_j K_j phi_j (z - 1) / (z - a_j)``, ``z = exp(i w T)``.
 With a fraction f of a tick on top, the force changes inside a servo period: the delay in B becomes the
 mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion is uneven inside the period, which needs
 ``b = (B + sqrt(B^2 + f (1 - f) T^2 |H|^2)) / 2`` (derived: least work over the two parts of a period).
+
+Scaling of a tissue's forces into the reach of a hand-held device (model.md 6.5, derived).
+``F_device = s_F F(x_device / s_x)``; time is not scaled.  One linear factor for force keeps every
+ratio of stiffness; a factor that depends on force would not.
 """
 
 from __future__ import annotations

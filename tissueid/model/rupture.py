@@ -11,6 +11,10 @@ readings)::
 
 For v tau << x under constant work, dF/dv = K tau (1 - x F_s'/F): the force at rupture falls with speed where
 the static tangent exceeds the secant (:func:`hardening_ratio` above 1), and rises elsewhere.
+
+Static force and stored energy of a tissue that is being rendered, for its criterion of rupture (compiled).
+The same measures as :func:`tissueid.model.rupture.rupture_measures`, of the law and the state that
+:func:`tissueid.model.kernels.tissue_step_in` works on, its continuation beyond the identified depth included.
 """
 
 from __future__ import annotations

@@ -1,4 +1,11 @@
-"""A population from specimens: the one call that composes the parts of this package."""
+"""A population from specimens, its remarks and predictions: the one call that composes this package.
+
+Number of specimens that a wanted precision takes.
+Half the width of a 95 % interval of a mean of n specimens is 1.96 sqrt((D^2 + m^2) / n) in ln units, with D
+the spread between specimens and m that of one specimen's own posterior; of a standard deviation, relative to
+itself, 1.96 (D^2 + m^2) / D^2 / sqrt(2 (n - 1)).  Both are large-sample formulas of a normal population
+(derived); the answer is given for the median of D and for both ends of its interval.
+"""
 
 from __future__ import annotations
 

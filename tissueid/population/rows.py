@@ -1,4 +1,11 @@
-"""The numbers of a population that are quoted: a row a quantity, a specimen, an effect."""
+"""The numbers of a population that are quoted: a row a quantity, a specimen, an effect.
+
+Effect of one machine on the mean of a population: it does not average out.
+Every specimen's total posterior knows the calibration nuisances, its statistical one does not.  All were
+measured by one machine with one set of nuisances, so that the difference between the two is taken to be
+common: its mean shift and its covariance, averaged over specimens, are added to the mean of the population.
+Where specimens were measured by several machines this is too much, by up to the root of their number.
+"""
 
 from __future__ import annotations
 

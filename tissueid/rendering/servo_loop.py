@@ -1,4 +1,4 @@
-"""The servo's loops: in real time with absolute deadlines, and in virtual time; both call the same tick.
+"""The servo's loops and their clock: absolute deadlines in real time, and virtual time; both call one tick.
 
 Deadlines that were missed are skipped, never replayed in a burst; the tick gets the time that was measured.
 The loop asks every 5 ms whether the owner still lives (its end of a pipe), wants an end, gives signs of

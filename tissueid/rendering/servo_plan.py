@@ -1,4 +1,4 @@
-"""Messages between the owner and the servo process, as frozen data.
+"""Messages between the owner and the servo process, and how punctual it was, as frozen data.
 
 Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose other
 end stays open: its end of file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or

@@ -29,6 +29,7 @@ from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
+from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_plan import (
@@ -40,7 +41,6 @@ from tissueid.rendering.servo_plan import (
     send_line,
 )
 from tissueid.rendering.servo_schedule import make_punctual, settled
-from tissueid.rendering.servo_spawn import is_compiled
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"

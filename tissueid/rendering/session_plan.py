@@ -1,4 +1,14 @@
-"""A session that is ready to begin, and what its log says of it first."""
+"""A session that is ready to begin, its script, and what its log says of it first.
+
+A script of a session: strokes of the simulated grip, and switches between tissues at their ends.
+
+::
+
+    indent 4 mm at 250 mm/min; hold 1 s; retract at 250 mm/min; switch; indent 4 mm at 250 mm/min
+
+Strokes are those of :mod:`tissueid.haptics.hand`, in tissue units.  ``switch`` goes to the next tissue; the
+servo takes it when nothing is touched, so it must stand where the tool is out of the tissue.
+"""
 
 from __future__ import annotations
 

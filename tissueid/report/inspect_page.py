@@ -2,6 +2,9 @@
 
 Self-contained like the report.  Recordings come one at a time and are thinned at once; the page shares a
 fixed number of samples among them, so that it stays below 10 MB whatever was inspected.
+
+The curves of a recording as it was made, thinned for drawing: extremes, edges and corners are kept.
+A recording is thinned as soon as it was segmented, so that a folder of large files needs the memory of one.
 """
 
 from __future__ import annotations

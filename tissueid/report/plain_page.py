@@ -5,19 +5,11 @@ For small documents that need no layout of their own.  Self-contained like the r
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-
-from tissueid.digits import number
-from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.wording import misfit_raised, verdict
-
-if TYPE_CHECKING:
-    from tissueid.twin.twin import Row, Twin, TwinDevice
 from dataclasses import dataclass, field
+from typing import Any
+
+from tissueid.report.page import asset, page_environment, plotly_script
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,149 +65,5 @@ def render_plain(title: str, sections: Sequence[Section], *, created: str | None
             style=asset("page.css"),
             scripts=[asset("boxes.js"), asset("plain.js")],
             plotly=plotly_script() if figures else "",
-        )
-    )
-
-
-#: Points of a curve at the most.
-POINTS = 1_500
-#: Just-noticeable differences that are told at the least.
-LEAST_TOLD = 0.01
-HEADS = ("Number", "Unit", "Went in", "95 %", "Came out", "95 % with the machine", "Verdict")
-WORDS = {
-    "inside": "inside",
-    "outside": "outside",
-    "destroyed": "destroyed by counts and delay",
-    "not identified": "not identified in the bundle",
-}
-
-
-def render_twin(found: Twin, source: str) -> str:
-    """Write the page.
-
-    ``source``: of the just-noticeable difference.  Returns HTML, UTF-8.
-    """
-    unseen, felt = found.unseen, number(1.0 / found.force_scale, 3)
-    text = (
-        f"{found.specimen}, {found.model}; {found.program}. A felt newton is {felt} of tissue, motion is "
-        f"{number(found.motion_scale, 3)} times as large. At {number(unseen.speed_mm_s, 3)} mm/s, a speed of "
-        f"no recording, the emulated Falcon is off the law by {_percent(unseen.nrmsd_model)}. No "
-        "real device has confirmed this: the Falcon is emulated, its counts and delay are stated."
-    )
-    first = Section("Force at the grips", text, figures=[_figure(found)])
-    return render_plain("Mechanical twin", [first, *(_device(one, source) for one in found.devices)])
-
-
-def _percent(share: float) -> str:
-    return "less than 0.001 %" if share < 1e-5 else f"{number(100.0 * share, 2)} %"
-
-
-def _device(one: TwinDevice, source: str) -> Section:
-    """Section of one device."""
-    recorded = (
-        "" if one.nrmsd_recording is None else f", off the recording by {_percent(one.nrmsd_recording)}"
-    )
-    refit = "" if one.fit_nrmsd is None else f" The refit has an NRMSD of {_percent(one.fit_nrmsd)}."
-    could = "could" if one.noticeable > 1.0 else "could not"
-    most = number(max(one.noticeable, LEAST_TOLD), 2)
-    text = (
-        f"Off the law by {_percent(one.nrmsd_model)} of its range{recorded}.{refit} A hand {could} tell: "
-        f"{most} just-noticeable differences of force at most ({source})."
-    )
-    rows = [_row(row) for row in one.rows]
-    return Section(one.device[:1].upper() + one.device[1:], text, tables=[Table(HEADS, rows)] if rows else [])
-
-
-def _row(row: Row) -> tuple[str, ...]:
-    return (
-        row.symbol,
-        "" if row.unit == "1" else row.unit,
-        _value(row.went_in),
-        _span(row.went_in_ci95),
-        _value(row.came_out),
-        _span(row.came_out_ci95),
-        WORDS[row.verdict],
-    )
-
-
-def _value(value: float | None) -> str:
-    return "\u2013" if value is None else number(value, 4)
-
-
-def _span(ends: tuple[float, float] | None) -> str:
-    return "\u2013" if ends is None else f"{number(ends[0], 4)} to {number(ends[1], 4)}"
-
-
-def _figure(found: Twin) -> Figure:
-    """Law and grips against the time from contact."""
-    traces: list[Mapping[str, Any]] = []
-    for one, ink in zip(found.devices, ("model", "ok"), strict=False):
-        time, force = one.from_contact()
-        every = max(1, time.size // POINTS)
-        shown = np.round(time[::every], 5).tolist()
-        if not traces:
-            law = np.round(one.law_N[::every], 5).tolist()
-            traces.append({"x": shown, "y": law, "name": "law of the bundle", "line": {"ink": "data"}})
-        felt = np.round(force[::every], 5).tolist()
-        traces.append({"x": shown, "y": felt, "name": one.device, "line": {"ink": ink, "dash": "dot"}})
-    caption = (
-        f"Force of the law of {found.specimen} and at the grips of its devices over the time from contact."
-    )
-    return Figure(caption, "Time from contact [s]", "Force [N of tissue]", traces)
-
-
-#: Parameters of the table.
-_SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
-#: Refused inputs that are listed; identification.json has them all.
-_LISTED = 500
-
-
-def index_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
-    """A specimen of identification.json as a row of the table.
-
-    ``page``: address of its own page, from the table's.
-    """
-    values = {one["name"]: one for one in specimen["parameters"]}
-    found = verdict(specimen)
-    sure = not misfit_raised(specimen)
-    return {
-        "name": specimen["specimen"],
-        "page": page,
-        "level": found.level,
-        "verdict": found.title,
-        "values": [values[name]["value"] if name in values else None for name in _SHOWN],
-        "errors": [values[name]["stderr"] if sure and name in values else None for name in _SHOWN],
-        "nrmsd": 100.0 * specimen["nrmsd"]["range"],
-        "trials": len(specimen["trials"]),
-        "depth": specimen["validity"]["depth_mm"],
-    }
-
-
-def render_index(
-    rows: Sequence[Mapping[str, Any]],
-    refused: Sequence[str],
-    *,
-    created: str | None = None,
-) -> str:
-    """Write the report of a large cohort as one self-contained HTML page with links to those of specimens.
-
-    ``rows``: from :func:`index_row`; ``refused``: what was left out, and why; ``created``: time stamp to
-    print.  Returns HTML, UTF-8.
-    """
-    tally = Counter((row["level"], row["verdict"]) for row in rows)
-    return (
-        page_environment()
-        .get_template("index.html.j2")
-        .render(
-            title=f"Contact mechanics of {len(rows):,} specimens",
-            count=len(rows),
-            counts=[(level, title, count) for (level, title), count in tally.most_common()],
-            refused=refused[:_LISTED],
-            more=max(len(refused) - _LISTED, 0),
-            payload={"rows": rows},
-            created=created,
-            style=asset("page.css"),
-            script=asset("index.js"),
-            plotly=plotly_script(),
         )
     )

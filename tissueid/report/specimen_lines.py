@@ -1,4 +1,4 @@
-"""Lines that the command and the library print of a fitted specimen."""
+"""Lines that the command and the library print of a fitted specimen, and what people quote of its model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words of the report: the verdict, numbers with their errors and units.
+"""Words of the report: the verdict, events, numbers with their errors and units.
 
 A number that the data do not determine is never printed as a value: it is "not identified".
 """

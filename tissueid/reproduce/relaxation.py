@@ -1,4 +1,9 @@
-"""Table 1 and Fig. 2: four relaxation tests, synthesised from the printed numbers and fitted again."""
+"""Table 1 and Fig. 2: four relaxation tests, synthesised from the printed numbers and fitted again.
+
+Could an instrument alone give a relaxation time?  An elastic tissue behind a crosshead that overshoots.
+A hold that is fitted by itself, as the paper did, sees a force that decays.  It does not see whether the
+tissue relaxed, or the crosshead settled and the load channel followed with its filter.
+"""
 
 from __future__ import annotations
 

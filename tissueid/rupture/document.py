@@ -1,4 +1,4 @@
-"""The document of ``schemas/rupture.schema.json``."""
+"""The document of ``schemas/rupture.schema.json``, its sentences, and the output set it stands in."""
 
 from __future__ import annotations
 

@@ -5,6 +5,11 @@ measure's logarithm times d ln(measure)/d ln(depth). So that no criterion gains 
 scatters by 5 % is a work that scatters by 20 % in a cubic), priors are those of ln depth: every measure is
 divided by its typical growth with depth, and there the mean is flat, the sd from test to test log-uniform,
 and that between specimens half-Cauchy.
+
+Likelihood of thresholds that scatter between specimens and from test to test, with censored tests.
+In ln threshold, z_ki = m_k + e_ki, m_k ~ N(mu, b^2), e_ki ~ N(0, s^2 + v_ki), v the variance of measurement.
+A test that did not rupture says z_ki > c_ki.  The specimen's m_k is integrated out: in closed form where all
+its tests ruptured, and by Gauss-Hermite quadrature about its normal given the ruptured ones for the others.
 """
 
 from __future__ import annotations

@@ -4,6 +4,10 @@ The displacement is reduced to a polyline within its noise (:mod:`tissueid.segme
 moves and standstills; what is too short or too small to be either (rounded stops, overshoot, event rows)
 belongs to the move before it.  A standstill is where the displacement is constant: drifting by more than
 :data:`HOLD_DRIFT` of the move before is slow motion (creep under load control), not a hold.
+
+A sampled path as a polyline with as few corners as its noise allows (Ramer 1972, Douglas & Peucker 1973).
+Every sample lies within the tolerance of the polyline; corners are samples.  Distance is measured along
+the displacement axis, so that the time scale does not matter.  Linear in the samples for each level.
 """
 
 from __future__ import annotations

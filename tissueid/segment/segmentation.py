@@ -1,4 +1,4 @@
-"""Compose signs, motion, contact and phases into the segmentation of a recording."""
+"""Compose signs, motion, contact, phases and decisions of the user into the segmentation of a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Signs of compression and of the recorded force."""
+"""Signs of compression and of the recorded force, and the drift of the force in air.
+
+Drift of the load cell while the tool is in air: the force changes though nothing is touched.
+The samples in air are averaged in blocks, whose scatter about a straight line tells how sure its slope is,
+whatever the noise is correlated like.  A first touch that was found late bends the line at its end; drift
+shows in the first half alone as well.
+"""
 
 from __future__ import annotations
 

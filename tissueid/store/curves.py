@@ -3,6 +3,10 @@
 Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text)
 names the trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no
 more than their numbers.  A group ``residual`` holds what the full rate said of the residuals.
+
+Summaries of residuals beside the curves they belong to.
+Layout: ``residual/trial`` says which trials have one; quantities of one length a trial stand in tables, the
+others end to end, with ``*_offsets`` between them.
 """
 
 from __future__ import annotations

@@ -2,6 +2,14 @@
 
 A file is written to a temporary name beside its target, flushed to the disk, and moved over it with
 ``os.replace``, which is atomic on POSIX and on NTFS.  A reader sees the old file or the new one.
+
+File names of a run; those of specimens are readable, unique, and valid on every file system.
+A specimen may be called anything a lab writes into a header field: with slashes, in Chinese, ``CON``,
+400 characters long, or like another but for its case.
+
+JSON documents longer than memory, spelled as :func:`tissueid.store.files.json_bytes` spells them.
+Lists that grow with a cohort are gathered element by element in a :class:`JsonList`, which keeps them in a
+temporary file, and are copied into the document where they stand.
 """
 
 from __future__ import annotations

@@ -5,6 +5,10 @@ job a specimen, and the assembly.  Every result is written and put down in the i
 run that ends early, for whatever reason, is gone on with by the same command.  Results are taken in the order
 of the files whichever order they came in, and a specimen's numbers depend on its own recordings only: who
 computed them, and how many at a time, changes nothing.
+
+The common case: all recordings are of one specimen, which is fitted while they are read.
+Whether there is one specimen is known when the last file was read, and by then its recordings are segmented
+already: nothing is read twice.  A second specimen ends the attempt; what was read stays known.
 """
 
 from __future__ import annotations

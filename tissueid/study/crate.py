@@ -1,7 +1,13 @@
-"""A study as an RO-Crate: its recordings, its study file, and what is needed to find and cite them.
+"""A study as an RO-Crate, with names of people and places or without, for others to find and cite.
 
 RO-Crate Metadata Specification 1.1 (doi 10.5281/zenodo.4541002): ``ro-crate-metadata.json`` describes itself,
 the root data set with name, description, date and licence, and every file with size, type and hash.
+
+A study without the names of people, animals and places, and recordings without their headers.
+Names of specimens and donors become keyed hashes (HMAC-SHA256 under a salt that stays with the owner): one
+name gives one hash in every export of a laboratory, and nobody without the salt can try names out.  A header
+may hold anything, so recordings are not cleaned but written anew: time, displacement, force, in s, mm and N,
+every digit kept.  Names that were taken out are blackened in all text that stays.
 """
 
 from __future__ import annotations

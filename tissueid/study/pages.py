@@ -1,8 +1,12 @@
-"""The report of a set: one page, or for a large cohort an index with a page a specimen.
+"""The report of a set, one page or an index with a page a specimen, and the rendering of its tissues.
 
 Pages stand in ``OUT/pages/`` under the keys of the files they were made from, so that a page is made once;
 the drawing library stands beside them once for all.  Whoever fits a specimen makes its page as well: its file
 is at hand there, and need not travel to be drawn.
+
+Rendering of a specimen's tissue: scales, stability, and what lies outside its validity.
+The same check that ``tissueid render`` makes before any force, on the presets of the devices that are known;
+nothing is opened and nothing moves.
 """
 
 from __future__ import annotations
@@ -23,8 +27,8 @@ from tissueid.rendering.precheck import Demands, Precheck, check_before_force, d
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
+from tissueid.report.index_page import index_row, render_index
 from tissueid.report.page import plotly_script
-from tissueid.report.plain_page import index_row, render_index
 from tissueid.report.tissue import tissue_of
 from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, write_file

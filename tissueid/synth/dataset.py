@@ -5,6 +5,9 @@
     SET/recipe.toml  SET/truth.json  SET/SHA256SUMS  SET/hold-8-1.csv ...
 
 The same recipe, seed and dialect give the same bytes.
+
+Every export that can be written: Bluehill in its dialects, and the formats of other machines.
+Written from the grammar of each format, with no part of the reader; every file says that it is synthetic.
 """
 
 from __future__ import annotations

@@ -1,8 +1,13 @@
-"""Measures of one attempt: the tip's way from the cone's entry to the end of the drilling, against the plan.
+"""Measures of attempts: the tip's way from the cone's entry to the end of the drilling; practice.
 
 A device with three degrees of freedom knows no orientation: the angle of a track is that of the chord between
 two places of the tip, with a standard error that follows from how well a short stretch of the record places
 each of them.  The noise of a record has a memory: its samples are counted by their lag-one correlation.
+
+Practice of one person: a power law over attempts.
+``y = a n^b`` over the number n of the attempt, fitted to ln y by least squares (Newell & Rosenbloom 1981,
+Mechanisms of skill acquisition and the law of practice).  A few attempts do not tell a power from an
+exponential; b with its interval is a description.
 """
 
 from __future__ import annotations

@@ -1,7 +1,18 @@
-"""HTTP and websockets that no client can hold open for nothing: requests arrive in time, pings are few.
+"""HTTP and websockets that no client can hold open for nothing, and the few messages a page may send.
 
 A connection whose request does not arrive keeps a place that another page needs.  It is cut off after
 :data:`REQUEST_S`, and where too many of them wait, the one that has waited longest is.
+
+Messages of a page: four short ones of JSON, each checked before anything is done with it.
+
+::
+
+    {"v": 1, "answer": 42}                     42 frames have arrived
+    {"v": 1, "pointer": [0.0, 0.01, 0.12]}     lead the simulated hand there [m, device frame]
+    {"v": 1, "pointer": null}                  let go: the hand leaves the tissue
+    {"v": 1, "play": {"at_s": 3.5, "paused": false}}    where a log is read, and whether it goes on
+
+There is no message that changes a tissue, a scale, a force or a file.
 """
 
 from __future__ import annotations

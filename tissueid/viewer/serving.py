@@ -1,4 +1,4 @@
-"""The owner's side of a viewer: an address, a process that serves it, and what is told to it."""
+"""The owner's side of a viewer: an address, a process that serves it, or the session of another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session, or its log, on a viewer: from plans and heads to the hello and the memories it needs."""
+"""A session, or its log, on a viewer: plans, heads and the expected force to the hello and its memories."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Shown state of a server, and the clock that says when there is something new to send."""
+"""Shown state of a server, the clock that says when there is something new to send, and the pointer.
+
+The pointer: mouse or keys on a page lead the hand that holds the simulated device.
+The hand is a spring and a damper around the point it is led to, so that the force on it shows: it is pushed
+back from the tissue by force over stiffness.  Letting go leads it back above the tissue.  The shared memory
+that this writes exists for a simulated device alone; where there is none, every pointer is refused.
+"""
 
 from __future__ import annotations
 

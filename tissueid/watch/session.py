@@ -1,4 +1,9 @@
-"""A session at the machine: looks, verdicts, and a log from which the next session goes on."""
+"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on.
+
+The verdict on one test: what ``inspect`` says of it, beside the tests before it.
+A verdict is a plain JSON object (``schemas/watch.schema.json``), so that a watch that was stopped goes on
+from its own log.
+"""
 
 from __future__ import annotations
 

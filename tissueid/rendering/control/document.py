@@ -1,4 +1,4 @@
-"""Document of ``tissueid control``, as plain data (schemas/control.schema.json)."""
+"""Document of ``tissueid control``, as plain data (schemas/control.schema.json); measures of loops."""
 
 from __future__ import annotations
 
