@@ -32,7 +32,7 @@ from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
 import tissueid as ti
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import known_laws, parsed
 

@@ -32,7 +32,8 @@ from real_baselines import (
 from real_pooled import fit_pooled
 from real_recordings import Found, Recording, fit_of, grouped, tell
 
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
+from tissueid.model.servo_law import TissueStepper
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
     if depth.max() <= model.depth_mm or not model.is_passive(theta):
         return model.force(theta, ContactPath(time_s=log.time_s, depth_mm=depth))
     # beyond the fitted depth the law is continued as it is rendered
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     first = stepper.step(float(depth[0]), 0.0)
     steps = zip(depth[1:], np.diff(log.time_s), strict=True)
     return np.array([first, *(stepper.step(float(x), float(dt)) for x, dt in steps)])

@@ -20,7 +20,9 @@ import numpy as np
 from real_baselines import Log, cone_weights, curve_rays
 
 import tissueid
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import FitOptions, IdentifyOptions, PosteriorOptions, identify
 
 MEAT = "zwick-meat-gpl3"
@@ -214,9 +216,9 @@ class Found:
         return {one["name"]: one for one in self.document["parameters"] if one["value"] is not None}
 
     @property
-    def law(self) -> KelvinVoigt:
+    def law(self) -> ChannelModel:
         """Contact model that belongs to theta."""
-        return KelvinVoigt(*self.order, depth_mm=float(self.fit.depth_mm))
+        return kelvin_voigt(*self.order, depth_mm=float(self.fit.depth_mm))
 
     @property
     def offset_apart(self) -> bool:

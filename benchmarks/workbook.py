@@ -19,7 +19,9 @@ from scipy.optimize import minimize
 
 from tissueid.inference.window import fitted_log
 from tissueid.ingest import ReadOptions, read_trials
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import branch_states
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import identify
 from tissueid.result import SpecimenFit
 from tissueid.segment import segment
@@ -32,10 +34,13 @@ def unconstrained(trial: Trial, fit: SpecimenFit) -> float:
     path = ContactPath(log.data.time_s, log.data.depth_mm)
     used = log.data.include
     force = log.data.force_N[used]
-    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, log.depth_mm)
+    model = kelvin_voigt(fit.model.branches, fit.model.stiffness_degree, log.depth_mm)
 
     def residual(log_tau: np.ndarray) -> float:
-        basis = model.linear_basis(np.clip(log_tau, -6.0, 6.0), path)[used]
+        columns = list(model.static.basis(path.depth_mm))
+        for state in branch_states(path.time_s, path.depth_mm, np.exp(np.clip(log_tau, -6.0, 6.0))):
+            columns += [state * path.depth_mm**k for k in range(model.stiffness_law.powers)]
+        basis = np.column_stack(columns)[used]
         scale = np.abs(basis).max(axis=0)
         weights = np.linalg.lstsq(basis / scale, force, rcond=1e-12)[0]
         return float(np.sqrt(np.mean((force - basis / scale @ weights) ** 2)))

@@ -9,7 +9,7 @@ import numpy as np
 from fit_factory import THETA, identification, specimen_fit
 from posterior_factory import sampled
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
@@ -21,7 +21,7 @@ OWN = np.array([0.01, 0.01, 0.01, 0.03, 0.03])
 def cohort_fits(count: int, *, between: float = 0.12, seed: int = 0) -> tuple[SpecimenFit, ...]:
     """Fits whose posteriors scatter around specimens that differ by a factor in force and in stiffness."""
     rng = np.random.default_rng(seed)
-    model = KelvinVoigt(1, 0, 6.0)
+    model = kelvin_voigt(1, 0, 6.0)
     fits = []
     for i in range(count):
         force, stiffness = np.exp(between * rng.standard_normal(2))

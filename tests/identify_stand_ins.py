@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from closed_forms import linear_basis
 from fit_factory import identification, specimen_fit
 from posterior_factory import posterior
 
 from tissueid.manifest import Study
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions
 from tissueid.priors import Priors
 from tissueid.result import Estimate, Identification, ModelChoice
@@ -26,7 +28,7 @@ from tissueid.uncertainty import ParameterUncertainty
 
 DRAWS = 399
 
-Draws = Callable[[KelvinVoigt, Priors, Sequence[Trial], np.random.Generator], np.ndarray]
+Draws = Callable[[ChannelModel, Priors, Sequence[Trial], np.random.Generator], np.ndarray]
 
 
 def stand_in(draws_of: Draws) -> Callable[..., Identification]:
@@ -38,7 +40,7 @@ def stand_in(draws_of: Draws) -> Callable[..., Identification]:
         depth = max(float(trial.displacement_mm.max()) for trial in trials)
         assert options.fit.branches is not None
         assert options.fit.stiffness_degree is not None
-        model = KelvinVoigt(options.fit.branches, options.fit.stiffness_degree, depth)
+        model = kelvin_voigt(options.fit.branches, options.fit.stiffness_degree, depth)
         rng = np.random.default_rng(options.seed)
         theta = draws_of(model, study.priors, trials, rng)
         return of_draws(model, theta)
@@ -46,7 +48,7 @@ def stand_in(draws_of: Draws) -> Callable[..., Identification]:
     return identify
 
 
-def of_draws(model: KelvinVoigt, theta: np.ndarray, **changed: Any) -> Identification:
+def of_draws(model: ChannelModel, theta: np.ndarray, **changed: Any) -> Identification:
     """An identification with these draws, and their central intervals quoted."""
     parameters = tuple(
         Estimate(name, name, "", float(values.mean()), None, identified=True, uncertainty=known(values))
@@ -76,7 +78,7 @@ def known(values: np.ndarray) -> ParameterUncertainty:
 
 
 def prior_draws(
-    model: KelvinVoigt, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
+    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
 ) -> np.ndarray:
     """The prior itself, whatever was recorded: calibrated by construction."""
     offset = np.zeros(len(trials))
@@ -85,7 +87,7 @@ def prior_draws(
 
 
 def sure_draws(
-    model: KelvinVoigt, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
+    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
 ) -> np.ndarray:
     """Sure of the middle of the priors, whatever was recorded."""
     times = {"relaxation_time_s": priors.relaxation_time_s[0].median}
@@ -94,7 +96,7 @@ def sure_draws(
 
 
 def conjugate_draws(
-    model: KelvinVoigt, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
+    model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
 ) -> np.ndarray:
     """The exact posterior of F_s and K, normal where times, noise, gains and contact points are known."""
     assert priors.sigma_N is not None
@@ -106,7 +108,7 @@ def conjugate_draws(
     weighted = mean * sd**-2.0
     for trial in trials:
         path = contact_path(Path(trial.time_s, trial.displacement_mm), 0.0)
-        basis = model.linear_basis(np.log(taus), ContactPath(path.time_s, path.value_mm))
+        basis = linear_basis(model, np.log(taus), ContactPath(path.time_s, path.value_mm))
         rows = basis[np.searchsorted(path.time_s, trial.time_s)]
         precision += rows.T @ rows / sigma**2
         weighted = weighted + rows.T @ trial.force_N / sigma**2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from fit_factory import identification, specimen_fit
 
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering import environment as env
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle, bundle_from_fit
@@ -20,13 +20,13 @@ HOLDS_MM = (2.0, 4.0, 6.0, 8.0)
 HOLD_SPEED_MM_MIN = 250.0
 
 PAPER_A = Tissue(
-    KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM),
+    kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM),
     np.array([47.42, -5.577, 0.3804, 63.62, 0.021]),
     (10.0 / 60.0, 500.0 / 60.0),
     tip_radius_mm=2.0,
     name="paper-a",
 )
-_TWO = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
+_TWO = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
 TWO_BRANCHES = Tissue(
     _TWO,
     _TWO.join(

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of
 from tissueid.rupture.loading import LoadedTest
 from tissueid.synth import Branch, Log, Move, Rupture, as_trials, recipe, simulate
@@ -61,7 +61,7 @@ def known_cohort(
 ) -> list[Failure]:
     """Failures of a cohort whose laws are known and whose ends were measured without error."""
     rng = np.random.default_rng(seed)
-    model = KelvinVoigt(1, 0, DEEPEST_MM)
+    model = kelvin_voigt(1, 0, DEEPEST_MM)
     found: list[Failure] = []
     for specimen in range(18 // len(speeds)):
         gain, tough = _factor(SPECIMEN_CV, rng), _factor(SPECIMEN_CV, rng)

@@ -232,7 +232,7 @@ class SpecimenFit(Shown):
         What is reported: static, dynamic, relaxation times and viscosities.
     theta_names : tuple of str
     theta : ndarray, shape (p,)
-        Vector of the contact model (see :class:`tissueid.model.kelvin_voigt.KelvinVoigt`).
+        Vector of the contact model (see :class:`tissueid.model.channels.ChannelModel`).
     covariance : ndarray, shape (p, p)
         Of theta, under white noise; rows of parameters at a bound are zero.
     depth_mm : float

@@ -10,7 +10,7 @@ from command_line import REPOSITORY, run
 from tissueid import errors
 from tissueid.explanations import EXIT_MEANINGS, explain, explanations, flags_page
 from tissueid.flags import FLAGS
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.quantity_words import QUANTITIES
 
 MOST_LINES = 25
@@ -65,7 +65,7 @@ def test_a_quantity_is_told_with_unit_dependence_and_interval_in_few_lines(name:
 
 
 def test_every_parameter_of_the_model_is_a_quantity() -> None:
-    printed = {one.name: one.symbol for one in KelvinVoigt(2, 2, 3.0).parameters}
+    printed = {one.name: one.symbol for one in kelvin_voigt(2, 2, 3.0).parameters}
     for name, symbol in printed.items():
         plain = re.sub(r"_b2$", "", name)
         assert explain(symbol).name == explain(name).name == plain

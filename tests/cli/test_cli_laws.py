@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import known_laws, parsed
 
 DEPTH, RATE = 6.0, 100.0

@@ -13,7 +13,8 @@ from scipy.stats import beta, kstest
 from tissueid.contrast.decision import LIMITS, difference, noticed, rows
 from tissueid.contrast.document import Common, Compared, common_range, contrast_document, draws_of_numbers
 from tissueid.errors import UsageError
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.selfcheck.protocol import Centre, of_program
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
@@ -36,7 +37,7 @@ def test_forces_are_those_of_the_model_at_common_depths_and_speeds() -> None:
     found = draws_of_numbers(tissue, common)
     for speed in (1.0, 5.0):
         values = found[f"force at 4 mm, {speed:.3g} mm/s [N]"]
-        expected = constant_speed_force(PAPER_A.model, tissue.draws[17], np.array([4.0]), speed_mm_s=speed)[0]
+        expected = loading_force(PAPER_A.model, tissue.draws[17], np.array([4.0]), speed_mm_s=speed)[0]
         assert values[17] == pytest.approx(expected, rel=1e-12)
     k, tau = tissue.draws[17, 3:5]
     assert found["viscosity at 4 mm [N s/mm]"][17] == pytest.approx(k * tau)
@@ -117,7 +118,7 @@ LOGS = (
 
 def check_of_one_tissue() -> TissueCheck:
     protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=0.01, words="five logs")
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=protocol.depth_mm)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=protocol.depth_mm)
     theta = np.array([20.0, -1.2, 0.35, 63.62, 0.021])
     centre = Centre(model=model, theta=theta, sigma_N=1.0, phi=0.0, white_share=0.0, pooling="partial")
     return tissue_check(protocol, centre, widths=Widths(gain_sd=0.005))

@@ -18,7 +18,7 @@ from tissueid.design.plan import matched_wants, planned
 from tissueid.design.precision import Asked, Ledger, Protocol
 from tissueid.design.tissues import Tissues, Want, of_draws
 from tissueid.manifest import Study
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior, Priors
 from tissueid.selfcheck.protocol import Centre, in_air_first
 from tissueid.selfcheck.protocol import Protocol as Recorded
@@ -38,7 +38,7 @@ def silent(_message: str, _done: int, _total: int) -> None:
 
 def one_tissue(static: tuple[float, ...], branches: tuple[tuple[tuple[float, ...], float], ...]) -> Tissues:
     degree = len(branches[0][0]) - 1
-    model = KelvinVoigt(branches=len(branches), stiffness_degree=degree, depth_mm=8.0)
+    model = kelvin_voigt(branches=len(branches), stiffness_degree=degree, depth_mm=8.0)
     theta = model.join(
         np.array(static), np.array([k for k, _ in branches]), np.array([tau for _, tau in branches])
     )

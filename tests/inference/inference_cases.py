@@ -15,7 +15,8 @@ from tissueid.inference.specimen import identify_handles
 from tissueid.inference.system import Effects, Point, System
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog, LogData, fitted_log
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel
 from tissueid.synth import Hold, Log, Move, Recipe, SyntheticLog, as_trials, simulate
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
@@ -63,7 +64,7 @@ def system_of(
     return System(blocks, law, law.depth_mm, effects or Effects())
 
 
-def model_force(model: KelvinVoigt, theta, log: FittedLog, adjustment: Adjustment):
+def model_force(model: ChannelModel, theta, log: FittedLog, adjustment: Adjustment):
     """Force of the contact model along a log, by the model's own recursion."""
     x = log.data.depth_mm - adjustment.contact_offset_mm
     return adjustment.gain * model.force(theta, ContactPath(log.data.time_s, np.maximum(x, 0.0)))

@@ -11,7 +11,7 @@ from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_o
 from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.window import LogData
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 
 LAW = kelvin_voigt_law(1, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.02])

@@ -12,11 +12,11 @@ from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.reported import interval95, reported_draws
 from tissueid.inference.verdict import outside, unsampled, withheld
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate
 from tissueid.uncertainty import ParameterUncertainty
 
-MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0)
 OPTIMUM = np.array([2.0, 0.1, 0.0, 5.0, 0.5])
 
 

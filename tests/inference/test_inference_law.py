@@ -8,7 +8,7 @@ from inference_cases import point_of, ramp_hold
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.law import Path, passive_rows, relaxation_states
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 
 
 def random_path(n=300, seed=1):

@@ -11,7 +11,9 @@ from inference_cases import draw, handle_for, handles_for, identified, small_rec
 
 from tissueid.inference.estimates import estimate_tissue
 from tissueid.inference.lm import both_optimisers
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import branch_states
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import Priors
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
@@ -29,7 +31,7 @@ def one_log(degree, sigma=0.05):
     rng = np.random.default_rng(11)
     time = np.arange(N) * STEP
     depth = np.interp(time, [0.0, 0.5, 3.5, 4.5, 10.0], [0.0, 2.5, 2.5, DEPTH, DEPTH])
-    model = KelvinVoigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH)
+    model = kelvin_voigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH)
     path = ContactPath(time, depth)
     return model, path, model.force(TRUTH[degree], path) + sigma * rng.normal(size=N)
 
@@ -146,8 +148,9 @@ def test_an_optimum_that_was_missed_is_told():
 
 def test_at_an_active_bound_disagreement_is_no_verdict():
     # K is zero at the largest depth: the bound holds it from below
-    model, path, force = one_log(1)
-    falling = force - 15.0 * model.states(np.array([TAU]), path)[0] * path.depth_mm / DEPTH * 2.5
+    _, path, force = one_log(1)
+    state = branch_states(path.time_s, path.depth_mm, np.array([TAU]))[0]
+    falling = force - 15.0 * state * path.depth_mm / DEPTH * 2.5
     trial = Trial("s", path.time_s, path.depth_mm, falling)
     phases = (Phase("ramp", 0, N, 0.0, float(path.time_s[-1]), 5.0),)
     handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-6), phases, 0.05))

@@ -20,7 +20,7 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import covariance_of, minimise, nearest_in_cone, prior_cost
 from tissueid.inference.prior import Scatter, prior_rows
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.priors import Priors
 
 

@@ -11,7 +11,7 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.optimum import prior_cost
 from tissueid.inference.prior import Scatter, bernstein, prior_rows, time_bounds
 from tissueid.inference.system import Effects
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 
 LAW = kelvin_voigt_law(1, 1, 4.0)

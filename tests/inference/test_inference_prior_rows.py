@@ -9,7 +9,7 @@ from inference_cases import draw, handles_for, identified, small_recipe
 from tissueid.inference.prior import bernstein
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
 from tissueid.inference.target import SpecimenTarget
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.channels import branch_states
 from tissueid.priors import WEAK_FACTOR, Priors, SpreadPrior
 
 RECIPE = small_recipe(logs=small_recipe().logs[-1:])
@@ -28,8 +28,7 @@ def target(priors=None, **asked):
 
 def largest_state(log, tau):
     """Of a branch along the recording, over the depth."""
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
-    return float(model.states(np.array([tau]), ContactPath(log.time_s, log.displacement_mm))[0].max()) / 4.0
+    return float(branch_states(log.time_s, log.displacement_mm, np.array([tau]))[0].max()) / 4.0
 
 
 def weak(log, force, theta):

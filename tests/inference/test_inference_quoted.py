@@ -10,13 +10,13 @@ from inference_cases import draw, handles_for, small_recipe
 
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.measured.geometry import Geometry, stated_geometry
-from tissueid.model import KelvinVoigt
 from tissueid.model.functionals import complex_stiffness, force_after_ramp, force_after_step
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.moduli import Indenter, contact_of
 from tissueid.synth import Branch, Hold, Log, Move
 
 TRUE = Branch((30.0,), 0.2)
-MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0)
 THETA = MODEL.join(np.array([20.0, -1.2, 0.35]), np.array([[30.0]]), np.array([0.2]))
 
 

@@ -11,7 +11,7 @@ from inference_cases import draw, handles_for, identified, small_recipe
 from tissueid.flags import Flag
 from tissueid.inference.choice import BEND, Rival
 from tissueid.inference.specimen import _one_form, rival_flags
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
 from tissueid.synth import Branch, Hold, Log, Move
 

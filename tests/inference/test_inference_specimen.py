@@ -9,7 +9,8 @@ import pytest
 from inference_cases import by_name, draw, handles_for, small_recipe
 
 from tissueid.inference.specimen import FitOptions, fit_specimen, fit_with_state
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.synth import Branch, recipe
 
 TRUE = Branch((30.0,), 0.2)
@@ -55,7 +56,7 @@ def test_tissue_is_identified_and_says_how(static):
     assert found.n_samples == sum(trial.n_samples for trial in found.trials)
     assert len(found.trials) == 5
     assert len(found.relaxation) == 2
-    assert found.theta_names == KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0).parameter_names
+    assert found.theta_names == kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0).parameter_names
     assert found.nrmsd.rmse_N == pytest.approx(0.2, rel=0.15)
     assert found.selection == ()
 
@@ -64,7 +65,7 @@ def test_residuals_are_those_of_the_reported_tissue():
     logs = draw(small_recipe(branches=(TRUE,)), 1)
     options = FitOptions(branches=1, stiffness_degree=0, static="shared")
     found = fit_with_state("knee", handles_for(logs), options=options, machine=False).fit
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
     squares = 0.0
     for log, trial in zip(logs, found.trials, strict=True):
         residual = log.force_N - model.force(found.theta, ContactPath(log.time_s, log.displacement_mm))

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.system import MACHINE, Effects, System
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 
 LAW = kelvin_voigt_law(2, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.05, 25.0, -2.0, 1.2])

@@ -8,10 +8,11 @@ from inference_cases import model_force
 
 from tissueid.inference.trials import CURVE_POINTS, Adjustment, ResidualTotals, summarise_trial
 from tissueid.inference.window import fitted_log
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
-MODEL = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=4.0)
 THETA = np.array([20.0, -1.0, 0.3, 25.0, 2.0, 0.5])
 NEITHER = Adjustment()
 

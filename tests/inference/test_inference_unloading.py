@@ -10,7 +10,7 @@ from inference_cases import draw, handle_for
 
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.unloading import FreeSurface
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import segment
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials
@@ -120,7 +120,7 @@ def test_a_tissue_that_sticks_is_said():
 def test_a_free_surface_recovers_with_its_closed_form():
     # K and F_s' constant: y' = -y F_s' / (tau (F_s' + K)) once free (model.md 1.2)
     slope, stiffness, tau = 10.0, 30.0, 0.5
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=3.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=3.0)
     theta = model.join(np.array([slope, 0.0, 0.0]), np.array([[stiffness]]), np.array([tau]))
     time = np.concatenate([[0.0], np.linspace(100.0, 101.0, 2001)])
     tool = np.concatenate([[3.0], [3.0], np.full(2000, -1.0)])

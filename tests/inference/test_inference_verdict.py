@@ -9,10 +9,10 @@ import pytest
 
 from tissueid.inference.profile import ProfileInterval
 from tissueid.inference.verdict import specimen_flags
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate
 
-MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0)
 CLOSED = ProfileInterval(-1.0, -0.8, False, False)
 AGREE = {"agree": True, "relative_difference": 0.0, "lm_converged": True}
 

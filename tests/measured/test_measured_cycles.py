@@ -11,7 +11,9 @@ import pytest
 from tissueid.inference.summaries import with_model_viscosity
 from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area, cycle_rows, loops
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.servo_law import TissueStepper
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
 STIFFNESS, TAU_S, SLOPE = 30.0, 0.01, 12.0
@@ -47,7 +49,7 @@ def triangle(depth=4.0, speed=2.0, loops_=1, rate=500.0):
 
 def tissue(degree=0):
     stiffness = np.array([[STIFFNESS, 5.0][: degree + 1]])
-    model = KelvinVoigt(branches=1, stiffness_degree=degree, depth_mm=4.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=degree, depth_mm=4.0)
     return model, model.join(np.array([SLOPE, 0.0, 0.0]), stiffness, np.array([TAU_S]))
 
 
@@ -115,7 +117,7 @@ def test_viscosity_by_the_model_is_the_truth_where_the_limit_fails(degree):
     time, x, turns = triangle(speed=100.0 * TAU_S * 100.0, rate=50_000.0)
     model, theta = tissue(degree)
     trial, segmentation = recording(time, x, np.zeros(x.size), turns, ["cycle"])
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     force = np.array([stepper.step(x[0], 0.0)] + [stepper.step(v, 1 / 50_000.0) for v in x[1:]])
     trial = replace(trial, force_N=force)
     rows = cycle_rows(trial, segmentation)
@@ -261,7 +263,7 @@ def test_model_viscosity_of_preconditioning_starts_before_its_first_loop():
     model, theta = tissue()
     depth = np.concatenate([x, np.zeros(2000), np.linspace(0.0, 4.0, 1001), np.full(500, 4.0)])
     clock = np.arange(depth.size) / 5000.0
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     force = np.array([stepper.step(depth[0], 0.0)] + [stepper.step(v, 1 / 5000.0) for v in depth[1:]])
     ends = [*turns, x.size + 2000, x.size + 3000, depth.size - 1]
     made = recording(clock, depth, force, ends, ["cycle", "hold", "ramp", "hold"])

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from tissueid.model import KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.polynomial import from_coordinates
 
 DEPTH_MM = 8.0
@@ -15,7 +16,7 @@ settings.register_profile("model", deadline=None, derandomize=True, database=Non
 MODEL_SETTINGS = settings.get_profile("model")
 
 #: Tissue of model.md 1.4: Table 2 and the cubic through the peaks of Table 1.
-SEED_MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+SEED_MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
 SEED_THETA = np.array([47.42, -5.577, 0.3804, 63.62, 0.021])
 
 #: One passive tissue for every number of branches and degree of K; K > 0, so that (5) may divide by it.
@@ -24,8 +25,8 @@ STIFFNESS = np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05], [4.0, 0.5, -0.03]])
 TAU = np.array([0.021, 0.4, 6.0])
 
 
-def tissue(branches: int, degree: int) -> tuple[KelvinVoigt, np.ndarray]:
-    model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
+def tissue(branches: int, degree: int) -> tuple[ChannelModel, np.ndarray]:
+    model = kelvin_voigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
     return model, model.join(STATIC, STIFFNESS[:branches, : degree + 1], TAU[:branches])
 
 
@@ -39,10 +40,10 @@ def cone_coordinates(degree: int) -> st.SearchStrategy[np.ndarray]:
 
 
 @st.composite
-def passive_tissues(draw: st.DrawFn, min_branches: int = 1) -> tuple[KelvinVoigt, np.ndarray]:
+def passive_tissues(draw: st.DrawFn, min_branches: int = 1) -> tuple[ChannelModel, np.ndarray]:
     branches = draw(st.integers(min_branches, 3))
     degree = draw(st.integers(0, 2))
-    model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
     static = 10.0 * from_coordinates(draw(cone_coordinates(2))) / DEPTH_MM ** np.arange(3)
     stiffness = [
         10.0 * from_coordinates(draw(cone_coordinates(degree))) / DEPTH_MM ** np.arange(degree + 1)

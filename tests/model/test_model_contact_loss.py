@@ -11,9 +11,11 @@ from passive_tissues import DEPTH_MM, MODEL_SETTINGS, SEED_MODEL, SEED_THETA, le
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from tissueid.model import ContactPath, KelvinVoigt
-from tissueid.model.kelvin_voigt import TissueStepper
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import tissue_step
+from tissueid.model.servo_law import TissueStepper
 
 IN_AIR_MM = -1.0
 A1, K0, TAU_S = 12.0, 20.0, 0.05
@@ -21,11 +23,11 @@ A1, K0, TAU_S = 12.0, 20.0, 0.05
 
 def linear_tissue() -> TissueStepper:
     """F_s = a1 x and one branch of constant K: everything has a closed form."""
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
     return TissueStepper(model, np.array([A1, 0.0, 0.0, K0, TAU_S]))
 
 
-def settled(theta_model: tuple[KelvinVoigt, np.ndarray], depth_mm: float) -> TissueStepper:
+def settled(theta_model: tuple[ChannelModel, np.ndarray], depth_mm: float) -> TissueStepper:
     """A tissue that was pushed to a depth and has forgotten how."""
     model, theta = theta_model
     stepper = TissueStepper(model, theta)
@@ -108,7 +110,7 @@ def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
     model, theta = tissue(2, 1)
     depth = np.concatenate([np.linspace(0.0, 5.0, 40), np.full(10, 5.0), np.linspace(5.0, 0.0, 60)])
     time = 0.01 * np.arange(depth.size)
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     stepped = np.array([stepper.step(x, 0.01 if i else 0.0) for i, x in enumerate(depth)])
     permanent = model.force(theta, ContactPath(time, depth))
     lost = int(np.argmax(permanent < 0.0))
@@ -122,7 +124,7 @@ def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
 @given(tissue_=passive_tissues(), corners=legs(-1.0, 9.0))
 @MODEL_SETTINGS
 def test_contact_is_unilateral(
-    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]]
+    tissue_: tuple[ChannelModel, np.ndarray], corners: list[tuple[float, float]]
 ) -> None:
     """Force never negative, surface never above tool or rest level, a detached surface free of force."""
     model, theta = tissue_
@@ -156,7 +158,7 @@ def test_surface_ends_deeper_than_it_started_where_a_slow_branch_pulls_on() -> N
 
 def test_fast_release_stops_at_the_first_balance_on_the_way_out() -> None:
     # F_s = x (x - 5)^2 is soft at 5 mm; let go from 8 mm the law is free of force at three depths
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
     theta = np.array([25.0, -10.0, 1.0, 2.5, 1.0])
     roots = np.sort(np.polynomial.Polynomial([-20.0, 27.5, -10.0, 1.0]).roots().real)
     assert roots[0] > 1.0
@@ -190,14 +192,14 @@ def test_tool_in_air_feels_nothing_and_leaves_a_resting_tissue_at_rest() -> None
 def test_path_above_the_surface_counts_as_its_clipped_one() -> None:
     model, theta = tissue(2, 1)
     depth = np.concatenate([np.linspace(-2.0, -0.1, 20), np.linspace(0.0, 3.0, 30)])
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     stepped = [stepper.step(x, 0.01) for x in depth]
     clipped = ContactPath(0.01 * np.arange(depth.size), np.maximum(depth, 0.0))
     np.testing.assert_allclose(stepped, model.force(theta, clipped), rtol=1e-10, atol=1e-13)
 
 
 def test_elastic_tissue_without_branches_never_detaches() -> None:
-    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
     stepper = TissueStepper(model, np.array([12.0, -1.5, 0.35]))
     for x in (3.0, 1.0, -1.0, 2.0):
         at = max(x, 0.0)
@@ -217,17 +219,17 @@ def test_tissue_that_is_not_passive_is_not_rendered() -> None:
     theta = SEED_THETA.copy()
     theta[3] = -1.0
     with pytest.raises(ValueError, match="not passive"):
-        SEED_MODEL.stepper(theta)
+        TissueStepper(SEED_MODEL, theta)
 
 
 def static_law(a: tuple[float, float, float], x: float) -> float:
-    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=4.0)
+    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=4.0)
     return TissueStepper(model, np.array(a)).step(x, 0.0)
 
 
 def stiffness_law(b: tuple[float, float, float], x: float) -> float:
     """K(x) from an elastic jump of a tissue with next to no static force: F = K(x) x."""
-    model = KelvinVoigt(branches=1, stiffness_degree=2, depth_mm=4.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=2, depth_mm=4.0)
     return TissueStepper(model, np.array([0.0, 0.0, 0.0, *b, 1.0])).step(x, 0.0) / x
 
 

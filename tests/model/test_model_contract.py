@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from passive_tissues import DEPTH_MM, tissue
 
-from tissueid.model import ContactModel, ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.servo_law import TissueStepper
 
 MODELS = {
-    "kelvin-voigt": lambda branches, degree: KelvinVoigt(branches, degree, DEPTH_MM),
+    "kelvin-voigt": lambda branches, degree: kelvin_voigt(branches, degree, DEPTH_MM),
 }
 #: A passive theta for (branches, degree of K).
 PASSIVE_THETA = {
@@ -34,27 +37,27 @@ def loading_path() -> ContactPath:
 
 
 @pytest.fixture(params=CASES, ids=lambda case: "-".join(map(str, case)))
-def model_and_theta(request: pytest.FixtureRequest) -> tuple[ContactModel, np.ndarray]:
+def model_and_theta(request: pytest.FixtureRequest) -> tuple[ChannelModel, np.ndarray]:
     key, branches, degree = request.param
     return MODELS[key](branches, degree), PASSIVE_THETA[key](branches, degree)
 
 
-def test_model_satisfies_the_protocol(model_and_theta: tuple[ContactModel, np.ndarray]) -> None:
+def test_model_satisfies_the_protocol(model_and_theta: tuple[ChannelModel, np.ndarray]) -> None:
     model, theta = model_and_theta
-    assert isinstance(model, ContactModel)
+    assert isinstance(model, ChannelModel)
     assert model.key in MODELS
     assert len(model.parameters) == len(model.parameter_names) == theta.size
     assert model.is_passive(theta)
 
 
 def test_stepper_replays_a_path_as_force_computes_it(
-    model_and_theta: tuple[ContactModel, np.ndarray],
+    model_and_theta: tuple[ChannelModel, np.ndarray],
 ) -> None:
     model, theta = model_and_theta
     path = loading_path()
     expected = model.force(theta, path)
     assert expected[1:].min() > 0.0  # in contact throughout, so that the two must be the same
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     for _ in range(2):
         actual = [stepper.step(path.depth_mm[0], 0.0)]
         actual += [stepper.step(x, h) for x, h in zip(path.depth_mm[1:], np.diff(path.time_s), strict=True)]
@@ -63,7 +66,7 @@ def test_stepper_replays_a_path_as_force_computes_it(
 
 
 def test_jacobian_has_a_column_a_parameter_and_predicts_a_small_change(
-    model_and_theta: tuple[ContactModel, np.ndarray],
+    model_and_theta: tuple[ChannelModel, np.ndarray],
 ) -> None:
     model, theta = model_and_theta
     path = loading_path()
@@ -75,10 +78,10 @@ def test_jacobian_has_a_column_a_parameter_and_predicts_a_small_change(
     np.testing.assert_allclose(jacobian @ change, actual, rtol=1e-7, atol=1e-11)
 
 
-def test_two_steppers_do_not_share_their_state(model_and_theta: tuple[ContactModel, np.ndarray]) -> None:
+def test_two_steppers_do_not_share_their_state(model_and_theta: tuple[ChannelModel, np.ndarray]) -> None:
     model, theta = model_and_theta
-    first, second = model.stepper(theta), model.stepper(theta)
+    first, second = TissueStepper(model, theta), TissueStepper(model, theta)
     for _ in range(5):
         first.step(5.0, 0.01)
-    fresh = model.stepper(theta)
+    fresh = TissueStepper(model, theta)
     assert second.step(2.0, 0.01) == fresh.step(2.0, 0.01)

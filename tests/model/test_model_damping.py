@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, tissue
 
-from tissueid.model import KelvinVoigt
-from tissueid.model.kelvin_voigt import constant_speed_force
+from tissueid.model.channels import loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import (
     CLAMP_SHARE,
     DEFAULT_DELAY_TICKS,
@@ -17,6 +17,7 @@ from tissueid.model.passivity import (
     required_damping,
     scaling_for,
 )
+from tissueid.model.servo_law import TissueStepper
 
 PERIOD_S = 1e-3
 FASTEST_MM_S = 250.0 / 60.0
@@ -54,7 +55,7 @@ def test_default_scale_for_each_clamp_is_that_of_the_design(
 def test_force_scale_uses_the_force_at_full_depth_at_the_fastest_speed() -> None:
     model, theta = tissue(2, 1)
     scaling = scaling_for(model, theta, clamp_N=5.0, fastest_mm_s=3.0, motion=4.0)
-    deepest = constant_speed_force(model, theta, np.array([DEPTH_MM]), speed_mm_s=3.0)[0]
+    deepest = loading_force(model, theta, np.array([DEPTH_MM]), speed_mm_s=3.0)[0]
     assert scaling.force * deepest == pytest.approx(4.5, rel=1e-12)
     expected = largest_tangent(model, theta) * 1000.0 * scaling.force / 4.0
     assert scaling.device_stiffness_N_per_m == pytest.approx(expected, rel=1e-12)
@@ -63,7 +64,7 @@ def test_force_scale_uses_the_force_at_full_depth_at_the_fastest_speed() -> None
 def test_largest_tangent_is_that_of_an_elastic_jump() -> None:
     # F_s' + sum K_j, largest at full depth for this tissue: the force difference of a sudden small push
     model, theta = tissue(2, 2)
-    stepper = model.stepper(theta)
+    stepper = TissueStepper(model, theta)
     stepper.step(DEPTH_MM - 1e-6, 1e9)
     before = stepper.step(DEPTH_MM - 1e-6, 1e9)
     slope = (stepper.step(DEPTH_MM, 0.0) - before) / 1e-6
@@ -176,7 +177,7 @@ def test_bound_scales_with_stiffness_and_is_never_negative() -> None:
 
 
 def test_elastic_model_needs_the_damping_of_its_steepest_spot() -> None:
-    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
     theta = np.array([1.0, 0.0, 0.02])
     unscaled = Scaling(force=1.0, motion=1.0, device_stiffness_N_per_m=0.0, peak_force_N=0.0)
     actual = required_damping(model, theta, unscaled, period_s=PERIOD_S, delay_ticks=0.0)

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from passive_tissues import DEPTH_MM, MODEL_SETTINGS, cone_coordinates, legs, passive_tissues, sampled, tissue
 from scipy.integrate import cumulative_trapezoid
 
-from tissueid.model import ContactPath, KelvinVoigt
-from tissueid.model.kelvin_voigt import TissueStepper
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel, branch_states
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.polynomial import from_coordinates
+from tissueid.model.servo_law import TissueStepper
 
 PER_LEG = 40
 #: Work is summed by the trapezoidal rule, whose error is 1 / PER_LEG^2 of what a leg moves.
@@ -24,7 +26,7 @@ def work(force: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, float]:
     return np.concatenate([[0.0], np.cumsum(done)]), float(np.abs(done).sum())
 
 
-def stepped(model: KelvinVoigt, theta: np.ndarray, time: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def stepped(model: ChannelModel, theta: np.ndarray, time: np.ndarray, depth: np.ndarray) -> np.ndarray:
     stepper = TissueStepper(model, theta)
     return np.array([0.0, *(stepper.step(x, h) for x, h in zip(depth[1:], np.diff(time), strict=True))])
 
@@ -33,7 +35,7 @@ def stepped(model: KelvinVoigt, theta: np.ndarray, time: np.ndarray, depth: np.n
 @given(tissue_=passive_tissues(), corners=legs(0.0, DEPTH_MM), back=st.floats(-2.5, 1.5))
 @MODEL_SETTINGS
 def test_permanent_contact_never_returns_more_than_was_put_in(
-    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]], back: float
+    tissue_: tuple[ChannelModel, np.ndarray], corners: list[tuple[float, float]], back: float
 ) -> None:
     model, theta = tissue_
     time, depth = sampled([*corners, (0.0, 10.0**back)], PER_LEG)
@@ -45,7 +47,7 @@ def test_permanent_contact_never_returns_more_than_was_put_in(
 @given(tissue_=passive_tissues(), corners=legs(-1.0, DEPTH_MM + 1.0), back=st.floats(-2.5, 1.5))
 @MODEL_SETTINGS
 def test_contact_that_is_lost_and_found_never_returns_more_than_was_put_in(
-    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]], back: float
+    tissue_: tuple[ChannelModel, np.ndarray], corners: list[tuple[float, float]], back: float
 ) -> None:
     model, theta = tissue_
     time, depth = sampled([*corners, (-0.5, 10.0**back)], PER_LEG)
@@ -59,7 +61,7 @@ def test_contact_that_is_lost_and_found_never_returns_more_than_was_put_in(
 @MODEL_SETTINGS
 def test_every_draw_in_cone_coordinates_is_a_passive_tissue(data: st.DataObject, tau: float) -> None:
     degree = data.draw(st.integers(0, 2))
-    model = KelvinVoigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH_MM)
     static = from_coordinates(data.draw(cone_coordinates(2))) / DEPTH_MM ** np.arange(3)
     stiffness = from_coordinates(data.draw(cone_coordinates(degree))) / DEPTH_MM ** np.arange(degree + 1)
     assert model.is_passive(model.join(static, stiffness[None, :], np.array([tau])))
@@ -67,7 +69,7 @@ def test_every_draw_in_cone_coordinates_is_a_passive_tissue(data: st.DataObject,
 
 def test_measure_of_passivity_sees_a_law_that_is_not() -> None:
     # K(x) = 20 - 5 x turns negative at 4 mm: a fast cycle deep down gains energy, and is_passive says no
-    model = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=DEPTH_MM)
     theta = np.array([1.0, 0.0, 0.0, 20.0, -5.0, 0.5])
     assert not model.is_passive(theta)
     corners = [(6.0, 50.0), *[(8.0, 1.0), (6.0, 1.0)] * 6, (0.0, 50.0)]
@@ -88,7 +90,9 @@ def test_work_is_storage_plus_dissipation(branches: int, degree: int) -> None:
     static, stiffness, tau = model.split(theta)
     fs = np.polynomial.Polynomial([0.0, *static])
     expected = fs.integ()(depth)
-    for coefficients, relaxation, state in zip(stiffness, tau, model.states(tau, path), strict=True):
+    for coefficients, relaxation, state in zip(
+        stiffness, tau, branch_states(path.time_s, path.depth_mm, tau), strict=True
+    ):
         k = np.polynomial.Polynomial(coefficients)
         damper = depth - state
         first = (k * np.polynomial.Polynomial([0.0, 1.0])).integ()

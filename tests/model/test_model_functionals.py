@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import branch_states
 from tissueid.model.functionals import (
     complex_stiffness,
     delta_method,
@@ -15,8 +16,9 @@ from tissueid.model.functionals import (
     force_after_step,
     instantaneous_stiffness,
 )
+from tissueid.model.kelvin_voigt import kelvin_voigt
 
-MODEL = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=4.0)
 THETA = MODEL.join(
     np.array([5.0, 0.4, 0.1]), np.array([[8.0, 1.0, 0.3], [4.0, 0.5, 0.0]]), np.array([0.05, 1.2])
 )
@@ -45,7 +47,7 @@ def test_storage_and_loss_are_those_of_a_small_sine(frequency):
     settle = int(np.ceil(12.0 * 1.2 / period)) + 1
     time = np.arange(0.0, settle + 1.0, 1.0 / 2000.0) * period
     wave = np.sin(2.0 * np.pi * frequency * time)
-    states = MODEL.states(np.array([0.05, 1.2]), ContactPath(time, depth + amplitude * wave))
+    states = branch_states(time, depth + amplitude * wave, np.array([0.05, 1.2]))
     x = depth + amplitude * wave
     force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
     last = slice(-2000, None)
@@ -63,7 +65,7 @@ def test_energy_of_a_large_cycle_is_the_area_of_its_loop():
     time = np.arange(0.0, 13.0, 1.0 / n) / frequency
     x = depth + amplitude * np.sin(2.0 * np.pi * frequency * time)
     # from rest at the mean depth: F_s alone, no branch
-    states = MODEL.states(np.array([0.05, 1.2]), ContactPath(time, x))
+    states = branch_states(time, x, np.array([0.05, 1.2]))
     force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
     last = slice(-n - 1, None)
     area = np.trapezoid(force[last], x[last])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.damped import DampedModel, path_ratio
 from tissueid.model.grammar import parsed
 from tissueid.model.impact import (

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_forms import linear_basis, ramp_hold_state
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, TAU, tissue
 from scipy.integrate import solve_ivp
 
-from tissueid.model import ContactPath, KelvinVoigt
-from tissueid.model.kelvin_voigt import constant_speed_force, ramp_hold_state
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.servo_law import TissueStepper
 
 BRANCHES_AND_DEGREES = [(b, d) for b in (1, 2, 3) for d in (0, 1, 2)]
 every_tissue = pytest.mark.parametrize(("branches", "degree"), BRANCHES_AND_DEGREES)
@@ -33,7 +36,7 @@ def smooth_speed(time: float) -> float:
 def test_constant_speed_from_rest_matches_closed_form(branches: int, degree: int, speed: float) -> None:
     model, theta = tissue(branches, degree)
     depth = np.linspace(0.0, DEPTH_MM, 300) ** 1.3 / DEPTH_MM**0.3
-    expected = constant_speed_force(model, theta, depth, speed_mm_s=speed)
+    expected = loading_force(model, theta, depth, speed_mm_s=speed)
     # both are exact; rounding of time steps over 300 samples
     np.testing.assert_allclose(model.force(theta, ContactPath(depth / speed, depth)), expected, rtol=1e-11)
 
@@ -42,7 +45,7 @@ def test_closed_form_has_the_increments_of_figure_3() -> None:
     # model.md 7: force over that at 10 mm/min for 70, 100, 150, 250, 500 mm/min, printed to 0.01 N
     at = np.array([DEPTH_MM])
     force = [
-        constant_speed_force(SEED_MODEL, SEED_THETA, at, speed_mm_s=v / 60.0)[0]
+        loading_force(SEED_MODEL, SEED_THETA, at, speed_mm_s=v / 60.0)[0]
         for v in (10, 70, 100, 150, 250, 500)
     ]
     np.testing.assert_allclose(np.subtract(force[1:], force[0]), [1.34, 2.00, 3.12, 5.34, 10.91], atol=0.006)
@@ -137,7 +140,7 @@ def test_linear_basis_weighs_up_to_the_force(branches: int, degree: int) -> None
     model, theta = tissue(branches, degree)
     path = wavy_path(80)
     static, stiffness, tau = model.split(theta)
-    basis = model.linear_basis(np.log(tau), path)
+    basis = linear_basis(model, np.log(tau), path)
     np.testing.assert_allclose(
         basis @ np.concatenate([static, stiffness.ravel()]), model.force(theta, path), rtol=1e-12, atol=1e-11
     )
@@ -149,25 +152,25 @@ def test_linear_basis_holds_the_columns_of_the_jacobian() -> None:
     linear = [i for i, name in enumerate(model.parameter_names) if not name.startswith("relaxation")]
     _, _, tau = model.split(theta)
     np.testing.assert_allclose(
-        model.linear_basis(np.log(tau), path), model.jacobian(theta, path)[:, linear], rtol=1e-12, atol=1e-13
+        linear_basis(model, np.log(tau), path), model.jacobian(theta, path)[:, linear], rtol=1e-12, atol=1e-13
     )
 
 
 def test_model_without_branches_is_its_static_curve() -> None:
-    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
     theta = np.array([12.0, -1.5, 0.35])
     path = wavy_path(30)
     x = path.depth_mm
     expected = 12.0 * x - 1.5 * x**2 + 0.35 * x**3
     np.testing.assert_allclose(model.force(theta, path), expected, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(
-        model.linear_basis(np.zeros(0), path) @ theta, expected, rtol=1e-13, atol=1e-13
+        linear_basis(model, np.zeros(0), path) @ theta, expected, rtol=1e-13, atol=1e-13
     )
     assert model.is_passive(theta)
 
 
 def test_split_inverts_join_and_branches_are_ordered_by_relaxation_time() -> None:
-    model = KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=DEPTH_MM)
     theta = model.join(
         np.array([1.0, 2.0, 3.0]), np.array([[10.0, 11.0], [20.0, 21.0]]), np.array([5.0, 0.1])
     )
@@ -177,7 +180,7 @@ def test_split_inverts_join_and_branches_are_ordered_by_relaxation_time() -> Non
 
 
 def test_parameter_names_and_units_are_those_of_the_contract() -> None:
-    model = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
+    model = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
     assert model.parameter_names == (
         "static_1_N_per_mm",
         "static_2_N_per_mm2",
@@ -230,7 +233,7 @@ def test_passive_means_static_force_and_stiffness_are_not_negative(
 def test_passivity_is_demanded_up_to_the_identified_depth_only() -> None:
     theta = np.array([10.0, 0.0, 0.0, 5.0, -1.0, 0.1])  # K = 5 - x
     verdicts = {
-        depth: KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=depth).is_passive(theta)
+        depth: kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=depth).is_passive(theta)
         for depth in (4.999, 5.0, 5.001)
     }
     assert verdicts == {4.999: True, 5.0: True, 5.001: False}
@@ -249,7 +252,7 @@ def test_passivity_is_demanded_up_to_the_identified_depth_only() -> None:
 )
 def test_model_refuses_what_it_does_not_offer(arguments: tuple[int, int, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        KelvinVoigt(*arguments)
+        kelvin_voigt(*arguments)
 
 
 def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
@@ -258,7 +261,7 @@ def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
         lambda theta: SEED_MODEL.force(theta, path),
         lambda theta: SEED_MODEL.jacobian(theta, path),
         SEED_MODEL.is_passive,
-        SEED_MODEL.stepper,
+        lambda theta: TissueStepper(SEED_MODEL, theta),
     ):
         with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
             use(SEED_THETA[:-1])

@@ -11,11 +11,11 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import exp1
 
-from tissueid.model import ContactPath, grammar
-from tissueid.model.base import ParameterSpec, scaled_theta
-from tissueid.model.channels import nodes_for
+from tissueid.model import grammar
+from tissueid.model.base import ContactPath, ParameterSpec, scaled_theta
+from tissueid.model.channels import ChannelModel, nodes_for
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, described, known_laws, parsed, rebuilt
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.law import About
 from tissueid.model.servo_law import servo_law
@@ -150,12 +150,11 @@ def model(name: str):
 
 
 def test_parts_of_the_papers_law_give_its_force():
-    """The same parameters by :class:`KelvinVoigt` and by their parts."""
+    """The same parameters by :class:`ChannelModel` and by their parts."""
     static, stiffness, relaxation = (known_laws()[key]() for key in ("polynomial", "linear", "prony"))
-    from tissueid.model.channels import ChannelModel
 
     parts = ChannelModel(static, stiffness, relaxation, 8.0, RESOLUTION, WINDOW, "x")
-    whole = KelvinVoigt(1, 1, 8.0)
+    whole = kelvin_voigt(1, 1, 8.0)
     assert parts.parameter_names == whole.parameter_names
     theta = np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.4])
     time = np.concatenate([np.linspace(0.0, 2.0, 201), np.linspace(2.01, 10.0, 400)])
@@ -195,7 +194,7 @@ def test_a_model_is_rebuilt_from_what_a_file_holds():
     choice = ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung", (RESOLUTION, WINDOW))
     again = rebuilt(ModelChoice.from_json(choice.as_json()), 8.0)
     assert again == model("power*fung")
-    assert rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == KelvinVoigt(2, 1, 8.0)
+    assert rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == kelvin_voigt(2, 1, 8.0)
     with pytest.raises(ValueError, match="are missing"):
         rebuilt(ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung"), 8.0)
 

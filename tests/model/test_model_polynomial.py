@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, cone_coordinates
 
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.polynomial import (
     MAX_DEGREE,
     coordinates,
@@ -135,7 +135,7 @@ def bernstein_middle(q: np.ndarray) -> float:
 @pytest.mark.parametrize("root", [0.2, 0.5, 0.8])
 def test_cone_is_exact_where_a_bernstein_coefficient_is_negative(root: float) -> None:
     # (u - r)^2 touches zero: Bernstein coefficients r^2, -r (1 - r), (1 - r)^2
-    model = KelvinVoigt(branches=1, stiffness_degree=2, depth_mm=5.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=2, depth_mm=5.0)
     scale = 5.0 ** np.arange(3)
     touching = np.array([root**2, -2.0 * root, 1.0])
     assert bernstein_middle(touching) < 0.0

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_forms import ramp_hold_state
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, legs, sampled
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from tissueid.model.kelvin_voigt import ramp_hold_state
 from tissueid.model.kernels import branch_sensitivity, branch_state, step_weights
 
 TAU_S = 0.021

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import ChannelModel, branch_states, loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.rupture import (
     hardening_ratio,
     peak_force_against_speed,
@@ -22,8 +23,8 @@ TABLE_1 = (47.42, -5.577, 0.3804)
 STIFFNESS, TAU_S = 63.62, 0.021
 
 
-def tissue(static: tuple[float, ...]) -> tuple[KelvinVoigt, np.ndarray]:
-    return KelvinVoigt(1, 0, 9.0), np.array([*static, STIFFNESS, TAU_S])
+def tissue(static: tuple[float, ...]) -> tuple[ChannelModel, np.ndarray]:
+    return kelvin_voigt(1, 0, 9.0), np.array([*static, STIFFNESS, TAU_S])
 
 
 def static_work(static: tuple[float, ...], depth: float) -> float:
@@ -60,11 +61,11 @@ def test_work_of_a_ramp_is_the_closed_form(static: tuple[float, ...], speed: flo
 
 
 def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness() -> None:
-    model, theta = KelvinVoigt(1, 2, 9.0), np.array([20.0, -1.2, 0.35, 60.0, 10.0, 1.5, 0.021])
+    model, theta = kelvin_voigt(1, 2, 9.0), np.array([20.0, -1.2, 0.35, 60.0, 10.0, 1.5, 0.021])
     time = np.linspace(0.0, 0.5, 10_001)
     x = 4.0 * time / 0.5 * (1.0 + 0.3 * np.sin(40.0 * time))
     measures = rupture_measures(model, theta, ContactPath(time, x))
-    (state,) = model.states(np.array([TAU_S]), ContactPath(time, x))
+    (state,) = branch_states(time, x, np.array([TAU_S]))
     # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat, model.md 1.3
     powers = (60.0, 10.0, 1.5)
     integral = sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(powers))
@@ -79,7 +80,7 @@ def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
     x = np.linspace(0.0, 5.0, 501)
     path = ContactPath(x / 8.0, x)
     assert rupture_measures(model, theta, path, weight=1.0)["weighted-force"] == pytest.approx(
-        constant_speed_force(model, theta, x, speed_mm_s=8.0), rel=1e-9, abs=1e-9
+        loading_force(model, theta, x, speed_mm_s=8.0), rel=1e-9, abs=1e-9
     )
     assert rupture_measures(model, theta, path, weight=0.0)["weighted-force"] == pytest.approx(0.43 * x**3)
 

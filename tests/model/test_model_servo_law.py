@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import nnls
 from servo_walk import assert_no_energy, walked
 
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import known_laws, parsed
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import LAW_SIZE, STATE_SIZE, pack_law, tissue_step_in
 from tissueid.model.servo_law import _nonnegative, servo_law
 
@@ -84,7 +84,7 @@ def test_loops_put_out_no_energy(name):
 
 
 def test_a_kelvin_voigt_law_is_packed_as_it_is():
-    model, theta = KelvinVoigt(2, 1, DEPTH), np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.1, 12.0, 0.5, 2.0])
+    model, theta = kelvin_voigt(2, 1, DEPTH), np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.1, 12.0, 0.5, 2.0])
     expected = np.zeros(LAW_SIZE)
     static, stiffness, tau = model.split(theta)
     pack_law(np.array([0.0, *static]), stiffness, tau, DEPTH, expected, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_walk import assert_no_energy, walked
 
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError, candidates, described, parsed, rebuilt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.servo_law import servo_law

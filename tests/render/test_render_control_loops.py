@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.errors import UsageError
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.polynomial import from_coordinates
 from tissueid.rendering.control import (
     ControlRun,
@@ -291,7 +291,7 @@ def some_tissues(count: int, seed: int) -> list[Tissue]:
     found = []
     for k in range(count):
         branches, degree, depth = 1 + k % 3, (k // 3) % 3, rng.uniform(3.0, 10.0)
-        model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=depth)
+        model = kelvin_voigt(branches=branches, stiffness_degree=degree, depth_mm=depth)
         strength = 10.0 ** rng.uniform(-0.5, 1.7)
         coordinates = rng.uniform(0.2, 1.5, size=(branches + 1, 3))
         static = strength * from_coordinates(coordinates[0]) / depth ** np.arange(3)

@@ -22,6 +22,7 @@ from scipy.integrate import solve_ivp
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.rupture import rupture_measures
+from tissueid.model.servo_law import TissueStepper
 from tissueid.rendering import environment as env
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, Tissue, free_air_block, tissue_block
 from tissueid.rupture_law import RuptureLaw
@@ -120,7 +121,7 @@ def test_what_is_felt_is_what_was_fitted_on_any_path_through_loss_of_contact() -
     times = np.cumsum(rng.uniform(0.0005, 0.002, 3000))
     depth = 3.0 * np.sin(7.0 * times) + 1.5 * np.sin(31.0 * times)
     forces, infos = walk(plane_block(TWO_BRANCHES), pressed(depth, motion=MOTION_SCALE), times)
-    stepper = TWO_BRANCHES.model.stepper(TWO_BRANCHES.theta)
+    stepper = TissueStepper(TWO_BRANCHES.model, TWO_BRANCHES.theta)
     steps = np.concatenate([[0.001], np.diff(times)])
     expected = [stepper.step(x, h) for x, h in zip(depth, steps, strict=True)]
     assert infos[:, env.INFO_TISSUE_FORCE_N] == pytest.approx(expected, rel=1e-9, abs=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from rendered_tissues import PAPER_A, TWO_BRANCHES
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import required_damping
 from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
 from tissueid.rendering.precheck import Demands, check_before_force, scaling_at
@@ -60,7 +60,7 @@ def test_a_scale_that_was_asked_for_is_kept_or_refused_with_the_largest_that_fit
 
 def test_a_tissue_that_could_not_be_felt_any_more_is_refused() -> None:
     stiff = Tissue(
-        KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=0.05),
+        kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=0.05),
         np.array([4000.0, 0.0, 0.0]),
         PAPER_A.speeds_mm_s,
     )

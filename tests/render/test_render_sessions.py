@@ -35,7 +35,7 @@ from tissueid.haptics.hand import preset
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import Fault, State
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check
 from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.tissue_block import Tissue
@@ -104,7 +104,7 @@ def test_the_controller_never_kicks_and_leaves_a_passive_rendering_alone():
 def wall(*, controller: bool) -> np.ndarray:
     """Figures of a light hand that taps an elastic wall far beyond the bound of its device."""
     tissue = Tissue(
-        KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=8.0), np.array([250.0, 0.0, 0.0]), (1.0, 10.0)
+        kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=8.0), np.array([250.0, 0.0, 0.0]), (1.0, 10.0)
     )
     device = SimulatedDevice(
         GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5),

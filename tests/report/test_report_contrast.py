@@ -12,7 +12,7 @@ import pytest
 from rendered_tissues import PAPER_A
 
 from tissueid.contrast.document import Compared, contrast_document
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.report.contrast_page import contrast_verdict, render_contrast
 from tissueid.store.files import plain_json
 
@@ -22,7 +22,7 @@ def tissue(name: str, scale: float, *, sd: float = 0.01) -> Compared:
     theta = PAPER_A.theta * np.array([scale, scale, scale, scale, 1.0])
     draws = theta * np.exp(sd * chance.standard_normal((300, 5)))
     model = PAPER_A.model
-    assert isinstance(model, KelvinVoigt)
+    assert isinstance(model, ChannelModel)
     return Compared(name, model, draws, (PAPER_A.speeds_mm_s[0], PAPER_A.speeds_mm_s[1]), total=False)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.failures import SpecimenLaw, failures_of
 from tissueid.rupture.loading import loaded_test
 from tissueid.segment import SegmentOptions, segment
@@ -68,7 +68,7 @@ def test_nothing_is_made_of_a_recording_in_air() -> None:
 def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spread() -> None:
     (_, test) = up_to_end(PLAN)[1]
     assert test is not None
-    model = KelvinVoigt(1, 0, 9.0)
+    model = kelvin_voigt(1, 0, 9.0)
     theta = np.array([6.0, 0.0, 0.4, 63.62, 0.021])
     covariance = np.diag([0.0, 0.0, 0.0, (0.05 * 63.62) ** 2, 0.0])
     (sure,) = failures_of(SpecimenLaw("a", model, theta, np.zeros((5, 5))), [(test, 0.0)])

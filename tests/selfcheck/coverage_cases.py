@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.selfcheck.protocol import Centre, of_program
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
 from tissueid.selfcheck.truth import Widths
@@ -50,7 +50,7 @@ class Case:
 
     def check(self) -> TissueCheck:
         protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=CONTACT_SD_MM, words="seven logs")
-        model = KelvinVoigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=protocol.depth_mm)
+        model = kelvin_voigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=protocol.depth_mm)
         centre = Centre(
             model=model,
             theta=np.array(self.theta),

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.selfcheck.recording import ProtocolLog, noise, recorded_force, simulated_trials
 from tissueid.selfcheck.truth import Truth
 from tissueid.synth.path import Path as SynthPath
 from tissueid.synth.recipe import Branch
 from tissueid.synth.response import tissue_force
 
-MODEL = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=8.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=8.0)
 THETA = np.array([20.0, -1.2, 0.35, 63.62, 10.0, 0.2])
 SPEED, CORNER = 4.0, 1.5
 TIME = np.arange(0.0, 4.0, 0.01)
@@ -89,7 +90,7 @@ def test_a_late_force_is_the_force_of_before() -> None:
 
 
 def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
-    elastic = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    elastic = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0)
     theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
     tau = 0.03
     found = recorded_force(
@@ -104,7 +105,7 @@ def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
 def test_an_uneven_clock_is_filtered_as_exactly() -> None:
     rng = np.random.default_rng(4)
     time = np.sort(np.concatenate([[0.0], rng.uniform(0.0, 1.4, 300)]))
-    elastic = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    elastic = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0)
     theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
     one = log(time, SPEED * time)
     found = recorded_force(elastic, theta, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
@@ -156,5 +157,5 @@ def test_noise_on_unequal_steps_loses_correlation_with_time() -> None:
 
 def test_a_slow_ramp_is_the_closed_form_of_a_constant_speed() -> None:
     ramp = TIME < CORNER
-    expected = constant_speed_force(MODEL, THETA, DEPTH[ramp], speed_mm_s=SPEED)
+    expected = loading_force(MODEL, THETA, DEPTH[ramp], speed_mm_s=SPEED)
     np.testing.assert_allclose(force()[ramp], expected, rtol=1e-10, atol=1e-9)

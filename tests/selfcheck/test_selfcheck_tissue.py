@@ -13,8 +13,9 @@ from coverage_cases import CASES
 from identify_stand_ins import conjugate, conjugate_draws, of_draws, of_prior, stand_in
 
 from tissueid.flags import Flag
+from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import tangent_stiffness
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Identification
 from tissueid.segment import SegmentOptions, segment
 from tissueid.selfcheck.protocol import Centre, of_program
@@ -26,7 +27,7 @@ from tissueid.synth import Hold, Log, Move
 
 #: A tissue of which only the curves are unknown: no gains, times and noise that are known.
 ONLY_CURVES = Widths(ln_tau=1e-9, ln_sigma=1e-9, gain_sd=1e-9)
-MODEL = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=4.0)
+MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=4.0)
 THETA = np.array([20.0, 1.2, 0.35, 60.0, 10.0, 0.2])
 
 
@@ -57,7 +58,7 @@ def test_an_exact_posterior_of_the_recordings_is_calibrated(monkeypatch: pytest.
 
 
 def test_one_that_knows_the_noise_to_be_smaller_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    def too_narrow(model: KelvinVoigt, *given: Any) -> np.ndarray:
+    def too_narrow(model: ChannelModel, *given: Any) -> np.ndarray:
         theta = conjugate_draws(model, *given)
         return theta.mean(axis=0) + 0.5 * (theta - theta.mean(axis=0))
 

@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import kstest
 
 from tissueid.errors import InputError
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, Priors, SpreadPrior
 from tissueid.selfcheck.truth import (
     Widths,
@@ -20,7 +21,7 @@ from tissueid.selfcheck.truth import (
     prior_words,
 )
 
-MODEL = KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=8.0)
+MODEL = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=8.0)
 THETA = np.array([20.0, -1.2, 0.35, 63.0, 10.0, 0.02, 8.0, 1.0, 0.6])
 DRAWN = 2000
 
@@ -137,7 +138,7 @@ def test_numbers_are_those_of_the_contact_model() -> None:
     theta = np.array([THETA, THETA * 1.1])
     numbers = numbers_of(MODEL, theta, points)
     for depth, speed in points:
-        expected = [constant_speed_force(MODEL, row, np.array([depth]), speed_mm_s=speed)[0] for row in theta]
+        expected = [loading_force(MODEL, row, np.array([depth]), speed_mm_s=speed)[0] for row in theta]
         # the same closed form, summed in another order
         np.testing.assert_allclose(
             numbers[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"], expected, rtol=1e-12

@@ -18,7 +18,7 @@ from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.errors import BundleError
-from tissueid.model import ContactPath
+from tissueid.model.base import ContactPath
 from tissueid.store.bundle import MOST_DRAWS, Bundle, bundle_from_fit, load_bundle, write_bundle
 from tissueid.trial import TipShape
 

@@ -10,7 +10,7 @@ from fit_factory import THETA, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.haptics.limits import GuardLimits
-from tissueid.model import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering.precheck import Demands, check_before_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.result import SpecimenFit
@@ -30,7 +30,7 @@ def rendering(fit: SpecimenFit) -> dict[str, Any]:
 
 def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
     found = rendering(sampled(specimen_fit()))
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=6.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=6.0)
     tissue = Tissue(model=model, theta=THETA, speeds_mm_s=(0.5, 4.0), tip_radius_mm=3.0)
     clamp = GuardLimits.simulated().clamp_N
     check = check_before_force(tissue, Demands(clamp, 0.5, 1.5, travel_m=0.064))

@@ -22,7 +22,7 @@ from session_heads import head_of, indentation, records_of, summary_of
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.ring import RECORD, Ring
 from tissueid.haptics.shared_hand import SharedHand
-from tissueid.model.kelvin_voigt import constant_speed_force
+from tissueid.model.channels import loading_force
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
@@ -220,7 +220,7 @@ class TestShowing:
         assert [curve["speed_mm_s"] for curve in band["curves"]] == [10.0 / 60.0, 500.0 / 60.0]
         curve = band["curves"][1]
         depth = np.array(curve["depth_mm"])
-        force = constant_speed_force(PAPER_A.model, PAPER_A.theta, depth, speed_mm_s=500.0 / 60.0)
+        force = loading_force(PAPER_A.model, PAPER_A.theta, depth, speed_mm_s=500.0 / 60.0)
         # the force is linear in all but tau: its quantiles are those of the factor, exactly
         assert curve["low_N"] == pytest.approx(0.81 * force, rel=1e-9)
         assert curve["high_N"] == pytest.approx(1.19 * force, rel=1e-9)

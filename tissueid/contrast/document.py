@@ -18,7 +18,7 @@ from tissueid import __version__
 from tissueid.arrays import FloatArray
 from tissueid.contrast.decision import LEVEL, difference, noticed, rows
 from tissueid.errors import UsageError
-from tissueid.model.channels import TissueModel, loading_force, viscous
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import force_after_ramp
 from tissueid.model.passivity import scaling_for
 
@@ -35,7 +35,7 @@ class Compared:
     """One tissue of a comparison."""
 
     name: str
-    model: TissueModel
+    model: ChannelModel
     draws: FloatArray  # (n, p), of its posterior
     speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed
     total: bool  # whether the draws know the machine's calibration
@@ -95,7 +95,7 @@ def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
     )
     if tissue.model.branches:
         tau = np.array([tissue.model.times(theta) for theta in draws])
-        if viscous(tissue.model):
+        if tissue.model.viscous:
             stiffness = np.array([tissue.model.stiffness(theta, half)[:, 0] for theta in draws])
             found[f"viscosity at {half[0]:.3g} mm [N s/mm]"] = (stiffness * tau).sum(axis=1)
         found["relaxation time, longest [s]"] = tau.max(axis=1)

@@ -9,7 +9,7 @@ from tissueid.design.information import Indentation
 from tissueid.design.precision import Protocol
 from tissueid.design.tissues import Guess, Tissues, of_draws, of_guesses
 from tissueid.errors import UsageError
-from tissueid.model.kelvin_voigt import KEY, KelvinVoigt
+from tissueid.model.kelvin_voigt import KEY
 from tissueid.selfcheck.protocol import of_recipe
 from tissueid.store.bundle import load_bundle
 from tissueid.synth import RECIPES, Hold, Move, Recipe, load_recipe
@@ -65,7 +65,7 @@ def of_bundle(path: Path, *, count: int) -> Tissues:
     bundle = load_bundle(path)
     bundle.require_renderable()
     model = bundle.contact_model()
-    if bundle.model.key != KEY or not isinstance(model, KelvinVoigt):
+    if bundle.model.key != KEY:
         msg = f"{path}: a protocol is planned for {KEY!r} tissues, this one is {bundle.model.key!r}"
         raise UsageError(msg)
     kind = "specimens of the population in" if bundle.is_population else "posterior draws of"

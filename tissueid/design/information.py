@@ -26,7 +26,8 @@ from tissueid.arrays import FloatArray
 from tissueid.design.machine import CALIBRATION, Machine, Setting
 from tissueid.inference.window import GUARD_SD
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.model.kernels import branch_state
 from tissueid.selfcheck.recording import low_pass, tip_depth
 
@@ -135,7 +136,7 @@ class Chain:
         return out
 
 
-def _log_columns(model: KelvinVoigt, theta: FloatArray, path: ContactPath) -> FloatArray:
+def _log_columns(model: ChannelModel, theta: FloatArray, path: ContactPath) -> FloatArray:
     """Derivatives by theta, relaxation times by their logarithm."""
     columns = model.jacobian(theta, path)
     for branch in range(model.branches):
@@ -144,7 +145,7 @@ def _log_columns(model: KelvinVoigt, theta: FloatArray, path: ContactPath) -> Fl
     return columns
 
 
-def _tangent(model: KelvinVoigt, theta: FloatArray, x: FloatArray, columns: FloatArray) -> FloatArray:
+def _tangent(model: ChannelModel, theta: FloatArray, x: FloatArray, columns: FloatArray) -> FloatArray:
     """dF/dx at fixed states of the branches."""
     static, stiffness, _ = model.split(theta)
     out = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
@@ -156,7 +157,7 @@ def _tangent(model: KelvinVoigt, theta: FloatArray, x: FloatArray, columns: Floa
 
 
 def _calibration_columns(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     path: ContactPath,
     columns: FloatArray,
@@ -190,7 +191,7 @@ def _calibration_columns(
 
 
 def _rows(
-    model: KelvinVoigt, theta: FloatArray, test: Indentation, chain: Chain, *, hold_s: float
+    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, *, hold_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Derivative columns at every sample, and its depth."""
     ramp = ramp_of(test, chain.machine)
@@ -232,7 +233,7 @@ def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Seq
 
 
 def information(
-    model: KelvinVoigt, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
+    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
 ) -> FloatArray:
     """Information of an indentation about (coefficients, ln tau, calibration), for several holds at once.
 
@@ -266,7 +267,7 @@ def _without_effects(gram: FloatArray, chain: Chain) -> FloatArray:
     return np.asarray(0.5 * (out + out.transpose(0, 2, 1)))
 
 
-def peak_force(model: KelvinVoigt, theta: FloatArray, speed_mm_s: float, depth_mm: FloatArray) -> FloatArray:
+def peak_force(model: ChannelModel, theta: FloatArray, speed_mm_s: float, depth_mm: FloatArray) -> FloatArray:
     """Greatest force of a ramp at constant speed to each of some ascending depths [N]."""
     _, _, tau = model.split(theta)
     force = model.static_force(theta, depth_mm)

@@ -17,7 +17,7 @@ from tissueid.design.machine import Machine
 from tissueid.design.plan import Judged
 from tissueid.design.precision import Asked
 from tissueid.design.tissues import Tissues
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
 
 #: The study file's schema.
@@ -115,7 +115,7 @@ def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> s
 
 def recipe_text(best: Judged, machine: Machine, tissues: Tissues, asked: Asked, *, name: str) -> str:
     """A recipe of the protocol on the middle tissue: for `tissueid synth` and `tissueid calibrate`."""
-    model: KelvinVoigt = tissues.model
+    model: ChannelModel = tissues.model
     static, stiffness, tau = model.split(tissues.middle)
     setting = best.setting
     correlated = setting.noise_correlation_s > 0.0

@@ -18,7 +18,8 @@ from tissueid.errors import UsageError
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, kelvin_voigt
 
 #: Short names that are understood; ``_b2`` and ``_b3`` may follow.
 ALIASES = {
@@ -61,7 +62,7 @@ class Tissues:
 
     words: str  # where they come from
     name: str
-    model: KelvinVoigt
+    model: ChannelModel
     theta: FloatArray  # (draws, p)
     known_depth_mm: float | None = None  # beyond it the law is continued, not identified
 
@@ -114,7 +115,7 @@ class Tissues:
         return out
 
 
-def full_name(named: str, model: KelvinVoigt) -> str:
+def full_name(named: str, model: ChannelModel) -> str:
     """The reported parameter that is meant.
 
     Raises UsageError: there is none of that name.
@@ -142,7 +143,7 @@ def _number(text: str, what: str) -> float:
     return value
 
 
-def parsed_want(text: str, model: KelvinVoigt) -> Want:
+def parsed_want(text: str, model: ChannelModel) -> Want:
     """``relaxation_time_s=5%``.
 
     Raises UsageError: it is none, or cannot be had.
@@ -178,7 +179,7 @@ def parsed_guess(text: str) -> Guess:
 
 
 def of_draws(
-    words: str, name: str, model: KelvinVoigt, theta: FloatArray, *, count: int, known_depth_mm: float | None
+    words: str, name: str, model: ChannelModel, theta: FloatArray, *, count: int, known_depth_mm: float | None
 ) -> Tissues:
     """At most ``count`` of the draws, evenly spaced.
 
@@ -192,12 +193,12 @@ def of_draws(
     return Tissues(words, name, model, theta[at], known_depth_mm)
 
 
-def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> KelvinVoigt:
+def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> ChannelModel:
     """The smallest model that has every guessed parameter."""
     named = [ALIASES.get(_SUFFIX.sub("", one.name), _SUFFIX.sub("", one.name)) for one in guesses]
     branches = max([1] + [int(m.group(1)[2]) for one in guesses if (m := _SUFFIX.search(one.name))])
     degrees = [int(m.group(1)) for one in named if (m := re.match(r"stiffness_([0-2])_", one))]
-    return KelvinVoigt(branches=branches, stiffness_degree=max([0, *degrees]), depth_mm=depth_mm)
+    return kelvin_voigt(branches=branches, stiffness_degree=max([0, *degrees]), depth_mm=depth_mm)
 
 
 def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tissues:
@@ -239,7 +240,7 @@ def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tiss
     return Tissues("guesses", "guessed tissue", model, theta)
 
 
-def _guessed_draws(model: KelvinVoigt, known: Mapping[str, Guess], count: int) -> FloatArray:
+def _guessed_draws(model: ChannelModel, known: Mapping[str, Guess], count: int) -> FloatArray:
     spread = [name for name, one in known.items() if one.sd_ln > 0.0]
     draws = count if spread else 1
     normal = np.zeros((draws, max(len(spread), 1)))

@@ -32,7 +32,7 @@ from tissueid.inference.window import FittedLog, LogData, chain_breaks
 from tissueid.model.channels import ChannelModel
 from tissueid.model.damped import DampedModel
 from tissueid.model.grammar import known_laws
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
@@ -307,11 +307,11 @@ class ChannelLaw:
         columns = self.columns(log_times, path)[self.static_size :: max(self.powers, 1)]
         return np.asarray(np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-9))
 
-    def model(self) -> KelvinVoigt | ChannelModel:
+    def model(self) -> ChannelModel:
         """The contact model with these orders."""
         if self.model_of is not None:
             return self.model_of
-        return KelvinVoigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
+        return kelvin_voigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
 
     def lifted(self, linear: FloatArray) -> FloatArray:
         """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none."""

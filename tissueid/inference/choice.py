@@ -22,7 +22,7 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.model.yardstick import YARDSTICK
 
 #: Speeds or depths within this factor are one; so many of them are needed to leave one out.
@@ -91,7 +91,7 @@ class Rival:
     tau_s: float
     tau_sd_ln: float
     apart: float  # difference of ln tau from the chosen law's, in standard deviations of both
-    model: TissueModel = field(repr=False)
+    model: ChannelModel = field(repr=False)
     theta: FloatArray = field(repr=False)
 
     @property
@@ -340,7 +340,7 @@ def table_of(
     return tuple(rows)
 
 
-def _named_row(name: str, law: ChannelLaw | TissueModel, score: float, stderr: float) -> dict[str, Any]:
+def _named_row(name: str, law: ChannelLaw | ChannelModel, score: float, stderr: float) -> dict[str, Any]:
     """A row of a law that is no Kelvin-Voigt law."""
     degree = law.degree if isinstance(law, ChannelLaw) else law.stiffness_degree
     return {

@@ -16,7 +16,7 @@ from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.profile import LEVEL_95, ProfileInterval, profile
 from tissueid.model.base import ParameterSpec, branch_suffix
-from tissueid.model.channels import TissueModel, viscous
+from tissueid.model.channels import ChannelModel
 from tissueid.model.damped import DampedModel
 from tissueid.result import Estimate
 
@@ -51,7 +51,7 @@ def width_of(estimate: float, stderr: float) -> float:
 class TissueEstimate:
     """A tissue in the parameters of its contact model."""
 
-    model: TissueModel
+    model: ChannelModel
     #: In the order of ``model.parameter_names``, units of the field.
     theta: FloatArray
     covariance: FloatArray
@@ -106,7 +106,7 @@ def _curve_verdict(
 
 
 def _alike(
-    model: TissueModel, theta: FloatArray, covariance: FloatArray, at: Sequence[int],
+    model: ChannelModel, theta: FloatArray, covariance: FloatArray, at: Sequence[int],
     curve: Callable[[FloatArray], FloatArray],
 ) -> list[Estimate]:  # fmt: skip
     """Parameters of one curve, with one verdict."""
@@ -140,7 +140,7 @@ def _time_estimate(
 
 
 def _branch_estimates(
-    model: TissueModel, theta: FloatArray, covariance: FloatArray, branch: int,
+    model: ChannelModel, theta: FloatArray, covariance: FloatArray, branch: int,
     interval: ProfileInterval | None,
 ) -> list[Estimate]:  # fmt: skip
     """Stiffness or ratio, relaxation time, further shapes and viscosity of one branch."""
@@ -162,7 +162,7 @@ def _branch_estimates(
             width = width_of(value, error)
             verdict = (width <= MAX_WIDTH, width)
             estimates.append(_estimate(spec.name, spec.symbol, spec.unit, value, error, verdict))
-    if viscous(model):
+    if model.viscous:
         estimates.append(_viscosity(model, theta, covariance, curve, branch))
     return estimates
 
@@ -174,7 +174,7 @@ def _is_of(name: str, suffix: str) -> bool:
 
 
 def _viscosity(
-    model: TissueModel, theta: FloatArray, covariance: FloatArray, curve: list[int], branch: int
+    model: ChannelModel, theta: FloatArray, covariance: FloatArray, curve: list[int], branch: int
 ) -> Estimate:
     """K tau of a branch, at half depth where K varies."""
     suffix, place = branch_suffix(branch), curve[-1] + 1

@@ -24,7 +24,7 @@ from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.quoted import unknown_parameters
 from tissueid.measured.geometry import Geometry
 from tissueid.model import functionals
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
 from tissueid.quantities import DEPTH_TEST, Quantity, QuotedNumbers
 
@@ -33,11 +33,11 @@ SHARES = (0.5, 1.0)
 KPA_PER_MPA = 1000.0
 
 
-def _static(model: TissueModel, theta: FloatArray, depth: float) -> float:
+def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
     return float(model.static_force(theta, np.array([depth]))[0])
 
 
-def _sudden(model: TissueModel, theta: FloatArray, depth: float) -> float:
+def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
     return functionals.force_after_step(model, theta, depth, 0.0)
 
 

@@ -19,7 +19,7 @@ from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
 from tissueid.model import functionals
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].
@@ -87,7 +87,7 @@ class _Quoter:
         name: str,
         unit: str,
         at: dict[str, float | str],
-        function: Callable[[TissueModel, FloatArray], float],
+        function: Callable[[ChannelModel, FloatArray], float],
         reason: str = "",
     ) -> Quantity:
         if reason:
@@ -117,10 +117,10 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     )
     no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
 
-    def step(model: TissueModel, theta: FloatArray, time: float) -> float:
+    def step(model: ChannelModel, theta: FloatArray, time: float) -> float:
         return functionals.force_after_step(model, theta, depth, time)
 
-    def ramp(model: TissueModel, theta: FloatArray, time: float) -> float:
+    def ramp(model: ChannelModel, theta: FloatArray, time: float) -> float:
         return functionals.force_after_ramp(model, theta, depth, hold.speed_mm_s, time)
 
     for path, force, reason in (("step", step, ""), ("ramp", ramp, no_ramp)):
@@ -129,13 +129,13 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
             at["speed_mm_s"] = hold.speed_mm_s
         for time in TIMES_S:
 
-            def relaxed(m: TissueModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
+            def relaxed(m: ChannelModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
                 return float(1.0 - force(m, t, time) / force(m, t, 0.0))
 
             why = reason or supported.no_time(time)
             yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
 
-        def ratio(m: TissueModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
+        def ratio(m: ChannelModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
             rest = float(m.static_force(t, np.array([depth]))[0])
             return float(force(m, t, 0.0)) / rest if rest > 0.0 else float("inf")
 
@@ -152,16 +152,16 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
             continue
         at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
 
-        def storage(m: TissueModel, t: FloatArray, f: float = f) -> float:
+        def storage(m: ChannelModel, t: FloatArray, f: float = f) -> float:
             return functionals.complex_stiffness(m, t, depth, f)[0]
 
-        def loss(m: TissueModel, t: FloatArray, f: float = f) -> float:
+        def loss(m: ChannelModel, t: FloatArray, f: float = f) -> float:
             return functionals.complex_stiffness(m, t, depth, f)[1]
 
-        def tangent(m: TissueModel, t: FloatArray, f: float = f) -> float:
+        def tangent(m: ChannelModel, t: FloatArray, f: float = f) -> float:
             return loss(m, t, f) / storage(m, t, f)
 
-        def energy(m: TissueModel, t: FloatArray, f: float = f) -> float:
+        def energy(m: ChannelModel, t: FloatArray, f: float = f) -> float:
             return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
 
         yield quote("storage_stiffness", "N/mm", at, storage, why)
@@ -181,7 +181,7 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
         for word, function in kinds:
             for which, form in enumerate(("secant", "tangent")):
 
-                def value(m: TissueModel, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
+                def value(m: ChannelModel, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
                     return float(f(m, t, d)[w])
 
                 yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, value)

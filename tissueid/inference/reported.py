@@ -26,7 +26,7 @@ from tissueid.inference.system import Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
 from tissueid.measures import predicted
 from tissueid.model.base import branch_suffix
-from tissueid.model.channels import TissueModel, viscous
+from tissueid.model.channels import ChannelModel
 from tissueid.result import SpecimenFit
 from tissueid.uncertainty import BudgetRow
 
@@ -37,14 +37,14 @@ CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95
 CROWDED = 0.1
 
 
-def reported_draws(model: TissueModel, theta: FloatArray) -> dict[str, FloatArray]:
+def reported_draws(model: ChannelModel, theta: FloatArray) -> dict[str, FloatArray]:
     """Every reported parameter of each draw: theta by name, and the viscosities.
 
     ``theta`` (n, p).  Returns name -> ndarray, shape (n,), in the parameter's unit; viscosity at half depth
     where K varies.
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
-    if not viscous(model):
+    if not model.viscous:
         return out
     powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_degree + 1))
     for branch in range(model.branches):

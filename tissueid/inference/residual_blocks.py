@@ -26,7 +26,7 @@ from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.trial import Segmentation
 
 #: Ends of the blocks of a move, as fractions of its path; the first hold what a late contact leaves behind.
@@ -87,7 +87,7 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
 
 
 def _corner_columns(
-    model: TissueModel, theta: FloatArray, log: FittedLog, segmentation: Segmentation
+    model: ChannelModel, theta: FloatArray, log: FittedLog, segmentation: Segmentation
 ) -> FloatArray:
     """Remainder of an error of the branch states at each corner, shape (n, holds * branches).
 
@@ -104,7 +104,7 @@ def _corner_columns(
     return np.column_stack(columns) if columns else np.zeros((time.size, 0))
 
 
-def _own_columns(model: TissueModel, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
+def _own_columns(model: ChannelModel, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
     """Derivatives of one log's force by its own parameters, shape (n, q)."""
     x = np.maximum(log.data.depth_mm, 0.0)
     step = DEPTH_STEP * model.depth_mm
@@ -116,7 +116,7 @@ def _own_columns(model: TissueModel, theta: FloatArray, log: FittedLog, fitted: 
 def residual_blocks(
     segmentation: Segmentation,
     log: FittedLog,
-    model: TissueModel,
+    model: ChannelModel,
     theta: FloatArray,
     adjustment: Adjustment,
     fitted: FloatArray,

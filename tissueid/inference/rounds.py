@@ -22,7 +22,6 @@ from tissueid.inference.logs import LogHandle
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.unloading import FreeSurface, air_limit
 from tissueid.inference.window import FittedLog
-from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.
@@ -70,7 +69,7 @@ def _surfaces(found: Identified) -> list[FreeSurface]:
     theta = found.law.theta(point.log_times, point.linear)[0]
     offset = found.system.offsets(point) * found.system.depth_mm
     model = found.law.model()
-    assert isinstance(model, KelvinVoigt)  # noqa: S101 -- unloading is refused with any other law
+    assert model.viscous  # noqa: S101 -- unloading is refused with any other law
     return [FreeSurface(model, theta, float(by)) for by in offset]
 
 
@@ -123,7 +122,7 @@ def _residuals(
     """Measured less directly simulated force in contact and in air, and samples that are pulled."""
     _, log = handle.fitted()
     assert log.tool_mm is not None  # noqa: S101  (a handle of unloading)
-    assert isinstance(tissue.model, KelvinVoigt)  # noqa: S101 -- unloading is refused with any other law
+    assert tissue.model.viscous  # noqa: S101 -- unloading is refused with any other law
     static, stiffness, tau = tissue.model.split(tissue.theta)
     law = log.tool_mm - adjustment.contact_offset_mm
     surface, force = surface_path(

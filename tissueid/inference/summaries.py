@@ -29,8 +29,7 @@ from tissueid.measured import measure
 from tissueid.measured.cycles import closed_area, cycle_rows
 from tissueid.measured.geometry import NO_TIP, TipOf
 from tissueid.measured.relaxation import relaxation_rows
-from tissueid.model.channels import TissueModel
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.model.kernels import surface_path
 from tissueid.own_process import threads
 from tissueid.quantities import CycleRow, Measure, RelaxationRow
@@ -56,7 +55,7 @@ def with_model_viscosity(
     trial: Trial,
     segmentation: Segmentation,
     rows: Sequence[CycleRow],
-    model: TissueModel,
+    model: ChannelModel,
     theta: FloatArray,
     adjustment: Adjustment,
 ) -> tuple[CycleRow, ...]:
@@ -65,7 +64,7 @@ def with_model_viscosity(
     ``trial``, ``segmentation``: the recording; has a contact; ``rows``: its loops; ``model``, ``theta``: the
     specimen's tissue; passive; ``adjustment``: gain and contact offset of this log.
     """
-    if not rows or not isinstance(model, KelvinVoigt) or model.branches == 0:
+    if not rows or not (model.viscous and model.static.polynomial) or model.branches == 0:
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
     depth, _ = contact_frame(trial, segmentation)

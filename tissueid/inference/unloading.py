@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.window import FittedLog, first_turn
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.model.kernels import surface_path
 from tissueid.trial import Segmentation
 
@@ -32,7 +32,7 @@ SMOOTHED = 5
 class FreeSurface:
     """The law that says where the surface of one log stands."""
 
-    model: KelvinVoigt
+    model: ChannelModel
     theta: FloatArray  # (p,), passive
     offset_mm: float = 0.0  # contact offset of the log against its contact frame
 

@@ -1,15 +1,14 @@
-"""Contact models in common: parameters by name, paths, and what a model offers.
+"""Contact models in common: parameters by name, and paths.
 
 A contact model is a law that turns the history of a tool's depth into a force.  The same object is
 fitted, sampled, simulated and felt; a contract test replays a recording through
-:meth:`ContactModel.stepper` and compares it with :meth:`ContactModel.force`.
+:class:`tissueid.model.servo_law.TissueStepper` and compares it with its force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -39,58 +38,6 @@ class ContactPath:
     depth_mm: FloatArray  # (n,)
     #: (n,): speed over that at which each contact began, for laws that follow it; else told from the path.
     speed_ratio: FloatArray | None = None
-
-
-class Stepper(Protocol):
-    """A running copy of a model, for rendering."""
-
-    def step(self, depth_mm: float, dt_s: float) -> float:
-        """Force [N] after ``dt_s`` seconds of linear motion to ``depth_mm``."""
-        ...
-
-    def reset(self) -> None:
-        """Tissue at rest."""
-        ...
-
-
-@runtime_checkable
-class ContactModel(Protocol):
-    """The law, its parameters, and the three forms in which it is used."""
-
-    @property
-    def key(self) -> str:
-        """Registry key."""
-        ...
-
-    @property
-    def parameters(self) -> tuple[ParameterSpec, ...]:
-        """Parameters, in the order of theta."""
-        ...
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Their names."""
-        ...
-
-    def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
-        """Force [N] along a path, shape (n,)."""
-        ...
-
-    def jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
-        """Derivative of the force by theta, shape (n, p)."""
-        ...
-
-    def linear_basis(self, nonlinear: FloatArray, path: ContactPath) -> FloatArray:
-        """Columns whose weights are the linear parameters, shape (n, p_linear)."""
-        ...
-
-    def is_passive(self, theta: FloatArray) -> bool:
-        """True where the law can only store and dissipate energy."""
-        ...
-
-    def stepper(self, theta: FloatArray) -> Stepper:
-        """A running copy for rendering."""
-        ...
 
 
 def scaled_theta(

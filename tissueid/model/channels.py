@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
-from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.model.kernels import branch_state
+from tissueid.model.kernels import branch_sensitivity, branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
 
@@ -33,8 +32,10 @@ TIMES_PER_DECADE, RIDGE = 16, 1e-13
 RAMP_POINTS, STEP = 64, 6e-6
 #: Depths between which a static law is a line where it is convolved along a ramp.
 LOADING_POINTS = 201
-#: Negative static forces up to this share of the largest coefficient are rounding.
+#: Negative values of F_s/x or K up to this share of the largest coefficient are rounding.
 PASSIVE_TOLERANCE = 1e-10
+#: Depths at which uniqueness of the free surface is examined.
+CONTACT_LOSS_GRID = 257
 #: Bounds and starts of the ratio of relaxing to static force.
 RATIO = ((1e-3, 1e3), (0.3, 2.0))
 
@@ -98,6 +99,16 @@ class ChannelModel:
     def inside(self) -> bool:
         """True where the static law itself is convolved."""
         return self.stiffness_law.powers == 0
+
+    @property
+    def outside(self) -> bool:
+        """True where every stiffness K_j(x) stands outside the convolution."""
+        return not self.inside
+
+    @property
+    def viscous(self) -> bool:
+        """True of exponentials outside the convolution: K tau is the viscosity of each."""
+        return bool(self.relaxation.branches) and self.outside
 
     @cached_property
     def nodes(self) -> Nodes:
@@ -168,6 +179,13 @@ class ChannelModel:
         """Names in the order of theta."""
         return tuple(spec.name for spec in self.parameters)
 
+    def _whole(self, theta: FloatArray) -> FloatArray:
+        """Theta, refused where it has another length."""
+        if np.shape(theta) != (len(self.parameters),):
+            msg = f"theta has shape {np.shape(theta)}, ({len(self.parameters)},) is needed"
+            raise ValueError(msg)
+        return np.asarray(theta, dtype=np.float64)
+
     def _static_parts(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients and shapes of the static law."""
         count = len(self.static.coefficients)
@@ -176,12 +194,33 @@ class ChannelModel:
     def static_force(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """F_s [N] at depths within the identified range."""
         linear, shapes = self._static_parts(theta)
-        return np.asarray(linear @ self.static.basis(np.asarray(depth_mm, dtype=np.float64), *shapes))
+        x = np.asarray(depth_mm, dtype=np.float64)
+        if self.static.polynomial:
+            return np.asarray(x * np.polynomial.polynomial.polyval(x, linear))
+        return np.asarray(linear @ self.static.basis(x, *shapes))
 
     def static_slope(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """F_s' [N/mm]."""
         linear, shapes = self._static_parts(theta)
         return np.asarray(linear @ self.static.slope(np.asarray(depth_mm, dtype=np.float64), *shapes))
+
+    @property
+    def block(self) -> int:
+        """Parameters of a branch of exponentials outside the convolution: stiffness and time."""
+        return self.stiffness_law.powers + 1
+
+    def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Static parameters, stiffness coefficients (branches, powers), tau (branches,), of a viscous law."""
+        theta = self._whole(theta)
+        first = len(self.parameters) - self.branches * self.block
+        branch = theta[first:].reshape(self.branches, self.block)
+        return theta[:first], branch[:, :-1], branch[:, -1]
+
+    def join(self, static: FloatArray, stiffness: FloatArray, tau: FloatArray) -> FloatArray:
+        """Theta from its parts, branches sorted by tau; inverse of :meth:`split`."""
+        order = np.argsort(tau, kind="stable")
+        branch = np.column_stack([np.asarray(stiffness)[order], np.asarray(tau)[order]])
+        return np.concatenate([np.asarray(static, dtype=np.float64), branch.ravel()])
 
     def exponentials(self, theta: FloatArray, part: Part) -> tuple[FloatArray, FloatArray]:
         """Weights and times of a part's relaxation, (n,) each."""
@@ -195,13 +234,12 @@ class ChannelModel:
     def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Stiffness that relaxes after a small sudden move at depths, (branches, n) [N/mm]."""
         x = np.asarray(depth_mm, dtype=np.float64)
-        rows = []
-        for part in self.parts:
-            if part.ratio is not None:
-                rows.append(theta[part.ratio] * self.static_slope(theta, x))
-            else:
-                rows.append(np.polynomial.polynomial.polyval(x, theta[part.stiffness]))
-        return np.array(rows)
+        if self.outside:
+            powers = x[None, :] ** np.arange(self.stiffness_law.powers)[:, None]
+            rows = np.array([theta[part.stiffness] for part in self.parts])
+            return np.asarray(rows.reshape(len(self.parts), len(powers)) @ powers)
+        slope = self.static_slope(theta, x)
+        return np.array([theta[part.ratio] * slope for part in self.parts])
 
     @property
     def stiffness_degree(self) -> int:
@@ -213,8 +251,21 @@ class ChannelModel:
         return np.array([theta[p.shapes][0] if p.tau_s is None else p.tau_s for p in self.parts])
 
     def contact_loss_is_unique(self, theta: FloatArray) -> bool:
-        """True: the free surface of these laws is not followed."""
-        return bool(np.isfinite(theta).all())
+        """True where a tissue that was let go has one force-free surface at every state.
+
+        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (model.md 1.2, derived for
+        one branch); otherwise the surface may jump while it recovers, although it stays passive.  Other laws
+        than viscous ones: true, their surface is not followed.
+        """
+        if not self.viscous:
+            return bool(np.isfinite(theta).all())
+        x = np.linspace(0.0, self.depth_mm, CONTACT_LOSS_GRID)
+        total = self.stiffness(theta, x).sum(axis=0)
+        powers = np.arange(1.0, self.stiffness_law.powers)
+        rate = sum((theta[part.stiffness][1:] for part in self.parts), np.zeros(powers.size)) * powers
+        rise = rate @ x[None, :] ** (powers[:, None] - 1.0)
+        slope = self.static_slope(theta, x)
+        return bool((slope * total - self.static_force(theta, x) * rise + total**2 >= 0.0).all())
 
     def modes(
         self, theta: FloatArray, depth_mm: float, amplitude_mm: float = 0.0
@@ -231,46 +282,56 @@ class ChannelModel:
         self, theta: FloatArray, depth_mm: float, time_s: FloatArray, speed_mm_s: float | None
     ) -> FloatArray:
         """Relaxing force at times after a ramp to a depth, or after an ideal step, (n,) -> (n,) [N]."""
-        time, x = np.asarray(time_s, dtype=np.float64), np.array([depth_mm])
+        time = np.asarray(time_s, dtype=np.float64)
+        if self.outside:
+            stiffness, tau = self.modes(theta, depth_mm)
+            state = np.full(tau.size, depth_mm)
+            if speed_mm_s is not None:
+                length = speed_mm_s * tau
+                state = -length * np.expm1(-depth_mm / length)
+            return np.asarray((stiffness * state) @ np.exp(-time / tau[:, None]))
         at, weight = np.polynomial.legendre.leggauss(RAMP_POINTS)
         deep = 0.5 * depth_mm * (at + 1.0)
+        pushed = 0.5 * depth_mm * weight * self.stiffness(theta, deep)
         total = np.zeros(time.shape)
-        for part in self.parts:
+        for part, sudden in zip(self.parts, pushed, strict=True):
             weights, tau = self.exponentials(theta, part)
-            if part.ratio is None:
-                sudden = np.polynomial.polynomial.polyval(x, theta[part.stiffness]) * np.ones(RAMP_POINTS)
-            else:
-                sudden = theta[part.ratio] * self.static_slope(theta, deep)
-            pushed = 0.5 * depth_mm * weight * sudden
             left = np.ones((tau.size, RAMP_POINTS))
             if speed_mm_s is not None:
                 left = np.exp(-(depth_mm - deep) / (speed_mm_s * tau[:, None]))
-            total += (weights * (left @ pushed)) @ np.exp(-time / tau[:, None])
+            total += (weights * (left @ sudden)) @ np.exp(-time / tau[:, None])
         return total
 
     def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         """Relaxing force at ascending depths reached at constant speed from rest, (n,) -> (n,) [N]."""
         x = np.asarray(depth_mm, dtype=np.float64)
+        if self.outside:
+            states = np.zeros((len(self.parts), x.size))
+            for j, part in enumerate(self.parts):
+                weights, tau = self.exponentials(theta, part)
+                length = speed_mm_s * tau[:, None]
+                states[j] = -weights @ (length * np.expm1(-x[None, :] / length))
+            return np.asarray((self.stiffness(theta, x) * states).sum(axis=0))
         fine = np.union1d(np.linspace(0.0, float(x.max()), LOADING_POINTS), x)
         force = self.force(theta, ContactPath(fine / speed_mm_s, fine)) - self.static_force(theta, fine)
         return np.asarray(force[np.searchsorted(fine, x)])
 
     def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
         """Force [N] along a path in permanent contact, within the identified depth."""
-        x = path.depth_mm
-        total, elastic = self.static_force(theta, x), self.static_force(theta, x)
-        for part in self.parts:
+        theta, x = self._whole(theta), path.depth_mm
+        elastic = self.static_force(theta, x)
+        factors = self.stiffness(theta, x) if self.outside else np.array([theta[p.ratio] for p in self.parts])
+        relaxing = np.zeros(x.size)
+        for part, factor in zip(self.parts, factors, strict=True):
             weights, tau = self.exponentials(theta, part)
-            driver = elastic if part.ratio is not None else x
-            state = weights @ branch_states(path.time_s, driver, tau)
-            if part.ratio is not None:
-                total = total + theta[part.ratio] * state
-            else:
-                total = total + np.polynomial.polynomial.polyval(x, theta[part.stiffness]) * state
-        return np.asarray(total)
+            driver = x if self.outside else elastic
+            relaxing = relaxing + factor * (weights @ branch_states(path.time_s, driver, tau))
+        return np.asarray(elastic + relaxing)
 
     def jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
-        """Derivative of :meth:`force` by theta, shape (n, p), by central differences."""
+        """Derivative of :meth:`force` by theta, shape (n, p); by central differences unless viscous."""
+        if self.viscous and self.static.polynomial:
+            return self._viscous_jacobian(theta, path)
         columns = []
         for k, value in enumerate(theta):
             step = STEP * max(abs(float(value)), 1e-3)
@@ -280,9 +341,20 @@ class ChannelModel:
             columns.append((self.force(up, path) - self.force(down, path)) / (2.0 * step))
         return np.column_stack(columns)
 
+    def _viscous_jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """The derivative of polynomials and exponentials, exactly."""
+        theta, x = self._whole(theta), path.depth_mm
+        columns = list(self.static.basis(x))
+        stiffness = self.stiffness(theta, x)
+        for branch, tau in enumerate(self.times(theta)):
+            state, by_tau = branch_sensitivity(path.time_s, x, float(tau))
+            columns += [state * x**k for k in range(self.stiffness_law.powers)]
+            columns.append(stiffness[branch] * by_tau)
+        return np.column_stack(columns)
+
     def is_passive(self, theta: FloatArray) -> bool:
         """F_s >= 0 and K >= 0 on [0, depth_mm], shapes positive, F_s growing where it is convolved."""
-        if not np.isfinite(theta).all() or (theta[self.shape_places] <= 0.0).any():
+        if not np.isfinite(self._whole(theta)).all() or (theta[self.shape_places] <= 0.0).any():
             return False
         count = len(self.static.coefficients)
         powers = np.arange(float(max(count, 3)))
@@ -300,27 +372,34 @@ class ChannelModel:
         return bool(not self.inside or slope.min() >= -PASSIVE_TOLERANCE * np.abs(slope).max())
 
 
-#: Contact models of a tissue.
-TissueModel = KelvinVoigt | ChannelModel
+class ElasticModel(ChannelModel):
+    """A static law alone: nothing relaxes."""
+
+    @property
+    def branches(self) -> int:
+        """No relaxing parts."""
+        return 0
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """No relaxing parts."""
+        return ()
 
 
 def loading_force(
-    model: TissueModel, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float
+    model: ChannelModel, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float
 ) -> FloatArray:
     """Force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
     x = np.asarray(depth_mm, dtype=np.float64)
     return np.asarray(model.static_force(theta, x) + model.loading(theta, x, speed_mm_s))
 
 
-def viscous(model: TissueModel) -> bool:
-    """True of exponentials outside the convolution: K tau is the viscosity of each."""
-    return isinstance(model, KelvinVoigt) or bool(model.relaxation.branches and not model.inside)
-
-
 def branch_states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
     """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
-    driver = np.ascontiguousarray(driver)
-    return np.stack([branch_state(time_s, driver, float(one), 0.0) for one in tau])
+    driver, out = np.ascontiguousarray(driver), np.zeros((tau.size, time_s.size))
+    for row, one in zip(out, tau, strict=True):
+        row[:] = branch_state(time_s, driver, float(one), 0.0)
+    return out
 
 
 def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:

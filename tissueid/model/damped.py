@@ -12,25 +12,15 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec
-from tissueid.model.channels import ChannelModel, Part
+from tissueid.model.channels import ElasticModel
 from tissueid.model.law import DampingLaw, Shape
 
 #: Share of a bound within which a parameter lies on it.
 ROUNDING = 1e-9
 
 
-class DampedModel(ChannelModel):
+class DampedModel(ElasticModel):
     """Contact model of a static and a damping law."""
-
-    @property
-    def branches(self) -> int:
-        """Nothing relaxes."""
-        return 0
-
-    @cached_property
-    def parts(self) -> tuple[Part, ...]:
-        """No relaxing parts."""
-        return ()
 
     @cached_property
     def shape_specs(self) -> tuple[Shape, ...]:

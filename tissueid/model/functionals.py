@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 
 #: Relative step of the central differences: cube root of the rounding unit, the usual compromise.
 STEP = 6e-6
@@ -30,20 +30,20 @@ STEP = 6e-6
 NO_INFLUENCE = 1e-6
 
 
-def _static(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def _static(model: ChannelModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """F_s and F_s' at a depth."""
     at = np.array([depth_mm])
     return float(model.static_force(theta, at)[0]), float(model.static_slope(theta, at)[0])
 
 
-def force_after_step(model: TissueModel, theta: FloatArray, depth_mm: float, time_s: float) -> float:
+def force_after_step(model: ChannelModel, theta: FloatArray, depth_mm: float, time_s: float) -> float:
     """Force a time after an ideal step from rest to a depth [N]."""
     relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), None)
     return _static(model, theta, depth_mm)[0] + float(relaxing[0])
 
 
 def force_after_ramp(
-    model: TissueModel, theta: FloatArray, depth_mm: float, speed_mm_s: float, time_s: float
+    model: ChannelModel, theta: FloatArray, depth_mm: float, speed_mm_s: float, time_s: float
 ) -> float:
     """Force a time after the end of a ramp from rest, at constant speed, to a depth [N]."""
     relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), speed_mm_s)
@@ -51,7 +51,7 @@ def force_after_ramp(
 
 
 def complex_stiffness(
-    model: TissueModel, theta: FloatArray, depth_mm: float, frequency_Hz: float
+    model: ChannelModel, theta: FloatArray, depth_mm: float, frequency_Hz: float
 ) -> tuple[float, float]:
     """Storage and loss stiffness of a small oscillation about rest at a depth [N/mm]."""
     stiffness, tau = model.modes(theta, depth_mm)
@@ -61,7 +61,7 @@ def complex_stiffness(
 
 
 def dissipated_per_cycle(
-    model: TissueModel, theta: FloatArray, depth_mm: float, amplitude_mm: float, frequency_Hz: float
+    model: ChannelModel, theta: FloatArray, depth_mm: float, amplitude_mm: float, frequency_Hz: float
 ) -> float:
     """Energy lost in one cycle of a sine of some amplitude about a depth, in lasting contact [mJ]."""
     stiffness, tau = model.modes(theta, depth_mm, amplitude_mm)
@@ -69,13 +69,13 @@ def dissipated_per_cycle(
     return float(np.pi * amplitude_mm**2 * (stiffness * phase / (1.0 + phase**2)).sum())
 
 
-def equilibrium_stiffness(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def equilibrium_stiffness(model: ChannelModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """Secant and tangent stiffness once every branch has relaxed [N/mm]."""
     force, slope = _static(model, theta, depth_mm)
     return force / depth_mm, slope
 
 
-def instantaneous_stiffness(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def instantaneous_stiffness(model: ChannelModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """Secant of an ideal step from rest, and tangent of a small step at rest at a depth [N/mm]."""
     _, tangent = equilibrium_stiffness(model, theta, depth_mm)
     sudden = float(model.stiffness(theta, np.array([depth_mm])).sum())

@@ -16,9 +16,9 @@ from typing import Any
 
 from tissueid.model import laws
 from tissueid.model.base import ParameterSpec
-from tissueid.model.channels import ChannelModel, TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.model.damped import DampedModel
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import About
 from tissueid.model.yardstick import YARDSTICK, yardstick_of
 from tissueid.result import ModelChoice
@@ -141,13 +141,13 @@ def whole_names() -> tuple[About, ...]:
     )
 
 
-def rebuilt(choice: ModelChoice, depth_mm: float) -> TissueModel:
+def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
     """The contact model of a fit, for its largest depth.
 
     Raises ValueError: the name is of no law, or what it needs is missing.
     """
     if choice.key == KELVIN_VOIGT:
-        return KelvinVoigt(choice.branches, choice.stiffness_degree, depth_mm)
+        return kelvin_voigt(choice.branches, choice.stiffness_degree, depth_mm)
     if choice.key == YARDSTICK:
         return yardstick_of(depth_mm, choice.inside_s, choice.outside_s)
     if choice.range_s is None:
@@ -167,7 +167,7 @@ def described() -> list[dict[str, Any]]:
             shapes = (made.shape,) if kind == "damping" else getattr(made, "shapes", ())
             specs = [*getattr(made, "coefficients", ()), *(one.spec for one in shapes)]
             rows.append(_row(law.about, specs))
-    own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: KelvinVoigt(1, 2, 1.0).parameters}
+    own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: kelvin_voigt(1, 2, 1.0).parameters}
     return [*rows, *(_row(about, own.get(about.key, ())) for about in whole_names())]
 
 

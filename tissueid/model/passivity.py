@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import TissueModel, loading_force
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.servo_law import servo_law
 
 #: Share of the clamp that the deepest static force may use.
@@ -44,14 +44,14 @@ class Scaling:
     peak_force_N: float  # force at the device at full depth, at the fastest identified speed
 
 
-def largest_tangent(model: TissueModel, theta: FloatArray) -> float:
+def largest_tangent(model: ChannelModel, theta: FloatArray) -> float:
     """Largest instantaneous stiffness F_s' + sum K_j on [0, depth] [N/mm]."""
     x = np.linspace(0.0, model.depth_mm, GRID)
     return float((model.static_slope(theta, x) + model.stiffness(theta, x).sum(axis=0)).max())
 
 
 def scaling_for(
-    model: TissueModel,
+    model: ChannelModel,
     theta: FloatArray,
     *,
     clamp_N: float,
@@ -125,7 +125,7 @@ def damping_bound(
 
 
 def required_damping(
-    model: TissueModel,
+    model: ChannelModel,
     theta: FloatArray,
     scaling: Scaling,
     *,

@@ -27,7 +27,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel, branch_states
 from tissueid.model.kernels import (
     _BRANCHES,
     _DEPTH,
@@ -61,7 +61,7 @@ class RupturePoint:
 
 
 def rupture_measures(
-    model: KelvinVoigt, theta: FloatArray, path: ContactPath, *, weight: float = DEFAULT_WEIGHT
+    model: ChannelModel, theta: FloatArray, path: ContactPath, *, weight: float = DEFAULT_WEIGHT
 ) -> dict[str, FloatArray]:
     """Measures of loading along a path in contact that starts at rest at depth 0.
 
@@ -71,7 +71,7 @@ def rupture_measures(
     """
     x = path.depth_mm
     static, _, tau = model.split(theta)
-    states = model.states(tau, path)
+    states = branch_states(path.time_s, path.depth_mm, tau)
     dynamic = (model.stiffness(theta, x) * states).sum(axis=0)
     elastic = model.static_force(theta, x)
     force = elastic + dynamic
@@ -93,7 +93,7 @@ def rupture_measures(
 
 
 def rupture_at_speed(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     criterion: str,
     threshold: float,
@@ -127,7 +127,7 @@ def rupture_at_speed(
 
 
 def peak_force_against_speed(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     criterion: str,
     threshold: float,
@@ -147,7 +147,7 @@ def peak_force_against_speed(
     return np.array([np.nan if point is None else point.force_N for point in points])
 
 
-def hardening_ratio(model: KelvinVoigt, theta: FloatArray, depth_mm: float, force_N: float) -> float:
+def hardening_ratio(model: ChannelModel, theta: FloatArray, depth_mm: float, force_N: float) -> float:
     """Static tangent over secant stiffness at a depth, x F_s'(x) / F [1].
 
     Above 1 the force at rupture under constant work falls with speed, below 1 it rises (model.md 1.5).

@@ -1,8 +1,8 @@
 """A contact model as the servo steps it: cubic pieces of the static law, and at most twelve exponentials.
 
-A Kelvin-Voigt law is this exactly.  Of other laws the static curve is interpolated by cubics (Hermite) at
-depths that are dense at the surface, and a relaxation that is no exponential is projected on non-negative
-exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217), which are passive by construction.
+Polynomials and exponentials are this exactly.  Of other laws the static curve is interpolated by cubics
+(Hermite) at depths that are dense at the surface, and a relaxation that is no exponential is projected on
+non-negative exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217), passive by construction.
 """
 
 from __future__ import annotations
@@ -13,10 +13,18 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import ChannelModel, Part, TissueModel
+from tissueid.model.channels import ChannelModel, Part
 from tissueid.model.damped import DampedModel
-from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
+from tissueid.model.kernels import (
+    LAW_SIZE,
+    MOST_BRANCHES,
+    MOST_PIECES,
+    OWN_SIZE,
+    STATE_SIZE,
+    pack_law,
+    pack_pieces,
+    tissue_step_in,
+)
 from tissueid.model.yardstick import Yardstick
 
 #: What branches follow; of a law without branches, the speed over that at contact.
@@ -76,7 +84,7 @@ class ServoLaw:
         return replace(self, static=factor * self.static, stiffness=stiffness)
 
     def linearised(
-        self, model: TissueModel, theta: FloatArray, depth_mm: FloatArray
+        self, model: ChannelModel, theta: FloatArray, depth_mm: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Stiffness of every exponential for small moves about rest at depths, (branches, n), and times.
 
@@ -97,23 +105,19 @@ class ServoLaw:
         return found.reshape(len(self.tau_s), x.size), self.tau_s
 
 
-def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
+def servo_law(model: ChannelModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
     """The law that the servo steps for a tissue.
 
     ``theta`` (p,); ``most``: exponentials that a relaxation is projected on.
     """
-    if isinstance(model, KelvinVoigt):
-        static, stiffness, tau = model.split(theta)
-        whole = np.concatenate([[0.0], static])[None]
-        return ServoLaw(whole, np.array(stiffness), np.array(tau), DEPTH, model.depth_mm, 0.0)
     if isinstance(model, Yardstick):
         return _of_yardstick(model, theta)
     if isinstance(model, DampedModel):
         damping = np.array([[model.factor(theta), SLOWEST_MM_S, SPEED_FILTER_S, HYSTERESIS_MM]])
         none = np.zeros((0, 1)), np.zeros(0)
         return ServoLaw(_pieces(model, theta), *none, SPEED, model.depth_mm, 0.0, damping)
-    rows, times, worst = [], [], 0.0
-    share = max(most // model.branches, 1)
+    rows, times, worst = [np.zeros((0, max(model.stiffness_law.powers, 1)))], [np.zeros(0)], 0.0
+    share = max(most // max(model.branches, 1), 1)
     for part in model.parts:
         weights, tau, error = _exponentials(model, theta, part, share)
         size = np.array([theta[part.ratio]]) if part.ratio is not None else theta[part.stiffness]
@@ -128,6 +132,33 @@ def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) 
         model.depth_mm,
         worst,
     )
+
+
+class TissueStepper:
+    """The tissue under a moving tool: pushes, lets go, recovers, is pushed again.
+
+    ``theta`` (p,): must be passive.
+    """
+
+    def __init__(self, model: ChannelModel, theta: FloatArray) -> None:
+        if not model.is_passive(theta):
+            msg = "theta is not passive (F_s or K negative somewhere): it can't be rendered"
+            raise ValueError(msg)
+        self._law = servo_law(model, theta).packed()
+        self._state = np.zeros(STATE_SIZE)
+
+    @property
+    def surface_mm(self) -> float:
+        """Level of the tissue surface [mm below its rest level]."""
+        return float(self._state[0])
+
+    def step(self, depth_mm: float, dt_s: float) -> float:
+        """Force [N], never negative, after ``dt_s`` s of linear motion to ``depth_mm`` (< 0: in air)."""
+        return float(tissue_step_in(self._law, 0, self._state, 0, depth_mm, dt_s))
+
+    def reset(self) -> None:
+        """Tissue at rest."""
+        self._state[:] = 0.0
 
 
 def _of_yardstick(model: Yardstick, theta: FloatArray) -> ServoLaw:

@@ -105,6 +105,11 @@ class Yardstick(ChannelModel):
         return len(self.inside_s) + len(self.outside_s)
 
     @property
+    def outside(self) -> bool:
+        """False: curves stand on both sides of the convolution."""
+        return False
+
+    @property
     def stiffness_degree(self) -> int:
         """Degree of K(x)."""
         return OUTSIDE - 1

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import branch_suffix
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, kelvin_voigt
 
 #: Passive draws may vanish at a depth: a number below this share of its median over the specimen's draws is
 #: set to it. At e^-14 of the typical value it has no weight in any population.
@@ -37,9 +38,9 @@ class Coordinates:
     depth_mm: float  # the common depth d
 
     @property
-    def model(self) -> KelvinVoigt:
+    def model(self) -> ChannelModel:
         """The contact model on [0, d]."""
-        return KelvinVoigt(self.branches, self.stiffness_degree, self.depth_mm)
+        return kelvin_voigt(self.branches, self.stiffness_degree, self.depth_mm)
 
     @property
     def size(self) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
-from tissueid.model.channels import TissueModel, loading_force
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle
 
@@ -42,7 +42,7 @@ class Functional:
     def __str__(self) -> str:
         return f"force at {self.depth_mm:g} mm, {self.speed_mm_s * S_PER_MIN:g} mm/min"
 
-    def of(self, model: TissueModel, theta: FloatArray) -> float:
+    def of(self, model: ChannelModel, theta: FloatArray) -> float:
         """Its value for one tissue [N]."""
         depth = np.array([self.depth_mm])
         return float(loading_force(model, theta, depth, speed_mm_s=self.speed_mm_s)[0])

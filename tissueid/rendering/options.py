@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UsageError, printable
 from tissueid.haptics.hand import Hand
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import DEFAULT_DELAY_TICKS
 from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
 from tissueid.rendering.precheck import Demands, Precheck, check_before_force
@@ -91,13 +91,13 @@ ASSUMED_DEVICE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=DEFAULT
 
 
 def _paper_a() -> Tissue:
-    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0)
     theta = model.join(np.array([47.42, -5.577, 0.3804]), np.array([[63.62]]), np.array([0.021]))
     return Tissue(model, theta, (10.0 / 60.0, 500.0 / 60.0), name="paper-a")
 
 
 def _meat() -> Tissue:
-    model = KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=5.0)
+    model = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=5.0)
     static = np.array([0.0960, -0.0411, 0.0084])
     stiffness = np.array([[0.0748, 0.1671], [0.0, 0.0233]])
     theta = model.join(static, stiffness, np.array([0.353, 3.978]))

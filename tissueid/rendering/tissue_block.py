@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
 from tissueid.rendering import surface as srf
@@ -119,7 +119,7 @@ def surface_from(numbers: FloatArray) -> Surface:
 class Tissue:
     """One identified tissue, as a renderer needs it."""
 
-    model: TissueModel
+    model: ChannelModel
     theta: FloatArray  # (p,)
     speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed [mm/s]
     tip_radius_mm: float | None = None  # of the tip it was identified with

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import loading_force
 from tissueid.store.bundle import Bundle
 
 #: Specimens drawn one by one; of more, outliers and an even choice of the others.
@@ -35,17 +35,17 @@ def force_bands(bundle: Bundle) -> dict[str, Any] | None:
     """
     model = bundle.contact_model()
     slowest, fastest = bundle.speeds_mm_s
-    if not (isinstance(model, KelvinVoigt) and bundle.draws is not None and fastest > 0.0):
+    if not (model.viscous and bundle.draws is not None and fastest > 0.0):
         return None
     speed = float(np.sqrt(max(slowest, 1e-3 * fastest) * fastest))
     depth = np.linspace(0.0, bundle.depth_mm, BAND_DEPTHS)
     forces = np.array(
-        [constant_speed_force(model, theta, depth, speed_mm_s=speed) for theta in bundle.draws[:BAND_DRAWS]]
+        [loading_force(model, theta, depth, speed_mm_s=speed) for theta in bundle.draws[:BAND_DRAWS]]
     )
     return {
         "depth_mm": _rounded(depth),
         "speed_mm_s": speed,
-        "typical": _rounded(constant_speed_force(model, bundle.theta, depth, speed_mm_s=speed)),
+        "typical": _rounded(loading_force(model, bundle.theta, depth, speed_mm_s=speed)),
         "quantiles": _rounded(np.quantile(forces, QUANTILES, axis=0)),
     }
 

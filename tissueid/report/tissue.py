@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import TissueModel
+from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import rebuilt
 from tissueid.result import ModelChoice
 from tissueid.store.posteriors import StoredPosterior
@@ -39,7 +39,7 @@ def speed_unit(units: Mapping[str, str]) -> str:
 class Tissue:
     """One identified contact model."""
 
-    model: TissueModel
+    model: ChannelModel
     theta: FloatArray  # (p,)
     #: (n, p): of the total posterior where there is one, else of the statistical one; ``None``: nothing was
     #: sampled.

@@ -13,7 +13,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.reproduce.items import Figure, Item, Kind, Trace, overlaps
 from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
 from tissueid.reproduce.readings import Readings
@@ -98,7 +98,7 @@ def _predicted(fits: Sequence[SpecimenFit], left_out: int, curve: Curve) -> Floa
     """Mean over the other specimens of the force of each on a path [N]."""
     path = ContactPath(curve.time_s, np.maximum(curve.depth_mm, 0.0))
     forces = [
-        KelvinVoigt(
+        kelvin_voigt(
             branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
         ).force(fit.theta, path)
         for k, fit in enumerate(fits)

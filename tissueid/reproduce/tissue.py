@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import ChannelModel, loading_force
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.reproduce.published import Ledger
 from tissueid.reproduce.readings import Readings
 from tissueid.synth.recipe import Branch
@@ -31,9 +32,9 @@ class Tissue:
     branch: Branch
 
     @property
-    def model(self) -> KelvinVoigt:
+    def model(self) -> ChannelModel:
         """Its law."""
-        return KelvinVoigt(branches=1, stiffness_degree=len(self.branch.stiffness) - 1, depth_mm=DEPTH_MM)
+        return kelvin_voigt(branches=1, stiffness_degree=len(self.branch.stiffness) - 1, depth_mm=DEPTH_MM)
 
     @property
     def theta(self) -> FloatArray:
@@ -42,7 +43,7 @@ class Tissue:
 
     def force(self, depth_mm: FloatArray, speed_mm_min: float) -> FloatArray:
         """Force at depths reached at constant speed from rest [N]."""
-        return constant_speed_force(self.model, self.theta, depth_mm, speed_mm_s=speed_mm_min / 60.0)
+        return loading_force(self.model, self.theta, depth_mm, speed_mm_s=speed_mm_min / 60.0)
 
 
 def read_branch(ledger: Ledger, readings: Readings, tau_key: str = "table-2/tau") -> Branch:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.model.rupture import hardening_ratio, rupture_measures
 from tissueid.rupture.loading import LoadedTest
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
@@ -39,7 +39,7 @@ class SpecimenLaw:
     """The fitted law of one specimen."""
 
     specimen: str
-    model: KelvinVoigt
+    model: ChannelModel
     theta: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
     draws: FloatArray | None = None  # (n, p), posterior draws, where there are any
@@ -101,7 +101,7 @@ class _AtEnd:
     hardening: float
 
 
-def _at_end(model: KelvinVoigt, theta: FloatArray, path: ContactPath, weight: float) -> _AtEnd:
+def _at_end(model: ChannelModel, theta: FloatArray, path: ContactPath, weight: float) -> _AtEnd:
     measures = rupture_measures(model, theta, path, weight=weight)
     x = path.depth_mm
     before = min(int(np.searchsorted(x, (1.0 - GROWTH_OVER) * x[-1])), x.size - 2)

@@ -13,7 +13,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError, InputError
-from tissueid.model.kelvin_voigt import KEY, KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import KEY, kelvin_voigt
 from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
@@ -36,7 +37,7 @@ SECONDS_PER_MINUTE = 60.0
 class Centre:
     """The tissue that priors are centred on."""
 
-    model: KelvinVoigt
+    model: ChannelModel
     theta: FloatArray  # (p,)
     sigma_N: float
     phi: float  # correlation of the noise over one reference step; 0 is white
@@ -137,7 +138,7 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
         message = f"ar1_phi is {recipe.ar1_phi}; noise of negative correlation is not offered"
         raise InputError(code="recipe", message=message, path=recipe.name)
     try:
-        model = KelvinVoigt(
+        model = kelvin_voigt(
             branches=len(recipe.branches), stiffness_degree=degree, depth_mm=protocol.depth_mm
         )
     except ValueError as error:
@@ -173,7 +174,7 @@ def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
     Raises BundleError: it holds another contact model.
     """
     model = bundle.contact_model()
-    if bundle.model.key != KEY or not isinstance(model, KelvinVoigt):
+    if bundle.model.key != KEY:
         msg = f"{where}: contact model {bundle.model.key!r} can't be checked, {KEY!r} can"
         raise BundleError(msg)
     _, _, tau = model.split(bundle.theta)

@@ -18,7 +18,7 @@ from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
 from tissueid.model.frame import deflection
 from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions, segment
 from tissueid.selfcheck.protocol import Centre, Protocol, pooled
@@ -151,7 +151,7 @@ def of_fit(fit: SpecimenFit, *, logs: int) -> Centre:
     """The tissue that was identified, and its noise: white, where no posterior tells of it."""
     noise = NoiseFit("white", fit.sigma_N, 0.0, 1.0) if fit.posterior is None else fit.posterior.noise
     return Centre(
-        model=KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm),
+        model=kelvin_voigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm),
         theta=np.asarray(fit.theta),
         sigma_N=noise.sigma_N,
         phi=0.0 if noise.model == "white" else noise.phi,

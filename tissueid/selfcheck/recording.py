@@ -16,7 +16,7 @@ from scipy.signal import lfilter, lfiltic
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import ChannelModel
 from tissueid.selfcheck.truth import Truth
 from tissueid.synth.path import Path, contact_path
 from tissueid.trial import Source, Trial
@@ -73,7 +73,7 @@ def noise(
 
 
 def tip_depth(
-    model: KelvinVoigt, theta: FloatArray, time_s: FloatArray, depth_mm: FloatArray, give: float
+    model: ChannelModel, theta: FloatArray, time_s: FloatArray, depth_mm: FloatArray, give: float
 ) -> FloatArray:
     """Depth of the tip behind a compliance: ``x_tip = x - c F(x_tip)``, solved for the whole path at once.
 
@@ -97,7 +97,7 @@ def tip_depth(
 
 
 def recorded_force(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     log: ProtocolLog,
     *,
@@ -155,7 +155,7 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
 
 
 def simulated_trials(
-    model: KelvinVoigt,
+    model: ChannelModel,
     truth: Truth,
     logs: tuple[ProtocolLog, ...],
     *,

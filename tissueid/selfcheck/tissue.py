@@ -18,8 +18,8 @@ from tissueid import FitOptions, IdentifyOptions, PosteriorOptions, __version__,
 from tissueid.arrays import FloatArray
 from tissueid.manifest import Calibration, Study
 from tissueid.model.base import branch_suffix
+from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import linear_frame
-from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.priors import Priors
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
@@ -51,7 +51,7 @@ KNOWN_MACHINE = Calibration(
 class TissueCheck:
     """Draws a tissue, records it, identifies it."""
 
-    model: KelvinVoigt
+    model: ChannelModel
     logs: tuple[ProtocolLog, ...]
     priors: Priors  # proper ones: truths come from them, and the inference knows them
     pooling: str  # ``scaled``, ``partial`` or ``shared``

@@ -15,7 +15,8 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.model.base import branch_suffix
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
@@ -54,7 +55,7 @@ class Truth:
     calibration: Mapping[str, float] = field(default_factory=dict)
 
 
-def _blocks(model: KelvinVoigt) -> list[slice]:
+def _blocks(model: ChannelModel) -> list[slice]:
     """Positions in theta of the coefficients of F_s and of each K."""
     size = model.stiffness_degree + 1
     starts = [STATIC_DEGREE + branch * model.block for branch in range(model.branches)]
@@ -75,7 +76,7 @@ def _stated_curve(names: tuple[str, ...], stated: Priors) -> dict[str, tuple[flo
 
 
 def _centred_curve(
-    model: KelvinVoigt, theta: FloatArray, block: slice, share: float
+    model: ChannelModel, theta: FloatArray, block: slice, share: float
 ) -> dict[str, tuple[float, float]]:
     """Normal priors around one curve, as wide as a share of it at full depth."""
     powers = model.depth_mm ** np.arange(float(block.stop - block.start))
@@ -85,7 +86,7 @@ def _centred_curve(
 
 
 def centred_priors(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     *,
     sigma_N: float,
@@ -158,7 +159,7 @@ def _cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
 
 
 def draw_truth(
-    model: KelvinVoigt,
+    model: ChannelModel,
     priors: Priors,
     *,
     offset_sd_mm: FloatArray,
@@ -208,7 +209,7 @@ def force_points(depth_mm: float, speeds_mm_s: tuple[float, float]) -> tuple[tup
 
 
 def numbers_of(
-    model: KelvinVoigt,
+    model: ChannelModel,
     theta: FloatArray,
     points: tuple[tuple[float, float], ...],
 ) -> dict[str, FloatArray]:

@@ -16,7 +16,7 @@ from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import Axes, TipShape
 
 if TYPE_CHECKING:
-    from tissueid.model.channels import TissueModel
+    from tissueid.model.channels import ChannelModel
 
 BUNDLE_FORMAT = "tissueid/bundle"
 BUNDLE_SCHEMA_VERSION = 1
@@ -94,7 +94,7 @@ class Bundle(Shown):
         """True where its draws are specimens of a population, and not what is known of one."""
         return self.population_mean is not None
 
-    def contact_model(self) -> TissueModel:
+    def contact_model(self) -> ChannelModel:
         """Build the contact model these parameters belong to, as it was fitted."""
         from tissueid.model.grammar import rebuilt
 
