@@ -11,6 +11,18 @@ from command_line import run
 from tissueid.store.schema import check
 
 
+@pytest.mark.needs_jit
+def test_both_papers_are_recomputed_and_written(tmp_path: Path) -> None:
+    ended = run("reproduce", "all", "-o", tmp_path / "out", "-q", "--set", "stiffness=linear")
+    assert ended.code == 0, ended.stderr
+    document = json.loads((tmp_path / "out" / "reproduction.json").read_text(encoding="utf-8"))
+    check(document, "reproduction", where="reproduction.json")
+    rows = {one["item"]: one for one in document["items"]}
+    assert (rows["table-3/1"]["kind"], rows["table-3/1"]["recomputed"]) == ("given", None)
+    for name in ("table-2/stiffness", "table-2/tau"):
+        assert rows[name]["agrees"], rows[name]
+
+
 def test_a_paper_is_recomputed_and_written(tmp_path: Path) -> None:
     ended = run("reproduce", "pires", "-o", tmp_path / "out", "--json", "--set", "surface=cone")
     assert ended.code == 0, ended.stderr

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tissueid.report.reproduction_page import KINDS, render_reproduction
+from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.document import PAPER_WORDS, PLACES
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.items import rounded
@@ -37,7 +38,7 @@ def document() -> dict[str, Any]:
     ):
         items += rows
         figures.append(figure)
-    items += restitutions()
+    items += [*restitutions(), *table_3(readings)]
     found: dict[str, Any] = plain_json(
         {
             "schema": "tissueid/reproduction/1",
