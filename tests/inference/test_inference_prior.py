@@ -74,7 +74,7 @@ def test_bounds_are_the_passive_set_the_times_and_the_machine():
 
 
 def test_own_parameters_have_the_scatter_between_logs():
-    effects = Effects(gain=True, contact=True, shape=True)
+    effects = Effects(gain=True, shape=True)
     system, point = case(effects, logs=2)
     prior = prior_rows(system, LAW, point, Scatter(0.2, 0.03), Priors(), machine=False)
     own = np.zeros((2, effects.size))

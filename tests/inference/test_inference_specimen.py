@@ -68,12 +68,14 @@ def test_residuals_are_those_of_the_reported_tissue():
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
     squares = 0.0
     for log, trial in zip(logs, found.trials, strict=True):
-        residual = log.force_N - model.force(found.theta, ContactPath(log.time_s, log.displacement_mm))
-        assert trial.nrmsd.rmse_N == pytest.approx(float(np.sqrt(np.mean(residual**2))), rel=1e-9)
+        depth = np.maximum(log.displacement_mm - trial.contact_offset_mm, 0.0)
+        residual = log.force_N - model.force(found.theta, ContactPath(log.time_s, depth))
+        # the path between a contact and the sample behind it is a line here and there
+        assert trial.nrmsd.rmse_N == pytest.approx(float(np.sqrt(np.mean(residual**2))), rel=1e-4)
         squares += float(residual @ residual)
-    assert found.nrmsd.rmse_N == pytest.approx(float(np.sqrt(squares / found.n_samples)), rel=1e-9)
-    # with the weak priors in it
-    assert found.optimisers["vp_sum_of_squares_N2"] == pytest.approx(squares, rel=1e-3)
+    assert found.nrmsd.rmse_N == pytest.approx(float(np.sqrt(squares / found.n_samples)), rel=1e-4)
+    # with the priors in it: weak ones, and those of the contacts
+    assert found.optimisers["vp_sum_of_squares_N2"] == pytest.approx(squares, rel=0.02)
 
 
 @pytest.mark.parametrize("static", ["partial", "scaled"])

@@ -15,7 +15,7 @@ from tissueid.model.base import ContactPath
 
 LAW = kelvin_voigt_law(2, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.05, 25.0, -2.0, 1.2])
-ALL = Effects(gain=True, contact=True, shape=True)
+ALL = Effects(gain=True, shape=True)
 
 
 def force_of(time, depth):

@@ -217,12 +217,11 @@ def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float
     squares, count = 0.0, 0
     for i in np.flatnonzero(out):
         point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
-        if system.effects.size:
-            point = minimise(
-                of([_ramp(system.logs[i])], np.array([i])), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
-                memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
-                held=np.arange(point.shared.size),
-            ).point  # fmt: skip
+        point = minimise(
+            of([_ramp(system.logs[i])], np.array([i])), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
+            memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
+            held=np.arange(point.shared.size),
+        ).point  # fmt: skip
         one = of([system.logs[i]], np.array([i]))
         error = whitener_of(one, noise.memory)(one.force - one.predict(point))
         squares, count = squares + float(error @ error), count + error.size

@@ -101,11 +101,8 @@ class Identified:
 
 
 def _effects(pooling: str, logs: int) -> Effects:
-    if pooling == "shared" and logs > 1:
-        return Effects(gain=False, contact=False)
-    if logs == 1:
-        return Effects()
-    return Effects(gain=True, shape=pooling == "scaled")
+    alone = logs == 1
+    return Effects(gain=not alone and pooling != "shared", shape=not alone and pooling == "scaled")
 
 
 def _blank(law: ChannelLaw, system: System, machine: FloatArray) -> Point:

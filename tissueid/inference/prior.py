@@ -167,12 +167,11 @@ def own_precision(system: System, scatter: Scatter) -> FloatArray:
     columns = []
     if effects.gain:
         columns.append(np.full(logs, scatter.gain**-2))
-    if effects.contact:
-        sd = np.array([one.contact_sd_mm for one in system.logs]) / system.depth_mm
-        columns.append(sd**-2)
+    sd = np.array([one.contact_sd_mm for one in system.logs]) / system.depth_mm
+    columns.append(sd**-2)
     if effects.shape:
         columns += [np.full(logs, scatter.shape**-2)] * SHAPE
-    return np.column_stack(columns) if columns else np.zeros((logs, 0))
+    return np.column_stack(columns)
 
 
 #: A class in percent -> standard deviation of the gain.

@@ -78,7 +78,7 @@ def _alone(identified: Identified, index: int) -> FloatArray:
     found, law = identified.optimum, identified.law.along((index,))
     system = System([identified.system.logs[index]], law, identified.system.depth_mm, Effects())
     at, effects = found.point, identified.system.effects
-    contact = at.own[index, int(effects.gain)] if effects.contact else 0.0
+    contact = at.own[index, int(effects.gain)]
     gain = float(np.exp(at.own[index, 0])) if effects.gain else 1.0
     start = Point(at.log_times, at.machine, gain * at.linear, np.array([[contact]]))
     one = minimise(

@@ -60,7 +60,7 @@ class FitOptions:
         0 to 2, or ``None`` to choose.
     static : str
         ``scaled`` (default: static force and K of a log in proportion, by its own curve of depth),
-        ``partial`` (a gain and a contact of its own) or ``shared``.
+        ``partial`` (a gain and a contact of its own) or ``shared`` (a contact of its own).
     depths_mm : tuple of float
         Depths below contact at which the stiffness of each loop is wanted.
     frequencies_Hz : tuple of float

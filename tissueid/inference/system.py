@@ -38,17 +38,16 @@ NO_FILTER_S, NO_POLE_S = 1e-7, 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Own parameters of a log."""
+    """Own parameters of a log beside its contact."""
 
-    #: ln gain at the largest depth; contact offset; ln gain at lesser depths beside it.
+    #: ln gain at the largest depth, before the contact offset; ln gain at lesser depths, behind it.
     gain: bool = False
-    contact: bool = True
     shape: bool = False
 
     @property
     def size(self) -> int:
         """Own parameters of a log."""
-        return int(self.gain) + int(self.contact) + SHAPE * int(self.shape)
+        return int(self.gain) + 1 + SHAPE * int(self.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,9 +222,7 @@ class System:
         A contact that was found in the force was found as late as the force was recorded.
         """
         late = -self.onset * (point.machine[..., 1] + point.machine[..., 2])[..., None]
-        if self.effects.contact:
-            late = late + point.own[..., int(self.effects.gain)]
-        return np.asarray(late)
+        return np.asarray(late + point.own[..., int(self.effects.gain)])
 
     def contact(self, point: Point) -> FloatArray:
         """Contact offset of the log of each point over the largest depth, (m,) or (n, m)."""
@@ -389,8 +386,7 @@ class System:
         out = []
         if self.effects.gain:
             out.append(base)
-        if self.effects.contact:
-            out.append(by_contact)
+        out.append(by_contact)
         if self.effects.shape:
             out += list(base * _shape(np.maximum(behind, 0.0)))
         return out

@@ -108,7 +108,7 @@ class SpecimenTarget:
             names.append(name)
             values.append(value)
 
-        if self.alone and effects.contact:
+        if self.alone:
             add("contact", float(found.point.own[0, 0]))
         add("ln_sigma", float(np.log(found.noise.sigma_N)))
         if found.noise.memory.time_s > 0.0:
@@ -384,7 +384,7 @@ class SpecimenTarget:
         """Log likelihoods of passive vectors, what is the logs' own integrated, (n,)."""
         point = self.optimum.point.moved(self._unscaled(shared), self._own(x))
         ln_sigma = x[:, self.places["ln_sigma"]]
-        integrated = not self.alone and self.system.effects.size > 0
+        integrated = not self.alone
         force = self.system.near(point)
         rows = (self.system.force - force)[None]
         white, log_det = self._whitened(x, np.concatenate([rows, self.by_own(force)]) if integrated else rows)
@@ -426,7 +426,7 @@ class SpecimenTarget:
         found = np.repeat(out, len(force), axis=1)
         share = np.divide(force, then, out=np.ones(force.shape), where=np.abs(then) > SLIGHT * self.force)
         for i in range(len(found)):
-            if not (self.system.effects.contact and i == int(self.system.effects.gain)):
+            if i != int(self.system.effects.gain):
                 found[i] *= share
         return found
 

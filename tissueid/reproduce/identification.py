@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.reproduce.items import Item, within_interval
 from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
 from tissueid.reproduce.readings import Readings
-from tissueid.reproduce.recordings import TAILS_99, Effort, fitted, interval_of, read_back
+from tissueid.reproduce.recordings import TAILS_99, Effort, fitted, interval_of, read_back, total_draws
 from tissueid.reproduce.tissue import read_branch
 from tissueid.result import SpecimenFit
 from tissueid.synth.protocols import recipe
@@ -69,7 +69,7 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
     interval = None
     names = {} if fit.posterior is None else {n: k for k, n in enumerate(fit.posterior.theta_names)}
     if fit.posterior is not None and "stiffness_1_N_per_mm2" not in names:
-        draws = fit.posterior.draws
+        draws = total_draws(fit.posterior)
         product = draws[:, names["stiffness_0_N_per_mm"]] * draws[:, names["relaxation_time_s"]]
         low, high = np.quantile(product, TAILS_99)
         interval = float(low), float(high)

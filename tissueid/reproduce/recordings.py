@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import NotIdentifiedError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -19,6 +20,7 @@ from tissueid.synth.dataset import EXPORTS, write_set
 from tissueid.synth.recipe import Recipe
 from tissueid.synth.simulate import SyntheticLog
 from tissueid.trial import Trial
+from tissueid.uncertainty import Posterior
 
 #: Tails of a 99 % interval.
 TAILS_99 = (0.005, 0.995)
@@ -75,9 +77,13 @@ def fitted(
 
 
 def interval_of(fit: SpecimenFit, name: str) -> tuple[float, float] | None:
-    """99 % interval of a parameter by its statistical draws; ``None`` without a posterior."""
+    """99 % interval of a parameter, the machine as unknown as it was to the fit; ``None`` without draws."""
     if fit.posterior is None or name not in fit.posterior.theta_names:
         return None
-    draws = fit.posterior.draws[:, fit.posterior.theta_names.index(name)]
-    low, high = np.quantile(draws, TAILS_99)
+    low, high = np.quantile(total_draws(fit.posterior)[:, fit.posterior.theta_names.index(name)], TAILS_99)
     return float(low), float(high)
+
+
+def total_draws(posterior: Posterior) -> FloatArray:
+    """Draws of theta with the machine open, or held where it can't be."""
+    return posterior.draws if posterior.draws_total is None else posterior.draws_total

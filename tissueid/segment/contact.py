@@ -19,11 +19,11 @@ from tissueid.trial import Contact
 #: nothing there, and they may be a preload, and where it does not.
 FEWEST_AIR_SAMPLES = 5
 FEWEST_ZERO_SAMPLES = 2
-#: Air is believed where the density of a contact at the start is below this share of the highest (2 sd of a
-#: normal one) ...
-START_DENSITY = 0.135
-#: ... or below this one (2.6 sd), where it may be a preload ...
-DOUBTFUL_START_DENSITY = 0.03
+#: Air is believed where the density of a contact at the start is below this share of the highest (3 sd of a
+#: normal one: one of 400 that start in contact) ...
+START_DENSITY = 0.011
+#: ... or below this one (3.3 sd), where it may be a preload ...
+DOUBTFUL_START_DENSITY = 0.0045
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
 FEW_AIR_SD = 3.5
 #: Share of the depth over which the secant of a curved tip is taken.
