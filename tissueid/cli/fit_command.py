@@ -79,7 +79,7 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
 )  # fmt: skip
 @click.option(
     "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
-    help="Own of each log of a specimen: a curve of depth for static force and K, gain and contact, or contact.",
+    help="Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
 )  # fmt: skip
 @click.option(
     "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto", show_default=True,
