@@ -72,7 +72,7 @@ def command(**flags: Any) -> int:
     if flags["serve"]:
         from tissueid.cli.inspect_serving import serve
 
-        return serve(flags)
+        return serve(flags, lambda asked: inspected(asked, drawn=True))
     found = inspected(flags, drawn=flags["html"] is not None)
     if flags["html"] is not None:
         write_output(flags["html"], found.page().encode("utf-8"))

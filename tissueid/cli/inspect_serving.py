@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,11 @@ from tissueid.cli.reading import read_options
 _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
 
 
-def serve(flags: dict[str, Any]) -> int:
-    """Serve until Ctrl-C.
+def serve(flags: dict[str, Any], inspected: Callable[[dict[str, Any]], Any]) -> int:
+    """Serve until Ctrl-C what is inspected again after each correction.
 
     Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
     """
-    from tissueid.cli.inspect_command import inspected
     from tissueid.cli.viewer_serving import open_browser
     from tissueid.errors import UsageError
     from tissueid.study.correcting import CorrectedInspection
@@ -31,7 +31,7 @@ def serve(flags: dict[str, Any]) -> int:
 
     def inspect() -> Any:
         named = {"study": str(manifest)} if manifest.exists() else {}
-        return inspected({**flags, **named}, drawn=True)
+        return inspected({**flags, **named})
 
     shown = CorrectedInspection(manifest, inspect, read_options(flags))
     shown.page()

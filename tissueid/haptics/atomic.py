@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import config, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from tissueid.arrays import IntArray
-from tissueid.compiled import kernel, tick_part
-from tissueid.haptics.ring import PUBLISHED_AT
+from tissueid.compiled import kernel
 
 _WORD_BYTES = 8
 _UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))
@@ -78,13 +75,3 @@ def _plain_load(cell: IntArray) -> int:
 store_release = _plain_store if _UNCOMPILED else _store_release
 #: ``load_acquire(cell)``: ``cell[0]``, before everything read after.
 load_acquire = _plain_load if _UNCOMPILED else _load_acquire
-
-
-@tick_part
-def publish(head: NDArray[np.int64], count: int) -> None:
-    """Say that ``count`` records are whole.
-
-    ``head`` (8,): :attr:`tissueid.haptics.ring.Ring.head`; ``count``: records written since the ring was
-    made.
-    """
-    store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.atomic import publish
+from tissueid.haptics.atomic import store_release
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.guard import guard, observe, observe_wire, transition
 from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.ring import PUBLISHED_AT, Ring
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.velocity import velocity_step
@@ -146,6 +146,16 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
 
 
 # Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
+
+
+@tick_part
+def publish(head: IntArray, count: int) -> None:
+    """Say that ``count`` records are whole.
+
+    ``head`` (8,): :attr:`tissueid.haptics.ring.Ring.head`; ``count``: records written since the ring was
+    made.
+    """
+    store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)
 
 
 @tick_part
