@@ -135,8 +135,13 @@ def _rough(depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> tuple[f
     return float(u[at]), slope
 
 
-def _fit(shape: RampShape, limits: tuple[float, float], guess: float) -> tuple[HingeFit, float]:
-    """Posterior on one window, and the slope that the next one is judged by [N/mm]."""
+def _fit(
+    shape: RampShape, limits: tuple[float, float], guess: float, *, tempered: bool = False
+) -> tuple[HingeFit, float]:
+    """Posterior on one window, and the slope that the next one is judged by [N/mm].
+
+    ``tempered``: the noise is as large as the misfit already.
+    """
     window = shape.window_mm
     longest = LONGEST * window
     shortest = min(SHORTEST * shape.resolution_mm, 0.1 * longest)
@@ -160,10 +165,15 @@ def _fit(shape: RampShape, limits: tuple[float, float], guess: float) -> tuple[H
     freedom = shape.freedom
     excess = float(found.misfit[lattice.inside].min()) / freedom
     adequate = excess <= 1.0 + ADEQUATE_SD * float(np.sqrt(2.0 / freedom))
+    sd = float(high - low) / (2.0 * NORMAL_95)
+    if not adequate and not tempered:
+        # of a noise as large as the misfit: the lattice need not resolve the density of one far below it
+        misfit = replace(shape, noise_N=shape.noise_N * float(np.sqrt(excess)))
+        sd = _fit(misfit, limits, mean, tempered=True)[0].sd_mm
     early, slope = shape.slopes(found, mass, lengths_mm)
     fit = HingeFit(
         contact_mm=mean,
-        sd_mm=float(high - low) / (2.0 * NORMAL_95) * (1.0 if adequate else float(np.sqrt(excess))),
+        sd_mm=sd,
         baseline_N=float((mass * found.static_N[:, :, -1]).sum()) if shape.baseline else 0.0,
         slope_N_per_mm=early,
         adequate=adequate,
