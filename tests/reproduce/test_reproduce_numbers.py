@@ -181,3 +181,15 @@ def test_everything_comes_out_as_it_must() -> None:
         *("figure-1", "figure-2", "figure-3", "figure-4", "figure-5", "figure-6"),
         *("figure-7a", "figure-7a-error", "figure-7b", "paper-b-figure-4"),
     }
+
+
+@pytest.mark.slow
+def test_a_growing_stiffness_comes_back_from_twenty_seeds() -> None:
+    inside = 0
+    for seed in range(1, 21):
+        found = keyed(identified_table(Readings(stiffness="linear"), Effort(seed=seed)))
+        rows = [found[f"table-2/{name}"] for name in ("stiffness", "tau")]
+        inside += all(bool(row.agrees) for row in rows)
+        said = (f"{row.item} {row.recomputed:.5g} in {row.interval}: {row.agrees}" for row in rows)
+        print(f"seed {seed}:", *said, sep="  ")  # noqa: T201 -- for the record of the run
+    assert inside >= 18
