@@ -17,7 +17,7 @@ import numpy as np  # noqa: E402
 
 import tissueid  # noqa: E402
 from tissueid.model.functionals import force_after_ramp  # noqa: E402
-from tissueid.model.kelvin_voigt import KelvinVoigt  # noqa: E402
+from tissueid.model.kelvin_voigt import kelvin_voigt  # noqa: E402
 from tissueid.notebook import drawing  # noqa: E402
 from tissueid.result import Identification  # noqa: E402
 
@@ -50,7 +50,7 @@ def identified(folder: str) -> Identification:
 def speeds_drawing(found: Identification) -> str:
     """Force of an identified tissue along ramps of three speeds."""
     fit = found.specimens[0]
-    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
+    model = kelvin_voigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
     depth = np.linspace(0.0, fit.depth_mm, 60)
     curves = []
     for speed, colour in zip((10.0, 100.0, 500.0), COLOURS, strict=True):
