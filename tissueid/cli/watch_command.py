@@ -97,8 +97,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
     import_module("pandas")
     from tissueid.study.recordings import locate_study
     from tissueid.watch import FolderWatch, judge
-    from tissueid.watch.folder import fingerprint
-    from tissueid.watch.session import LOG, WatchSession, load_log
+    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log
 
     folder = Path(flags["folder"])
     if not folder.is_dir():

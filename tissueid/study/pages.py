@@ -27,8 +27,8 @@ from tissueid.rendering.precheck import Demands, Precheck, check_before_force, d
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
-from tissueid.report.index_page import index_row, render_index
 from tissueid.report.page import plotly_script
+from tissueid.report.plain_page import index_row, render_index
 from tissueid.report.tissue import tissue_of
 from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, write_file

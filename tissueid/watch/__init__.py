@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tissueid.watch.folder import FolderWatch
-from tissueid.watch.session import judge, refused_verdict
+from tissueid.watch.session import FolderWatch, judge, refused_verdict
 
 __all__ = ["FolderWatch", "judge", "refused_verdict"]

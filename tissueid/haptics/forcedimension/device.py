@@ -2,6 +2,10 @@
 
 The SDK homes the device, computes its kinematics and carries its firmware.  Its frame is mapped to ours here
 and nowhere else; the mapping is from documentation, and no unit has confirmed it.
+
+One bit means one button in every limit, log and message: 0x01 plus, 0x02 forward, 0x04 centre, 0x08 minus, so
+that the dead-man button is the centre whoever drives the device.  The SDK numbers them centre 0, left 1,
+up 2, right 3; from documentation, no unit has confirmed it.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
     HANDLES_SIZE,
@@ -25,9 +30,23 @@ from tissueid.haptics.device import (
     HapticDevice,
     await_homed,
 )
-from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.forcedimension.sdk import Sdk
 from tissueid.haptics.limits import GuardLimits
+
+#: Bits of the SDK's mask.
+_CENTRE, _LEFT, _UP, _RIGHT = 0x1, 0x2, 0x4, 0x8
+
+
+@tick_part
+def wire_buttons(mask: int) -> int:
+    """Bits of :data:`tissueid.haptics.falcon.packets.BUTTON_NAMES` for a mask of the SDK."""
+    return (
+        (0x04 if mask & _CENTRE else 0)
+        | (0x08 if mask & _LEFT else 0)
+        | (0x02 if mask & _UP else 0)
+        | (0x01 if mask & _RIGHT else 0)
+    )
+
 
 #: Rows: our axes in the SDK's frame, which has x toward the user, y to the right and z up.
 ROTATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
