@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import by_name, draw, handles_for, small_recipe
+from inference_cases import by_name, draw, handle_for, handles_for, small_recipe
 
 from tissueid.inference.specimen import FitOptions, fit_specimen, fit_with_state
 from tissueid.model.base import ContactPath
@@ -76,6 +76,20 @@ def test_residuals_are_those_of_the_reported_tissue():
     assert found.nrmsd.rmse_N == pytest.approx(float(np.sqrt(squares / found.n_samples)), rel=1e-4)
     # with the priors in it: weak ones, and those of the contacts
     assert found.optimisers["vp_sum_of_squares_N2"] == pytest.approx(squares, rel=0.02)
+
+
+def test_shared_logs_keep_a_contact_each():
+    handles = handles_for(draw(small_recipe(branches=(TRUE,), sigma_N=0.05), 5), sd_mm=0.03)
+    contact = handles[0].segmentation.contact
+    late = replace(contact, displacement_mm=contact.displacement_mm + 0.03)
+    trial = handles[0].load()
+    moved = handle_for(trial, replace(handles[0].segmentation, contact=late))
+    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
+    found = fit_specimen("knee", [moved, *handles[1:]], options=options)
+    assert found.trials[0].contact_offset_mm == pytest.approx(-0.03, abs=0.004)
+    assert max(abs(one.contact_offset_mm) for one in found.trials[1:]) <= 0.004
+    tau = by_name(found)["relaxation_time_s"]
+    assert abs(tau.value - 0.2) <= 4.0 * tau.stderr
 
 
 @pytest.mark.parametrize("static", ["partial", "scaled"])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.segment import SegmentOptions, segment
+from tissueid.segment.hinge import fit_contact
 from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
 from tissueid.trial import Trial, contact_frame
@@ -249,3 +250,26 @@ def test_a_curved_tip_after_clear_air_is_not_in_contact_from_the_start():
             scores.append((contact.displacement_mm - at) / contact.sd_mm)
     # the form at contact is no polynomial: within three of its errors, not two
     assert (np.abs(scores) < 3.5).all()
+
+
+@pytest.mark.parametrize("noise_N", [2e-4, 1e-3, 1e-2])
+def test_a_contact_that_no_shape_describes_is_as_uncertain_as_the_misfit_whatever_the_noise(noise_N):
+    # stiffness that is lost within 20 um: far from a cubic with one branch, next to no noise
+    depth = np.linspace(-0.5, 6.0, 2000)
+    x = np.maximum(depth, 0.0)
+    force = 60.0 * np.expm1(0.2 * x) + 8.0 * -np.expm1(-x / 0.02) + 20.0 * np.sqrt(x)
+    found = fit_contact(depth, force, noise_N=noise_N, baseline=True, reach_back_mm=0.0)
+    assert not found.adequate
+    assert abs(found.contact_mm) <= 2.0 * found.sd_mm
+    assert found.sd_mm <= 0.002
+
+
+def test_logs_that_start_in_contact_are_seldom_cut():
+    # one of twenty where air is believed at 2 sd
+    rng = np.random.default_rng(3)
+    settings = Recipe("c", (Log("ramp", (Move(8.0, 250.0),)),), rate_Hz=1000.0, sigma_N=1.0)
+    cut = 0
+    for _ in range(100):
+        found = segment(as_trials(simulate(settings, rng=rng))[0])
+        cut += found.contact.in_record
+    assert cut <= 2

@@ -38,6 +38,8 @@ NOISE_CURVATURE = 3.0
 LEAST_FREEDOM = 0.5
 #: The stated standard deviation is the half width of the 95 % interval over this.
 NORMAL_95 = 1.959963984540054
+#: A step over the sd of a place within it.
+STEP = 12.0**0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +171,8 @@ def _fit(
     if not adequate and not tempered:
         # of a noise as large as the misfit: the lattice need not resolve the density of one far below it
         misfit = replace(shape, noise_N=shape.noise_N * float(np.sqrt(excess)))
-        sd = _fit(misfit, limits, mean, tempered=True)[0].sd_mm
+        # a misfit goes on from sample to sample: none of them places the contact within the step to the next
+        sd = float(np.hypot(_fit(misfit, limits, mean, tempered=True)[0].sd_mm, shape.bins.spacing_mm / STEP))
     early, slope = shape.slopes(found, mass, lengths_mm)
     fit = HingeFit(
         contact_mm=mean,
