@@ -19,10 +19,10 @@ from tissueid.errors import UsageError
 from tissueid.haptics.states import Fault, Lamp, State
 from tissueid.rendering.bridge import BridgeRequest
 from tissueid.rendering.environment import FORCE_SCALE, LABEL, SURFACE
+from tissueid.rendering.first_start import first_start, is_compiled
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo_spawn import first_start, is_compiled
 from tissueid.rendering.session import Session, Wish
 from tissueid.rendering.summary import SessionSummary, period_statistics
 from tissueid.rendering.tissue_block import Plane
