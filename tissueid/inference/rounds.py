@@ -22,7 +22,6 @@ from tissueid.inference.logs import LogHandle
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.unloading import FreeSurface, air_limit
 from tissueid.inference.window import FittedLog
-from tissueid.model.kernels import surface_path
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.
 MAX_ROUNDS = 12
@@ -68,9 +67,7 @@ def _surfaces(found: Identified) -> list[FreeSurface]:
     point = found.optimum.point
     theta = found.law.theta(point.log_times, point.linear)[0]
     offset = found.system.offsets(point) * found.system.depth_mm
-    model = found.law.model()
-    assert model.viscous  # noqa: S101 -- unloading is refused with any other law
-    return [FreeSurface(model, theta, float(by)) for by in offset]
+    return [FreeSurface(found.law.model(), theta, float(by)) for by in offset]
 
 
 def _halfway(one: FreeSurface, other: FreeSurface | None) -> FreeSurface:
@@ -122,17 +119,8 @@ def _residuals(
     """Measured less directly simulated force in contact and in air, and samples that are pulled."""
     _, log = handle.fitted()
     assert log.tool_mm is not None  # noqa: S101  (a handle of unloading)
-    assert tissue.model.viscous  # noqa: S101 -- unloading is refused with any other law
-    static, stiffness, tau = tissue.model.split(tissue.theta)
     law = log.tool_mm - adjustment.contact_offset_mm
-    surface, force = surface_path(
-        np.concatenate([[0.0], static]),
-        np.ascontiguousarray(stiffness),
-        np.ascontiguousarray(tau),
-        tissue.model.depth_mm,
-        log.data.time_s,
-        np.ascontiguousarray(law),
-    )
+    surface, force = tissue.model.follow(tissue.theta, log.data.time_s, law)
     residual = log.data.force_N - adjustment.gain * force
     air = surface > law
     air[: int(log.inserted)] = False

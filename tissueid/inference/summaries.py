@@ -30,7 +30,6 @@ from tissueid.measured.cycles import closed_area, cycle_rows
 from tissueid.measured.geometry import NO_TIP, TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.channels import ChannelModel
-from tissueid.model.kernels import surface_path
 from tissueid.own_process import threads
 from tissueid.quantities import CycleRow, Measure, RelaxationRow
 from tissueid.result import Nrmsd, ResidualSummary, TrialFit
@@ -75,22 +74,14 @@ def with_model_viscosity(
         air = np.flatnonzero(depth[: ranges[0].start + 1] <= 0.0)
         first = int(air[-1]) if air.size else 0
     weights = [closed_area(depth[one]) for one in ranges]
-    static, stiffness, tau = model.split(theta)
-    law = np.ascontiguousarray(depth - adjustment.contact_offset_mm)
+    law = depth - adjustment.contact_offset_mm
     areas = np.empty((FACTORS.size, len(rows)))
     force = np.zeros(depth.size)
     for k, factor in enumerate(FACTORS):
-        _, force[first:] = surface_path(
-            np.concatenate([[0.0], static]),
-            np.ascontiguousarray(factor * stiffness),
-            np.ascontiguousarray(tau),
-            model.depth_mm,
-            trial.time_s[first:],
-            law[first:],
-        )
+        _, force[first:] = model.follow(theta, trial.time_s[first:], law[first:], relaxing=factor)
         areas[k] = [adjustment.gain * float(w @ force[one]) for w, one in zip(weights, ranges, strict=True)]
     reference = np.array([REFERENCE_DEPTH * model.depth_mm])
-    eta = float((model.stiffness(theta, reference)[:, 0] * tau).sum())
+    eta = float((model.stiffness(theta, reference)[:, 0] * model.times(theta)).sum())
     return tuple(_filled(row, areas[:, k], eta) for k, row in enumerate(rows))
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.inference.window import FittedLog, first_turn
 from tissueid.model.channels import ChannelModel
-from tissueid.model.kernels import surface_path
 from tissueid.trial import Segmentation
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
@@ -38,16 +37,8 @@ class FreeSurface:
 
     def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
-        static, stiffness, tau = self.model.split(self.theta)
         law_mm = tool_mm - self.offset_mm
-        surface, _ = surface_path(
-            np.concatenate([[0.0], static]),
-            np.ascontiguousarray(stiffness),
-            np.ascontiguousarray(tau),
-            self.model.depth_mm,
-            time_s,
-            np.ascontiguousarray(law_mm),
-        )
+        surface, _ = self.model.follow(self.theta, time_s, law_mm)
         return surface + self.offset_mm, surface <= law_mm
 
 

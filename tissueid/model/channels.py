@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
-from tissueid.model.kernels import branch_sensitivity, branch_state
+from tissueid.model.kernels import branch_sensitivity, branch_state, surface_path
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
 
@@ -351,6 +351,23 @@ class ChannelModel:
             columns += [state * x**k for k in range(self.stiffness_law.powers)]
             columns.append(stiffness[branch] * by_tau)
         return np.column_stack(columns)
+
+    def follow(
+        self, theta: FloatArray, time_s: FloatArray, tool_mm: FloatArray, *, relaxing: float = 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Depth of the surface [mm] and force [N] of exponentials that a tool may leave, (n,) each.
+
+        ``relaxing``: every K_j times this.
+        """
+        static, stiffness, tau = self.split(theta)
+        return surface_path(
+            np.concatenate([[0.0], static]),
+            np.ascontiguousarray(relaxing * stiffness),
+            np.ascontiguousarray(tau),
+            self.depth_mm,
+            time_s,
+            np.ascontiguousarray(tool_mm),
+        )
 
     def is_passive(self, theta: FloatArray) -> bool:
         """F_s >= 0 and K >= 0 on [0, depth_mm], shapes positive, F_s growing where it is convolved."""
