@@ -41,6 +41,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import Coordinates
 from tissueid.synth import DIALECTS, bluehill_csv, recipe, simulate
 from tissueid.synth.recipe import Branch
@@ -80,7 +81,7 @@ def write_cohort(folder: Path, specimens: int, rate_Hz: float) -> int:
 def write_population(folder: Path, specimens: int) -> int:
     """Every specimen is a tissue of its own, drawn around that of paper A; returns the number of samples."""
     around = recipe("paper-a-22")
-    places = Coordinates(branches=1, stiffness_degree=0, depth_mm=8.0)
+    places = Coordinates(kelvin_voigt(1, 0, 8.0))
     typical = np.array([*around.static, *around.branches[0].stiffness, around.branches[0].tau_s])
     centre = places.to_phi(typical)[0][0]
     rng, samples = np.random.default_rng(3), 0

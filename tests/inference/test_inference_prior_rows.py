@@ -10,6 +10,7 @@ from tissueid.inference.prior import bernstein
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.channels import branch_states
+from tissueid.model.grammar import candidates
 from tissueid.priors import WEAK_FACTOR, Priors, SpreadPrior
 
 RECIPE = small_recipe(logs=small_recipe().logs[-1:])
@@ -55,6 +56,43 @@ def test_stated_priors_are_their_densities():
     expected = -0.5 * ((THETA[:, 0] - 20.0) / 5.0) ** 2 - 0.5 * ((THETA[:, 3] - 60.0) / 20.0) ** 2
     expected -= 0.5 * (np.log(THETA[:, 4] / 0.2) / 0.5) ** 2
     assert found - found[0] == pytest.approx(expected - expected[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["power * stretched", "exponential * linear * fung", "polynomial * tangent * prony:2", "power * prony:2"],
+)
+def test_the_prior_of_any_law_is_that_of_the_sampled_vectors(name: str) -> None:
+    (log,) = draw(RECIPE, 1)
+    ours = identified(handles_for([log]), noise="white", candidates=candidates(name))
+    at = SpecimenTarget(ours, machine=False)
+    tissue = np.r_[np.arange(at.law.times), at.law.times + 3 + np.arange(at.law.linear)]
+
+    def theta(x):
+        point = at.point(x)
+        return at.law.theta(point.log_times, point.linear, exact=True)[0]
+
+    points = np.repeat(at.mode[None], 4, axis=0)
+    low, high = at.law.bounds(-5.0, 5.0)
+    points[:, : at.law.times] = np.clip(points[:, : at.law.times], low + 0.2, high - 0.2)
+    points[1, tissue[: at.law.times]] += 0.05
+    points[2, tissue[at.law.times :]] *= 1.2
+    points[3, tissue] *= 1.03
+    sampled = at._log_prior(points, at.shared(points))
+    volume = []
+    for x in points:
+        steps = 1e-5 * np.maximum(np.abs(x[tissue]), 1.0)
+        columns = [
+            (theta(x + step * unit) - theta(x - step * unit)) / (2.0 * step)
+            for step, unit in zip(steps, np.eye(x.size)[tissue], strict=True)
+        ]
+        volume.append(np.linalg.slogdet(columns)[1])
+
+    found = log_theta_prior(at, np.array([theta(x) for x in points]))
+
+    expected = sampled - np.array(volume)
+    # the largest state is read off a table of 48 times
+    assert found - found[0] == pytest.approx(expected - expected[0], abs=0.01)
 
 
 def test_the_table_names_every_prior_and_what_the_data_added():

@@ -8,6 +8,7 @@ import numpy as np
 
 from tissueid.inference.diagnostics import _effective_size
 from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import Member, TrialRow
 from tissueid.population.stage_one import StageOne
@@ -15,7 +16,7 @@ from tissueid.result import Curve, ModelChoice
 
 #: Typical tissue: paper A's order of magnitude, K constant, 8 mm.
 TYPICAL = np.array([20.0, -1.2, 0.35, 63.62, 0.021])
-COORDINATES = Coordinates(branches=1, stiffness_degree=0, depth_mm=8.0)
+COORDINATES = Coordinates(kelvin_voigt(1, 0, 8.0))
 UNITS = {"length": "mm", "force": "N", "time": "s"}
 
 

@@ -6,15 +6,60 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tissueid.model.grammar import parsed
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import FLOOR_SHARE, Coordinates
 
 
 @st.composite
 def places(draw: st.DrawFn) -> tuple[Coordinates, np.ndarray]:
-    coordinates = Coordinates(draw(st.integers(1, 3)), draw(st.integers(0, 2)), draw(st.floats(0.5, 30.0)))
+    coordinates = Coordinates(
+        kelvin_voigt(draw(st.integers(1, 3)), draw(st.integers(0, 2)), draw(st.floats(0.5, 30.0)))
+    )
     # e^-6 to e^6: six decades of force and time
     phi = draw(arrays(np.float64, coordinates.size, elements=st.floats(-6.0, 6.0)))
     return coordinates, phi
+
+
+#: Laws of every kind of static law, stiffness and relaxation, and shapes within their bounds.
+LAWS = (
+    "kelvin-voigt", "power * prony:2", "exponential * linear * fung", "hertz * fractional",
+    "polynomial:2 * tangent * power-law", "sneddon * tangent * prony:2", "flat * quadratic * stretched",
+    "polynomial * linear * spectrum:3", "polynomial * tangent * poroelastic", "power * impact",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(
+    name: str,
+) -> None:
+    rng = np.random.default_rng(43)
+    law = kelvin_voigt(2, 1, 6.0) if name == "kelvin-voigt" else parsed(name).model(6.0, 0.01, 8.0)
+    coordinates = Coordinates(law)
+    phi = 0.3 * rng.standard_normal((4, coordinates.size))
+    step = 1e-5
+
+    theta = coordinates.to_theta(phi)
+
+    assert coordinates.to_phi(theta)[0] == pytest.approx(phi, abs=1e-9)
+    numeric = [
+        (coordinates.to_theta(phi[:1] + step * unit)[0] - coordinates.to_theta(phi[:1] - step * unit)[0])
+        / (2 * step)
+        for unit in np.eye(phi.shape[1])
+    ]
+    assert coordinates.log_jacobian(phi)[0] == pytest.approx(np.linalg.slogdet(numeric)[1], abs=1e-6)
+    assert len(coordinates.names) == len(coordinates.words) == len(coordinates.units) == phi.shape[1]
+    assert len(set(coordinates.names)) == phi.shape[1]
+    # the quantity at the common depth is the static force there
+    force = [float(law.static_force(one, np.array([6.0]))[0]) for one in theta]
+    assert coordinates.quantities(theta)[:, coordinates.static_at_depth] == pytest.approx(force, rel=1e-9)
+
+
+def test_a_shape_beyond_its_bounds_is_refused() -> None:
+    coordinates = Coordinates(parsed("power * stretched").model(6.0, 0.01, 8.0))
+    good, steep = [12.0, 1.5, 30.0, 0.4, 0.5], [12.0, 4.5, 30.0, 0.4, 0.5]
+
+    assert coordinates.passive(np.array([good, steep])).tolist() == [True, False]
 
 
 @settings(max_examples=60, deadline=None)
@@ -50,7 +95,7 @@ def test_the_jacobian_is_that_of_the_map(case: tuple[Coordinates, np.ndarray]) -
 
 
 def test_quantities_are_forces_and_viscosities_at_their_depths() -> None:
-    coordinates = Coordinates(branches=2, stiffness_degree=1, depth_mm=6.0)
+    coordinates = Coordinates(kelvin_voigt(2, 1, 6.0))
     theta = np.array([20.0, -1.2, 0.35, 60.0, 10.0, 0.02, 5.0, 1.0, 4.0])
 
     found = coordinates.quantities(theta)[0]
@@ -63,7 +108,7 @@ def test_quantities_are_forces_and_viscosities_at_their_depths() -> None:
 
 
 def test_what_is_zero_is_floored_and_counted() -> None:
-    coordinates = Coordinates(branches=1, stiffness_degree=0, depth_mm=6.0)
+    coordinates = Coordinates(kelvin_voigt(1, 0, 6.0))
     theta = np.tile([20.0, -1.2, 0.35, 60.0, 0.02], (5, 1))
     theta[1, 3] = 0.0
 
@@ -74,7 +119,7 @@ def test_what_is_zero_is_floored_and_counted() -> None:
 
 
 def test_tissue_that_pulls_or_whose_times_do_not_ascend_is_not_passive() -> None:
-    coordinates = Coordinates(branches=2, stiffness_degree=0, depth_mm=6.0)
+    coordinates = Coordinates(kelvin_voigt(2, 0, 6.0))
     good = [20.0, -1.2, 0.35, 60.0, 0.02, 5.0, 4.0]
     pulls = [20.0, -12.0, 1.5, 60.0, 0.02, 5.0, 4.0]
     swapped = [20.0, -1.2, 0.35, 60.0, 4.0, 5.0, 0.02]

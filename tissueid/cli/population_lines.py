@@ -35,8 +35,9 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
         )
         first, last = row["cv_ci95"]
         total = "" if row["ci95_total"] is None else f"; with the machine {' to '.join(wide)}"
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
         echo(
-            f"  {row['words']:<34} {median} {row['unit']} (95 %: {low} to {high}{total}), "
+            f"  {row['words']:<34} {median}{unit} (95 %: {low} to {high}{total}), "
             f"between specimens CV {100 * row['cv']:.1f} % ({100 * first:.1f} to {100 * last:.1f})",
         )
     if found["held_out"] is not None:
@@ -48,4 +49,6 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
     for flag in document["flags"]:
         echo(f"  ! {warning_line(flag['code'], flag['message'])}", fg="yellow")
     echo()
+    if not written.felt:
+        echo("No population.h5: specimens drawn from so open a population have no force that is a number")
     echo(f"Report: {out}/cohort.html")

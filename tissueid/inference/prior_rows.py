@@ -10,8 +10,7 @@ from tissueid.arrays import FloatArray
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import MACHINE
 from tissueid.inference.target import SpecimenTarget
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
-from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors
+from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 from tissueid.uncertainty import PriorRow
 
 #: Standard deviation of a half-normal in its scale, and range of ln sigma.
@@ -125,28 +124,40 @@ def prior_table(
 def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     """Ln of the prior density of tissues, up to a constant of the specimen.
 
-    The density is that of theta itself, in the units of the contact model and in tau rather than ln tau.
+    The density is that of theta itself, in the units of the contact model and in shapes rather than their
+    logarithms.
 
     ``theta`` (n, p).  Returns (n,).
     """
-    law, priors, size = target.law, target.priors, target.law.degree + 1
-    if law.model_of is not None:
-        # populations take Kelvin-Voigt tissues only
-        return np.zeros(len(theta))
-    spread, names = WEAK_FACTOR * target.force, [one.name for one in law.model().parameters]
-    static = theta[:, :STATIC_DEGREE] * law.depth_mm ** np.arange(1.0, STATIC_DEGREE + 1)
-    value = -0.5 * ((static @ bernstein(STATIC_DEGREE).T / spread) ** 2).sum(axis=1)
-    for j in range(law.branches):
-        first = STATIC_DEGREE + j * (size + 1)
-        tau = theta[:, first + size]
-        state = _largest(target, tau)
-        linear = theta[:, first : first + size] * law.depth_mm ** np.arange(1.0, size + 1)
-        value -= 0.5 * ((linear @ bernstein(size).T) ** 2).sum(axis=1) * (state / spread) ** 2
-        value += size * np.log(state) - np.log(tau)
-        if j < len(priors.relaxation_time_s):
-            stated = priors.relaxation_time_s[j]
-            value -= 0.5 * ((np.log(tau) - math.log(stated.median)) / stated.sd_ln) ** 2
+    law, priors, model = target.law, target.priors, target.law.model()
+    largest = law.largest_states(target.optimum.point.log_times, target.system.path(target.system.travel))
+    logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
+    field = law.field(logs)
+    linear = theta[:, model.linear_places] / field
+    value = -logs.sum(axis=1) - np.log(field).sum(axis=1)
+    spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
+    for one in law.blocks:
+        # the largest state follows the time of an exponential; of other laws it is a constant
+        follows = one.branch >= 0 and exponential
+        state = _largest(target, np.exp(logs[:, one.branch])) if follows else np.ones(len(theta))
+        if one.branch >= 0 and not exponential:
+            state = state * largest[one.branch]
+        rows = bernstein(one.size) if one.polynomial else np.eye(one.size)
+        value -= 0.5 * ((linear[:, one.at] @ rows.T) ** 2).sum(axis=1) * (state / spread) ** 2
+        value += one.size * np.log(state)
+    for j, given in _stated_shapes(target):
+        value -= 0.5 * ((logs[:, j] - math.log(given.median)) / given.sd_ln) ** 2
     for name, (mean, sd) in priors.linear.items():
-        if name in names:
-            value -= 0.5 * ((theta[:, names.index(name)] - mean) / sd) ** 2
+        if name in model.parameter_names:
+            value -= 0.5 * ((theta[:, model.parameter_names.index(name)] - mean) / sd) ** 2
     return np.asarray(value)
+
+
+def _stated_shapes(target: SpecimenTarget) -> list[tuple[int, SpreadPrior]]:
+    """Priors that a study states of shapes, by their place among the engine's."""
+    times, priors = target.law.counts[0], target.priors
+    out = list(enumerate(priors.relaxation_time_s[:times]))
+    for j, shape in enumerate(target.law.shapes[times:], times):
+        if shape.spec.name in priors.shapes:
+            out.append((j, priors.shapes[shape.spec.name]))
+    return out

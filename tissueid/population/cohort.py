@@ -30,7 +30,7 @@ from tissueid.population.confounding import Confounding, speed_confounding
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described, design_of
 from tissueid.population.held_out import HeldOut, held_out
-from tissueid.population.members import FEWEST_SPECIMENS, LeftOut, Member, fit_for_cohort, stage_one
+from tissueid.population.members import FEWEST_SPECIMENS, LeftOut, Member, fit_for_cohort, model_of, stage_one
 from tissueid.population.rows import (
     EffectRow,
     QuantityRow,
@@ -261,10 +261,6 @@ def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tup
     return tuple(rows)
 
 
-#: Coordinate of the static force at the common depth.
-STATIC_AT_DEPTH = 2
-
-
 @dataclass(frozen=True, slots=True)
 class CohortOptions:
     """Options of a population's sampling."""
@@ -327,12 +323,11 @@ def cohort(
             f"{FEWEST_SPECIMENS} at least"
         )
         return CohortFit(kept, left, None, reason, None, order, confounding, tuple(flags))
-    branches, degree = kept[0].order
-    coordinates = Coordinates(branches, degree, min(one.depth_mm for one in kept))
+    coordinates = Coordinates(model_of(kept))
     described = design_of(kept, options.group_by, options.covariates)
     stage, floored = stage_one(kept, coordinates)
     population = _population(kept, stage, coordinates, described, options, tick)
-    force = {row.specimen: row.pooled[STATIC_AT_DEPTH] for row in population.specimens}
+    force = {row.specimen: row.pooled[coordinates.static_at_depth] for row in population.specimens}
     flags += population_flags(
         population.draws, population.predictive, population.specimens, described, floored
     )
@@ -366,6 +361,6 @@ def _population(
         specimens=specimen_rows(members, stage, draws, coordinates),
         effects=effect_rows(draws, coordinates, described),
         held_out=predicted,
-        repeatability=repeatability(members, sd[:, STATIC_AT_DEPTH], rng),
+        repeatability=repeatability(members, sd[:, coordinates.static_at_depth], rng),
         sizes=size_rows(coordinates.names, sd, np.asarray(own_sd, dtype=np.float64)),
     )

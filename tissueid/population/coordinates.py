@@ -2,18 +2,21 @@
 
 At a depth d that all specimens reached::
 
-    phi = ( ln F_s(d/3), ln F_s(2d/3), ln F_s(d),   then for each branch
-            ln eta(x_1) .. ln eta(x_m),  ln tau ),        eta(x) = K(x) tau,  x_k = k d / m
+    phi = ( ln F_s(d/m), ln F_s(2d/m) .. ln F_s(d),   m coefficients of the static law, then its shapes,
+            then for each relaxing part
+            ln eta(x_1) .. ln eta(x_n), shapes ),     eta(x) = K(x) tau,  x_k = k d / n
 
-with m the number of coefficients of K.  One to one with theta where the static force and every K are
-positive at these depths.  Back from phi the polynomials may be negative between them: such a tissue is not
-passive, and a draw of it is refused by who asked for it.  Viscosity stands for stiffness because the two
-factors of K tau are nearly dependent and their product is what ramps tell (model.md 2, derived).
+with n the number of coefficients of K.  A shape (a relaxation time, a power of depth, the ratio of an inside
+channel) is its own logarithm; where a relaxation is no exponential, K stands for eta.  One to one with theta
+where the static force and every K are positive at these depths.  Back from phi the polynomials may be
+negative between them, and a shape may leave its bounds: such a tissue is not passive, and a draw of it is
+refused by who asked for it.  Viscosity stands for stiffness because the two factors of K tau are nearly
+dependent and their product is what ramps tell (model.md 2, derived).
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,77 +25,92 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, kelvin_voigt
 
 #: Passive draws may vanish at a depth: a number below this share of its median over the specimen's draws is
 #: set to it. At e^-14 of the typical value it has no weight in any population.
 FLOOR_SHARE = 1e-6
+#: Bounds of a shape are kept to within rounding.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinates:
-    """Maps between theta of a contact model and phi."""
+    """Maps between theta of a contact model, on [0, d], and phi."""
 
-    branches: int
-    stiffness_degree: int
-    depth_mm: float  # the common depth d
+    model: ChannelModel
 
     @property
-    def model(self) -> ChannelModel:
-        """The contact model on [0, d]."""
-        return kelvin_voigt(self.branches, self.stiffness_degree, self.depth_mm)
+    def depth_mm(self) -> float:
+        """The common depth d [mm]."""
+        return self.model.depth_mm
 
     @property
     def size(self) -> int:
         """Number of coordinates, that of theta."""
-        return STATIC_DEGREE + self.branches * (self.stiffness_degree + 2)
+        return len(self.model.parameters)
 
     @property
-    def static_depths_mm(self) -> FloatArray:
-        """Depths of the three static forces [mm]."""
-        return self.depth_mm * np.arange(1.0, STATIC_DEGREE + 1) / STATIC_DEGREE
+    def static_at_depth(self) -> int:
+        """Coordinate of the static force at the common depth."""
+        return self._static_size - 1
 
     @property
-    def branch_depths_mm(self) -> FloatArray:
-        """Depths of the viscosities of a branch [mm]."""
-        count = self.stiffness_degree + 1
-        return self.depth_mm * np.arange(1.0, count + 1) / count
+    def shapes(self) -> NDArray[np.int64]:
+        """Coordinates of shapes, times among them."""
+        return self.model.shape_places
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """Coordinates of relaxation times, which ascend."""
+        names = self.model.parameter_names
+        return np.array([k for k in self.shapes if names[k].startswith("relaxation_time")], dtype=np.int64)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the quantities whose logarithms are the coordinates; units at their end."""
-        names = [f"static_force_{k}_N" for k in range(1, STATIC_DEGREE + 1)]
-        for branch in range(self.branches):
-            suffix = branch_suffix(branch)
-            names += [f"viscosity_{k}_N_s_per_mm{suffix}" for k in range(1, self.stiffness_degree + 2)]
-            names.append(f"relaxation_time_s{suffix}")
+        names = list(self.model.parameter_names)
+        for k in range(self._static_size):
+            names[k] = f"static_force_{k + 1}_N"
+        kind = "viscosity_{}_N_s_per_mm" if self.model.viscous else "stiffness_at_{}_N_per_mm"
+        for branch, (at, _) in enumerate(self._blocks()):
+            for k in range(at.stop - at.start):
+                names[at.start + k] = kind.format(k + 1) + branch_suffix(branch)
         return tuple(names)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each quantity."""
-        branch = ["N s/mm"] * (self.stiffness_degree + 1) + ["s"]
-        return tuple(["N"] * STATIC_DEGREE + branch * self.branches)
+        units = [spec.unit for spec in self.model.parameters]
+        units[: self._static_size] = ["N"] * self._static_size
+        for at, _ in self._blocks():
+            units[at] = ["N s/mm" if self.model.viscous else "N/mm"] * (at.stop - at.start)
+        return tuple(units)
 
     @property
     def words(self) -> tuple[str, ...]:
         """Each quantity in words, with its depth."""
-        words = [f"static force at {depth:.3g} mm" for depth in self.static_depths_mm]
-        for branch in range(self.branches):
-            of = f" of branch {branch + 1}" if self.branches > 1 else ""
-            words += [f"viscosity{of} at {depth:.3g} mm" for depth in self.branch_depths_mm]
-            words.append(f"relaxation time{of}")
+        words = [spec.meaning for spec in self.model.parameters]
+        for k, depth in enumerate(self._depths(self._static_size)):
+            words[k] = f"static force at {depth:.3g} mm"
+        blocks = list(self._blocks())
+        for branch, (at, time) in enumerate(blocks):
+            of = f" of branch {branch + 1}" if len(blocks) > 1 else ""
+            kind = "viscosity" if self.model.viscous else "stiffness"
+            depths = self._depths(at.stop - at.start)
+            words[at] = [f"{kind}{of} at {depth:.3g} mm" for depth in depths]
+            if time is not None:
+                words[time] = f"relaxation time{of}"
         return tuple(words)
 
     def quantities(self, theta: FloatArray) -> FloatArray:
         """The positive numbers of tissues, shape (n, p), from theta, shape (n, p)."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
-        out = np.empty_like(theta)
-        out[:, :STATIC_DEGREE] = theta[:, :STATIC_DEGREE] @ self._static().T
-        for first, last in self._blocks():
-            tau = theta[:, last]
-            out[:, first:last] = (theta[:, first:last] @ self._branch().T) * tau[:, None]
-            out[:, last] = tau
+        out = theta.copy()
+        static = self._static_size
+        out[:, :static] = (self._static(theta) @ theta[:, :static, None])[..., 0]
+        for at, time in self._blocks():
+            scale = 1.0 if time is None else theta[:, time, None]
+            out[:, at] = (theta[:, at] @ self._branch(at).T) * scale
         return out
 
     def to_phi(self, theta: FloatArray) -> tuple[FloatArray, int]:
@@ -109,43 +127,57 @@ class Coordinates:
     def to_theta(self, phi: FloatArray) -> FloatArray:
         """Theta of the tissues at phi, shape (n, p); inverse of :meth:`to_phi` where nothing was floored."""
         phi = np.atleast_2d(np.asarray(phi, dtype=np.float64))
-        values = np.exp(phi)
-        out = np.empty_like(values)
-        out[:, :STATIC_DEGREE] = np.linalg.solve(self._static(), values[:, :STATIC_DEGREE].T).T
-        for first, last in self._blocks():
-            stiffness = np.exp(phi[:, first:last] - phi[:, last, None])
-            out[:, first:last] = np.linalg.solve(self._branch(), stiffness.T).T
-            out[:, last] = values[:, last]
+        out = np.exp(phi)
+        static = self._static_size
+        out[:, :static] = np.linalg.solve(self._static(out), out[:, :static, None])[..., 0]
+        for at, time in self._blocks():
+            stiffness = np.exp(phi[:, at] - (0.0 if time is None else phi[:, time, None]))
+            out[:, at] = np.linalg.solve(self._branch(at), stiffness.T).T
         return out
 
     def log_jacobian(self, phi: FloatArray) -> FloatArray:
         """Ln of abs det(d theta / d phi), shape (n,): a density of theta times it is one of phi."""
-        phi = np.atleast_2d(phi)
-        value = phi[:, :STATIC_DEGREE].sum(axis=1) - _log_det(self._static())
-        for first, last in self._blocks():
-            log_tau = phi[:, last]
-            value += (phi[:, first:last] - log_tau[:, None]).sum(axis=1) + log_tau - _log_det(self._branch())
+        phi = np.atleast_2d(np.asarray(phi, dtype=np.float64))
+        value = phi.sum(axis=1) - np.linalg.slogdet(self._static(np.exp(phi)))[1]
+        for at, time in self._blocks():
+            value = value - np.linalg.slogdet(self._branch(at))[1]
+            if time is not None:
+                value = value - (at.stop - at.start) * phi[:, time]
         return np.asarray(value)
 
     def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
-        """True for tissues that are passive on [0, d], with their relaxation times ascending; shape (n,)."""
-        model, ends = self.model, [last for _, last in self._blocks()]
-        ascending = np.asarray((np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1))
-        return np.array([bool(ascending[i]) and model.is_passive(row) for i, row in enumerate(theta)])
+        """True for tissues that are passive on [0, d], shapes in their bounds, times ascending; (n,)."""
+        specs = [self.model.parameters[k] for k in self.shapes]
+        low = np.array([one.lower for one in specs]) * (1.0 - ROUNDING)
+        high = np.array([one.upper for one in specs]) * (1.0 + ROUNDING)
+        shapes = theta[:, self.shapes]
+        inside = np.asarray(((shapes >= low) & (shapes <= high)).all(axis=1))
+        good = inside & (np.diff(theta[:, self.times], axis=1) > 0.0).all(axis=1)
+        return np.array([bool(good[i]) and self.model.is_passive(row) for i, row in enumerate(theta)])
 
-    def _blocks(self) -> list[tuple[int, int]]:
-        """First coefficient of K, and the relaxation time, of each branch."""
-        block = self.stiffness_degree + 2
-        starts = [STATIC_DEGREE + branch * block for branch in range(self.branches)]
-        return [(first, first + block - 1) for first in starts]
+    @property
+    def _static_size(self) -> int:
+        return len(self.model.static.coefficients)
 
-    def _static(self) -> FloatArray:
-        return np.asarray(self.static_depths_mm[:, None] ** np.arange(1.0, STATIC_DEGREE + 1))
+    def _depths(self, count: int) -> FloatArray:
+        """Depths at which so many numbers are taken [mm]."""
+        return self.depth_mm * np.arange(1.0, count + 1) / count
 
-    def _branch(self) -> FloatArray:
-        return np.asarray(self.branch_depths_mm[:, None] ** np.arange(self.stiffness_degree + 1.0))
+    def _blocks(self) -> Iterator[tuple[slice, int | None]]:
+        """Coefficients of K of each part, and the place of the time that makes it a viscosity."""
+        for part in self.model.parts:
+            if part.ratio is None:
+                yield part.stiffness, part.shapes.start if self.model.viscous else None
 
+    def _static(self, theta: FloatArray) -> FloatArray:
+        """Static forces at the depths by the coefficients, (n, m, m) or (1, m, m), from rows of theta."""
+        count, static = self._static_size, self.model.static
+        shapes = theta[:, count : count + len(static.shapes)].T
+        depths = self._depths(count)
+        if not len(shapes):
+            return np.asarray(static.basis(depths)).T[None]
+        return np.moveaxis(np.asarray(static.basis(depths[:, None], *shapes)), (0, 1, 2), (2, 1, 0))
 
-def _log_det(matrix: FloatArray) -> float:
-    sign, value = np.linalg.slogdet(matrix)
-    return float(value) if sign != 0.0 else -math.inf
+    def _branch(self, at: slice) -> FloatArray:
+        count = at.stop - at.start
+        return np.asarray(self._depths(count)[:, None] ** np.arange(float(count)))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tissueid import __version__
-from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.model.channels import ChannelModel
 from tissueid.population.cohort import CohortFit, CohortOptions, Population
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT
@@ -74,9 +75,11 @@ def _draws(posterior: StoredPosterior | None, most: int) -> dict[str, Any]:
             return None
         return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)].copy()
 
+    prior = posterior.log_prior
     return {
         "draws": thin(posterior.draws),
-        "log_prior": thin(posterior.log_prior),
+        # zeros stand in outputs of older versions, which had no prior density of other laws
+        "log_prior": thin(prior if prior is None or prior.any() else None),
         "draws_total": thin(posterior.draws_total),
     }
 
@@ -151,7 +154,11 @@ def _population(found: Population) -> dict[str, Any]:
     correlation = np.median(draws.correlation.reshape(-1, coordinates.size, coordinates.size), axis=0)
     low, high = np.quantile(draws.nu, [0.025, 0.975]) if heavy else (0.0, 0.0)
     return {
-        "model": {"branches": coordinates.branches, "stiffness_degree": coordinates.stiffness_degree},
+        "model": {
+            "name": coordinates.model.name,
+            "branches": coordinates.model.branches,
+            "stiffness_degree": coordinates.model.stiffness_degree,
+        },
         "depth_mm": coordinates.depth_mm,
         "quantities": [row.as_json() for row in found.quantities],
         "correlation": np.clip(correlation, -1.0, 1.0).tolist(),
@@ -184,8 +191,8 @@ def _population(found: Population) -> dict[str, Any]:
 def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | None:
     """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it.
 
-    ``document``: from :func:`as_document`.  Returns ``None`` without a population, or where hardly any drawn
-    specimen is passive.
+    ``document``: from :func:`as_document`.  Returns ``None`` without a population, where hardly any drawn
+    specimen is passive, or where drawn ones are so far apart that no variance is a number.
     """
     found = fit.population
     if found is None or len(found.predictive.theta) < 2:
@@ -195,14 +202,18 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
     mean = found.draws.mean[rows]
     # t tails of few degrees of freedom have no variance: the covariance is that of the central 99 %
     low, high = np.quantile(theta, [0.005, 0.995], axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance = np.cov(np.clip(theta, low, high), rowvar=False)
+    if not np.isfinite(covariance).all():
+        return None
     spread = coordinates.to_theta(mean).std(axis=0)
     tips = {one.tip_radius_mm for one in fit.members}
     return Bundle(
         specimen=f"population of {len(fit.members)} specimens",
-        model=ModelChoice(KEY, coordinates.branches, STATIC_DEGREE, coordinates.stiffness_degree, "shared"),
+        model=replace(fit.members[0].model, static_pooling="shared", range_s=_range(coordinates.model)),
         theta_names=coordinates.model.parameter_names,
         theta=found.predictive.typical,
-        covariance=np.cov(np.clip(theta, low, high), rowvar=False),
+        covariance=covariance,
         parameters=tuple(
             Estimate(spec.name, spec.symbol, spec.unit, float(value), float(error), identified=True)
             for spec, value, error in zip(
@@ -223,6 +234,11 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         population_sd=found.draws.sd.reshape(-1, coordinates.size)[rows],
         units=dict(fit.members[0].units) or dict(_NO_UNITS),
     )
+
+
+def _range(model: ChannelModel) -> tuple[float, float] | None:
+    """Times that a relaxation is looked at; none of exponentials, which are themselves at all times."""
+    return (model.resolution_s, model.window_s) if np.isfinite(model.window_s) else None
 
 
 def _provenance(document: Mapping[str, Any]) -> dict[str, Any]:

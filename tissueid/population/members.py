@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.model.channels import ChannelModel
+from tissueid.model.grammar import KELVIN_VOIGT, rebuilt
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.stage_one import StageOne
 from tissueid.result import Curve, ModelChoice
@@ -23,6 +25,10 @@ FEWEST_DRAWS = 500
 #: Quantiles whose distances to the median say how even draws are about it.
 _TAILS = (0.05, 0.95)
 
+#: Law, branches, degree of K.
+Order = tuple[str, int, int]
+#: Logarithm by which fixed times of specimens may differ from their median: neighbours differ by much more.
+SAME_TIMES = 0.1
 #: Words of a storage that froze the tissue.
 FROZEN = ("frozen", "freez", "thaw", "-20", "-80", "\N{MINUS SIGN}20", "\N{MINUS SIGN}80")
 
@@ -60,9 +66,16 @@ class Member:
     units: Mapping[str, str] = field(default_factory=dict)  # of length and force; a cohort has one kind
 
     @property
-    def order(self) -> tuple[int, int]:
-        """Branches, and degree of K."""
-        return self.model.branches, self.model.stiffness_degree
+    def order(self) -> Order:
+        """Law, branches and degree of K."""
+        law = KELVIN_VOIGT if self.model.key == KELVIN_VOIGT else self.model.name or self.model.key
+        words = " * ".join(word.strip() for word in law.split("*"))
+        return words, self.model.branches, self.model.stiffness_degree
+
+    @property
+    def fixed_s(self) -> FloatArray:
+        """Times of its spectrum [s]; none of other laws."""
+        return rebuilt(self.model, self.depth_mm).fixed_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +90,19 @@ class LeftOut:
         return {"specimen": self.specimen, "reason": self.reason}
 
 
-def common_model(members: Sequence[Member]) -> tuple[int, int]:
-    """The commonest order of the model, (branches, degree of K); of equally common ones the simplest."""
+def common_model(members: Sequence[Member]) -> Order:
+    """The commonest law and order; of equally common ones the simplest."""
     counts = Counter(member.order for member in members)
     most = max(counts.values(), default=0)
-    return min((order for order, count in counts.items() if count == most), default=(1, 0))
+    simplest = (KELVIN_VOIGT, 1, 0)
+    return min((order for order, count in counts.items() if count == most), default=simplest)
+
+
+def model_of(members: Sequence[Member]) -> ChannelModel:
+    """The contact model that members of one law have in common, on the depth that all reached."""
+    ends = [one.model.range_s for one in members if one.model.range_s is not None]
+    reach = (min(one[0] for one in ends), max(one[1] for one in ends)) if ends else None
+    return rebuilt(replace(members[0].model, range_s=reach), min(one.depth_mm for one in members))
 
 
 def fit_for_cohort(members: Sequence[Member]) -> tuple[tuple[Member, ...], tuple[LeftOut, ...]]:
@@ -98,15 +119,29 @@ def fit_for_cohort(members: Sequence[Member]) -> tuple[tuple[Member, ...], tuple
         elif tuple(sorted(one.units.items())) != units[0][0]:
             reason = "its recordings are in other units than those of most specimens"
         elif one.order != order:
-            reason = (
-                f"its model has {_order_words(one.order)}, that of most specimens {_order_words(order)}; "
-                f"fit all with --branches {order[0]} --stiffness-degree {order[1]}"
-            )
+            reason = _other_order(one.order, order)
         if reason is None:
             kept.append(one)
         else:
             left.append(LeftOut(one.specimen, reason))
-    return tuple(kept), tuple(left)
+    return _of_like_times(kept, left)
+
+
+def _of_like_times(kept: list[Member], left: list[LeftOut]) -> tuple[tuple[Member, ...], tuple[LeftOut, ...]]:
+    """Members without those whose spectrum stands at other times, and all that take no part."""
+    if not kept or not kept[0].fixed_s.size:
+        return tuple(kept), tuple(left)
+    logs = np.log([one.fixed_s for one in kept])
+    middle = np.median(logs, axis=0)
+    like = (np.abs(logs - middle) <= SAME_TIMES).all(axis=1)
+    reason = (
+        "the times of its spectrum, {:.3g} to {:.3g} s, are not those of most specimens, {:.3g} to {:.3g} s"
+    )
+    most = np.exp(middle[[0, -1]])
+    for one, same in zip(kept, like, strict=True):
+        if not same:
+            left.append(LeftOut(one.specimen, reason.format(*one.fixed_s[[0, -1]], *most)))
+    return tuple(one for one, same in zip(kept, like, strict=True) if same), tuple(left)
 
 
 def thawed_among_fresh(members: Sequence[Member]) -> tuple[list[str], list[str]]:
@@ -124,8 +159,15 @@ def thawed_among_fresh(members: Sequence[Member]) -> tuple[list[str], list[str]]
     return thawed, fresh
 
 
-def _order_words(order: tuple[int, int]) -> str:
-    return f"{order[0]} branch{'es' * (order[0] > 1)} and K of degree {order[1]}"
+def _other_order(own: Order, most: Order) -> str:
+    """Why a specimen of another law, order or spectrum takes no part."""
+    if own[0] != most[0]:
+        return f"its law is {own[0]}, that of most specimens {most[0]}; fit all with --model '{most[0]}'"
+    said = [f"{one[1]} branch{'es' * (one[1] > 1)} and K of degree {one[2]}" for one in (own, most)]
+    return (
+        f"its model has {said[0]}, that of most specimens {said[1]}; "
+        f"fit all with --branches {most[1]} --stiffness-degree {most[2]}"
+    )
 
 
 def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[StageOne, dict[str, int]]:
@@ -145,9 +187,9 @@ def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[Stag
         reference.append(one.log_prior[rows] + coordinates.log_jacobian(values))
         if low:
             floored[one.specimen] = low
-    times = np.array([name.startswith("relaxation_time") for name in coordinates.names])
-    linear = ~times & _more_even_itself(phi)
-    return StageOne(tuple(phi), tuple(reference), linear, np.flatnonzero(times)), floored
+    linear = _more_even_itself(phi)
+    linear[coordinates.shapes] = False
+    return StageOne(tuple(phi), tuple(reference), linear, coordinates.times), floored
 
 
 def _more_even_itself(phi: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:

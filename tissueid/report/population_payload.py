@@ -71,7 +71,7 @@ def population_payload(document: Mapping[str, Any], bundle: Bundle | None) -> di
         "quantities": [
             {
                 "words": row["words"],
-                "unit": row["unit"],
+                "unit": "" if row["unit"] == "1" else row["unit"],
                 "median": row["median"],
                 "ci95": row["ci95"],
                 "sd": row["sd_ln"],

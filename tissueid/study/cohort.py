@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import NotIdentifiedError, printable
-from tissueid.model.kelvin_voigt import KEY
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle, population_priors
 from tissueid.population.members import thawed_among_fresh
@@ -46,6 +45,7 @@ class WrittenPopulation:
 
     document: dict[str, Any]
     fit: CohortFit
+    felt: bool = True  # specimens drawn from it are in population.h5
 
     @property
     def converged(self) -> bool:
@@ -72,13 +72,6 @@ def write_population(
             hold_out=request.hold_out,
         )
         members = members_of(identification, each_result(out))
-        other = next((one for one in members if one.model.key != KEY), None)
-        if other is not None:
-            msg = (
-                f"{other.specimen} is a {other.model.key!r} tissue, and a population is of kelvin-voigt "
-                "ones: fit without --model for it"
-            )
-            raise NotIdentifiedError(msg)
         if not request.mix_states and not STATES & {request.group_by, *request.covariates}:
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
@@ -96,7 +89,7 @@ def write_population(
         created = datetime.now(UTC).isoformat(timespec="seconds")
         run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
         run.commit()
-    return WrittenPopulation(document=document, fit=fit)
+    return WrittenPopulation(document=document, fit=fit, felt=bundle is not None)
 
 
 def _refuse_mixed(thawed: list[str], fresh: list[str]) -> None:

@@ -42,7 +42,7 @@
       const low = one.median * Math.exp(-one.sd);
       return {
         traces: [trace("separate", "alone", "circle-open", "aside", -0.18), trace("pooled", "with the population", "circle", "data", 0.18)],
-        x: "Specimen", y: `${one.words} [${one.unit}]`,
+        x: "Specimen", y: one.unit ? `${one.words} [${one.unit}]` : one.words,
         layout: {
           shapes: [level(one.median, "solid", 1.5), { type: "rect", xref: "paper", x0: 0, x1: 1, y0: low, y1: top, fillcolor: faint("model", 0.1), line: { width: 0 }, layer: "below" }],
           yaxis: { type: "log" },
