@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.model.channels import ChannelModel
+from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.population.cohort import CohortFit, CohortOptions, Population
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT
@@ -53,7 +54,7 @@ def members_of(
                 specimen=entry["specimen"],
                 model=ModelChoice.from_json(entry["model"]),
                 depth_mm=validity["depth_mm"],
-                **_draws(posterior, most),
+                **_draws(posterior, most, key=entry["model"]["key"]),
                 covariates=known,
                 trials=tuple(_trial(trial, trials, drawn) for trial in entry["trials"]),
                 speeds_mm_s=(slowest, fastest),
@@ -65,7 +66,7 @@ def members_of(
     return tuple(members)
 
 
-def _draws(posterior: StoredPosterior | None, most: int) -> dict[str, Any]:
+def _draws(posterior: StoredPosterior | None, most: int, *, key: str) -> dict[str, Any]:
     """Draws of a member, evenly thinned."""
     if posterior is None:
         return {"draws": np.empty((0, 0)), "log_prior": None, "draws_total": None}
@@ -76,10 +77,12 @@ def _draws(posterior: StoredPosterior | None, most: int) -> dict[str, Any]:
         return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)].copy()
 
     prior = posterior.log_prior
+    if key != KELVIN_VOIGT and prior is not None and not prior.any():
+        # outputs of older versions had no prior density of other laws
+        prior = None
     return {
         "draws": thin(posterior.draws),
-        # zeros stand in outputs of older versions, which had no prior density of other laws
-        "log_prior": thin(prior if prior is None or prior.any() else None),
+        "log_prior": thin(prior),
         "draws_total": thin(posterior.draws_total),
     }
 

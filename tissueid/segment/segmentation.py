@@ -192,7 +192,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     found = placed_stops(time_s, depth, found)
     path = _Path(time_s, depth, force, noise, tolerance)
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
-    moves = _whole(path, found)
+    moves = _whole(path, found, breaks=options.rupture)
     contact, contact_flags = _located(path, moves, _shallow_from(depth, moves), locate)
     surface = Surface.of(contact, depth, compression)
     creep = partial(held_from, time_s, depth, force, noise_N=noise, tolerance_mm=tolerance)
@@ -260,17 +260,19 @@ def _located(
     return (None if contact is None else replace(contact, index=contact.index + start)), flags
 
 
-def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
+def _whole(path: _Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
     """Moves into the tissue that may show its surface: from the first that meets it, up to where it breaks.
 
     Contact is told from a force that rises; what an earlier move in air shows is the reading in air.
+    ``breaks``: tissue may break; what the user decided is no rupture here either.
     """
     loading = [piece for piece in found if piece.direction > 0]
     if not loading:
         return []
     force, start = path.force_N, loading[0].start
     zero = (float(path.depth_mm[start]), float(np.median(force[: max(start, FEWEST_SAMPLES)])))
-    broken = [event.index for event in path.ruptures(loading, zero) if event.kind == "rupture"]
+    ruptures = path.ruptures(loading, zero) if breaks else ()
+    broken = [event.index for event in ruptures if event.kind == "rupture"]
     least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
     met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
     return [
