@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.segment import SegmentOptions, segment
+from tissueid.segment import segmentation as segmentation_module
 from tissueid.trial import Event, Segmentation, Trial
 
 RATE_HZ = 100.0
@@ -125,19 +126,15 @@ def test_the_user_may_say_it_is_none() -> None:
     assert "rupture" not in {flag.code for flag in found.flags}
 
 
-def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact() -> None:
-    # counts of a device over a stiff fast branch: the force leaps at each count and has relaxed by the next sample
-    time = np.arange(0.0, 6.0, 1e-3)
-    depth = np.clip(4.0 * (time - 0.5), -0.5, 7.0)
-    counted = np.floor(depth / 0.009) * 0.009
-    inside, state, branch = np.maximum(counted, 0.0), 0.0, []
-    for rise in np.diff(inside, prepend=0.0).tolist():
-        state = np.exp(-1.0 / 1.6) * state + rise
-        branch.append(state)
-    trial = Trial("counts", time, counted, 12.7 * np.expm1(0.21 * inside) / 0.21 + 1100.0 * np.array(branch))
+def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trial = ramp(lambda x: 10.0 * np.maximum(x - 1.0, 0.0))
+    dropped = Event("rupture", 8, float(trial.time_s[8]), values={"drop_fraction": 0.4})
+    monkeypatch.setattr(segmentation_module._Path, "ruptures", lambda *_: [dropped])
 
     found = segment(trial, options=SegmentOptions(rupture=False))
 
+    assert segment(trial).contact is None
     assert found.contact is not None
-    assert abs(found.contact.displacement_mm) < 0.05
-    assert [phase.kind for phase in found.phases if phase.kind in {"ramp", "hold"}] == ["ramp", "hold"]
+    assert abs(found.contact.displacement_mm - 1.0) < 0.05
