@@ -24,6 +24,7 @@ from design_cases import (
 from tissueid.design.information import Chain, Indentation, information
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.precision import relative_sd
+from tissueid.model.grammar import parsed
 from tissueid.selfcheck.recording import ProtocolLog, low_pass, recorded_force
 
 pytestmark = pytest.mark.needs_jit
@@ -176,6 +177,43 @@ def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) ->
         exact = relative_sd(numerical_information(setting, hold, gain_sd=0.05) + prior, gradient)[:, 0]
         # the filter is followed on finer steps than the recording's, and not on the same
         assert relative_sd(one + prior, gradient)[:, 0] == pytest.approx(exact, rel=0.01)
+
+
+LAWS = {
+    "power * stretched": [12.0, 1.4, 30.0, 0.08, 0.5],
+    "exponential * linear * power-law": [12.0, 0.15, 30.0, 4.0, 0.05, 0.3],
+    "polynomial * tangent * prony:2": [20.0, -1.2, 0.35, 1.2, 0.02, 0.6, 0.3],
+    "hertz * spectrum:3": [12.0, 20.0, 10.0, 5.0],
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_information_of_any_law_is_that_of_its_simulated_forces(name: str) -> None:
+    setting, test = Setting(200.0, 0.5), Indentation(250.0, 2.0, 3.0)
+    machine = replace(PRESETS["paper-a"], contact_sd_mm=1e-4)
+    model, theta = parsed(name).model(6.0, 0.005, 4.0), np.array(LAWS[name])
+    (log,) = recorded_logs(test, machine, setting, 1, "log")
+    fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
+
+    def force(moved: np.ndarray) -> np.ndarray:
+        made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration={})
+        return np.asarray(made[fitted])
+
+    columns = []
+    for k, value in enumerate(theta):
+        up, down = theta.copy(), theta.copy()
+        up[k], down[k] = value * (1.0 + 1e-4), value * (1.0 - 1e-4)
+        by_logarithm = (force(up) - force(down)) / 2e-4
+        columns.append(by_logarithm if k in model.shape_places else by_logarithm / value)
+    z = np.column_stack(columns)
+
+    found = information(model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
+
+    exact, prior = z.T @ z / setting.noise_N**2, np.diag(4.0 / np.maximum(np.abs(theta), 0.1) ** 2)
+    gradient = np.eye(theta.size)[:, None, :]
+    wanted = relative_sd(exact + prior, gradient)[:, 0]
+    # relaxations that are no exponentials are looked at ever more seldom along a hold
+    assert relative_sd(found + prior, gradient)[:, 0] == pytest.approx(wanted, rel=0.01)
 
 
 #: Calibration nuisance -> its value, and the step of its numerical derivative.

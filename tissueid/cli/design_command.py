@@ -192,11 +192,9 @@ def _tissues(flags: dict[str, Any]) -> tuple[Tissues, Recipe | None]:
 def _asked(flags: dict[str, Any], machine: Machine, tissues: Tissues) -> Asked:
     """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
-    from tissueid.design.tissues import parsed_want
-    from tissueid.model.base import branch_suffix
+    from tissueid.design.tissues import parsed_want, usual_wants
 
-    endings = [branch_suffix(branch) for branch in range(tissues.model.branches)]
-    default = [f"{name}{ending}={DEFAULT_WANT}" for ending in endings for name in ("tau", "eta")]
+    default = [f"{name}={DEFAULT_WANT}" for name in usual_wants(tissues.model)]
     wants = tuple(parsed_want(text, tissues.model) for text in flags["wants"] or default)
     if len({want.name for want in wants}) < len(wants):
         msg = f"--want names a number twice: {', '.join(flags['wants'])}"
@@ -263,7 +261,7 @@ def _write(
     out: Path, document: dict[str, Any], plan: Plan, machine: Machine, tissues: Tissues, asked: Asked
 ) -> None:
     """All files of the plan, design.json last."""
-    from tissueid.design.sheets import recipe_text, study_text, test_sheet
+    from tissueid.design.sheets import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
     from tissueid.store.files import json_bytes, write_file
 
@@ -273,8 +271,10 @@ def _write(
         "design.html": render_design(document, created=created),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
-        "recipe.toml": recipe_text(plan.best, machine, tissues, asked, name="planned"),
     }
+    (out / "recipe.toml").unlink(missing_ok=True)
+    if has_recipe(tissues.model):
+        texts["recipe.toml"] = recipe_text(plan.best, machine, tissues, asked, name="planned")
     for name, text in texts.items():
         write_file(out / name, text.encode("utf-8"))
     write_file(out / _FILES[0], json_bytes(document))

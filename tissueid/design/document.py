@@ -118,6 +118,7 @@ def _tissue(tissues: Tissues) -> dict[str, Any]:
         "name": tissues.name,
         "words": tissues.words,
         "draws": tissues.theta.shape[0],
+        "law": tissues.model.name,
         "branches": tissues.model.branches,
         "stiffness_degree": tissues.model.stiffness_degree,
         "depth_mm": tissues.model.depth_mm,

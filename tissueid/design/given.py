@@ -9,7 +9,6 @@ from tissueid.design.information import Indentation
 from tissueid.design.precision import Protocol
 from tissueid.design.tissues import Guess, Tissues, of_draws, of_guesses
 from tissueid.errors import UsageError
-from tissueid.model.kelvin_voigt import KEY
 from tissueid.selfcheck.protocol import of_recipe
 from tissueid.store.bundle import load_bundle
 from tissueid.synth import RECIPES, Hold, Move, Recipe, load_recipe
@@ -60,13 +59,13 @@ def of_recipe_tissue(recipe: Recipe) -> Tissues:
 def of_bundle(path: Path, *, count: int) -> Tissues:
     """Posterior draws of a bundle, or specimens of the population it holds.
 
-    Raises UsageError: it holds another contact model; BundleError.
+    Raises UsageError: it holds no law; BundleError.
     """
     bundle = load_bundle(path)
     bundle.require_renderable()
     model = bundle.contact_model()
-    if bundle.model.key != KEY:
-        msg = f"{path}: a protocol is planned for {KEY!r} tissues, this one is {bundle.model.key!r}"
+    if not bundle.parameters:
+        msg = f"{path}: {bundle.model.key} has no parameters to plan for; fit a law"
         raise UsageError(msg)
     kind = "specimens of the population in" if bundle.is_population else "posterior draws of"
     words = f"{kind} {path}" if bundle.draws is not None else f"the optimum of {path}: it holds no draws"

@@ -1,6 +1,6 @@
 """One indentation: its path and time, and its Fisher information about a tissue, gain and contact eliminated.
 
-With z_n the derivatives of the logged force by (coefficients of F_s and K, ln tau), w_n those by the log's ln
+With z_n the derivatives of the logged force by (coefficients, ln of shapes), w_n those by the log's ln
 gain and contact offset, and noise of variance sigma^2, white or AR(1) with correlation phi between samples,
 
     J = Z'Z - Z'W (W'W + diag(sigma^2 / sd^2))^-1 W'Z,    information = J / sigma^2,
@@ -26,9 +26,7 @@ from tissueid.arrays import FloatArray
 from tissueid.design.machine import CALIBRATION, Machine, Setting
 from tissueid.inference.window import GUARD_SD
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import ChannelModel
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
-from tissueid.model.kernels import branch_state
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.selfcheck.recording import low_pass, tip_depth
 
 SECONDS_PER_MINUTE = 60.0
@@ -109,8 +107,10 @@ def seconds_of(test: Indentation, machine: Machine) -> float:
 AT_REST = 20.0
 #: Steps between samples where a filter acts, as a share of the fastest time constant, and most of them.
 FINE_SHARE, MOST_FINE = 0.2, 16
-#: Relative change of the filter's time constant for its derivative.
-FILTER_STEP = 1e-3
+#: Relative change of the filter's time constant for its derivative, and of the path as a share of the depth.
+FILTER_STEP, STEP_SHARE = 1e-3, 1e-6
+#: Growth of the steps between times of a hold that goes on after the path was looked at evenly.
+TAIL_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,46 +137,26 @@ class Chain:
 
 
 def _log_columns(model: ChannelModel, theta: FloatArray, path: ContactPath) -> FloatArray:
-    """Derivatives by theta, relaxation times by their logarithm."""
+    """Derivatives by theta, shapes by their logarithm."""
     columns = model.jacobian(theta, path)
-    for branch in range(model.branches):
-        at = STATIC_DEGREE + (branch + 1) * model.block - 1
-        columns[:, at] *= theta[at]
+    columns[:, model.shape_places] *= theta[model.shape_places]
     return columns
 
 
-def _tangent(model: ChannelModel, theta: FloatArray, x: FloatArray, columns: FloatArray) -> FloatArray:
-    """dF/dx at fixed states of the branches."""
-    static, stiffness, _ = model.split(theta)
-    out = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
-    for branch in range(model.branches):
-        state = columns[:, STATIC_DEGREE + branch * model.block]
-        for k in range(1, model.stiffness_degree + 1):
-            out = out + k * stiffness[branch, k] * x ** (k - 1) * state
-    return np.asarray(out)
+def _along(
+    model: ChannelModel, theta: FloatArray, path: ContactPath, force: FloatArray, direction: FloatArray
+) -> FloatArray:
+    """Change of the force where the path is moved along a direction (n,), 0 and more, by one."""
+    step = STEP_SHARE * model.depth_mm / max(float(direction.max()), 1e-300)
+    moved = ContactPath(path.time_s, path.depth_mm + step * direction)
+    return np.asarray((model.force(theta, moved) - force) / step)
 
 
 def _calibration_columns(
-    model: ChannelModel,
-    theta: FloatArray,
-    path: ContactPath,
-    columns: FloatArray,
-    tangent: FloatArray,
-    filter_s: float,
+    model: ChannelModel, theta: FloatArray, path: ContactPath, force: FloatArray, filter_s: float
 ) -> list[FloatArray]:
     """Derivatives by the calibration nuisances, in the order of :data:`CALIBRATION`, filtered."""
-    time, x = path.time_s, path.depth_mm
-    _, _, tau = model.split(theta)
-    stiffness = model.stiffness(theta, x)
-    force = model.force(theta, path)
-    dynamic = sum(
-        (stiffness[j] * columns[:, STATIC_DEGREE + j * model.block] for j in range(model.branches)),
-        np.zeros(x.size),
-    )
-    followed = sum(
-        (stiffness[j] * branch_state(time, force, float(tau[j]), 0.0) for j in range(model.branches)),
-        np.zeros(x.size),
-    )
+    time = path.time_s
     logged = low_pass(time, force, filter_s)
     late = -np.gradient(logged, time)
     if filter_s > 0.0:
@@ -185,9 +165,19 @@ def _calibration_columns(
         slower = (above - below) / (2.0 * step)
     else:
         slower = late
-    scaled = low_pass(time, -(tangent * x + dynamic), filter_s)
-    given = low_pass(time, -(tangent * force + followed), filter_s)
+    scaled = low_pass(time, -_along(model, theta, path, force, path.depth_mm), filter_s)
+    given = low_pass(time, -_along(model, theta, path, force, np.maximum(force, 0.0)), filter_s)
     return [logged, scaled, late, slower, given]
+
+
+def _times(ramp: Ramp, hold_s: float, step_s: float, uniform_s: float) -> FloatArray:
+    """Times of a path: even up to a time of the hold, then ever further apart."""
+    even: FloatArray = np.arange(int(np.ceil((ramp.seconds + min(hold_s, uniform_s)) / step_s)) + 1) * step_s
+    last = ramp.seconds + hold_s
+    if even[-1] >= last:
+        return even
+    count = int(np.ceil(np.log(last / even[-1]) / np.log1p(TAIL_SHARE))) + 1
+    return np.append(even, np.geomspace(even[-1], last, count)[1:])
 
 
 def _rows(
@@ -197,24 +187,25 @@ def _rows(
     ramp = ramp_of(test, chain.machine)
     step, filter_s = chain.setting.step_s, chain.setting.filter_s
     samples = max(int(np.ceil((ramp.seconds + hold_s) / step)), 2)
-    _, _, tau = model.split(theta)
-    fine = 1
+    sampled: FloatArray = np.arange(float(samples)) * step
+    fine, tau = 1, model.times(theta)
     if filter_s > 0.0:
         finest = min(filter_s, float(tau.min(initial=np.inf)))
         fine = int(np.clip(np.ceil(step / (FINE_SHARE * finest)), 1, MOST_FINE))
-    time: FloatArray = np.arange((samples - 1) * fine + 1, dtype=np.float64) * (step / fine)
-    depth = ramp.depth(time)
+    even = AT_REST * (float(tau.max(initial=0.0)) + filter_s) + 2.0 * step
+    time = _times(ramp, sampled[-1] - ramp.seconds, step / fine, even)
     # the displacement is logged on the samples, and the model knows it as linear between them
-    depth = np.interp(time, time[::fine], depth[::fine])
+    depth = np.interp(time, sampled, ramp.depth(sampled))
     path = ContactPath(time, tip_depth(model, theta, time, depth, chain.machine.compliance_mm_per_N))
-    own = _log_columns(model, theta, path)
-    tangent = _tangent(model, theta, path.depth_mm, own)
     force = model.force(theta, path)
-    columns = [low_pass(time, column, filter_s) for column in (*own.T, force, -tangent)]
+    own = _log_columns(model, theta, path)
+    offset = -_along(model, theta, path, force, np.ones(time.size))
+    columns = [low_pass(time, column, filter_s) for column in (*own.T, force, offset)]
     if chain.total:
-        more = _calibration_columns(model, theta, path, own, tangent, filter_s)
+        more = _calibration_columns(model, theta, path, force, filter_s)
         columns = [*columns[:-2], *more, *columns[-2:]]
-    return np.column_stack(columns)[::fine], depth[::fine]
+    rows = np.column_stack([np.interp(sampled, time, column) for column in columns])
+    return rows, ramp.depth(sampled)
 
 
 def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Sequence[int]) -> FloatArray:
@@ -235,15 +226,17 @@ def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Seq
 def information(
     model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
 ) -> FloatArray:
-    """Information of an indentation about (coefficients, ln tau, calibration), for several holds at once.
+    """Information of an indentation about (coefficients, ln of shapes, calibration), for several holds at once.
 
     ``theta`` (p,); ``test``: its own hold is not looked at; ``holds_s``: ascending.  Returns (holds, q, q),
-    in the order of theta, relaxation times by their logarithm, calibration behind them.
+    in the order of theta, shapes by their logarithm, calibration behind them.
     """
     setting = chain.setting
-    _, _, tau = model.split(theta)
-    settled = AT_REST * (float(tau.max(initial=0.0)) + setting.filter_s) + 2.0 * setting.step_s
-    longest = min(holds_s[-1], settled)
+    longest = holds_s[-1]
+    if model.relaxation.branches or model.fixed_s.size:
+        # exponentials come to rest, other relaxations go on
+        settled = AT_REST * (float(model.times(theta).max(initial=0.0)) + setting.filter_s)
+        longest = min(longest, settled + 2.0 * setting.step_s)
     rows, depth = _rows(model, theta, test, chain, hold_s=longest)
     inside = depth >= GUARD_SD * chain.machine.contact_sd_mm
     first = int(np.argmax(inside)) if inside.any() else rows.shape[0] - 1
@@ -269,9 +262,4 @@ def _without_effects(gram: FloatArray, chain: Chain) -> FloatArray:
 
 def peak_force(model: ChannelModel, theta: FloatArray, speed_mm_s: float, depth_mm: FloatArray) -> FloatArray:
     """Greatest force of a ramp at constant speed to each of some ascending depths [N]."""
-    _, _, tau = model.split(theta)
-    force = model.static_force(theta, depth_mm)
-    for stiffness, one in zip(model.stiffness(theta, depth_mm), tau, strict=True):
-        length = speed_mm_s * one
-        force = force - stiffness * length * np.expm1(-depth_mm / length)
-    return np.maximum.accumulate(np.asarray(force))
+    return np.maximum.accumulate(loading_force(model, theta, depth_mm, speed_mm_s=speed_mm_s))

@@ -18,6 +18,7 @@ from tissueid.design.plan import Judged
 from tissueid.design.precision import Asked
 from tissueid.design.tissues import Tissues
 from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
 
 #: The study file's schema.
@@ -111,6 +112,11 @@ def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> s
         "# run = 1",
     ]
     return "\n".join(lines) + "\n"
+
+
+def has_recipe(model: ChannelModel) -> bool:
+    """True of laws that a recipe can state: a static polynomial of degree 3 and exponentials beside it."""
+    return model.viscous and model.static.polynomial and len(model.static.coefficients) == STATIC_DEGREE
 
 
 def recipe_text(best: Judged, machine: Machine, tissues: Tissues, asked: Asked, *, name: str) -> str:

@@ -83,7 +83,7 @@ class Tissues:
 
     @property
     def _tau(self) -> FloatArray:
-        return self.theta[:, STATIC_DEGREE + self.model.block - 1 :: self.model.block]
+        return np.array([self.model.times(one) for one in self.theta])
 
     def numbers(self) -> dict[str, FloatArray]:
         """Reported parameters of each draw."""
@@ -98,21 +98,37 @@ class Tissues:
         return Tissues(self.words, self.name, self.model, self.theta[order[at]], self.known_depth_mm)
 
     def gradients(self, name: str) -> FloatArray:
-        """Derivative of the logarithm of a reported number by (coefficients, ln tau), shape (draws, p)."""
+        """Derivative of the logarithm of a reported number by (coefficients, ln shapes), shape (draws, p)."""
         model, out = self.model, np.zeros_like(self.theta)
         names = list(model.parameter_names)
         if name in names:
             at = names.index(name)
-            relative = 1.0 if name.startswith("relaxation_time") else 1.0 / np.abs(self.theta[:, at])
-            out[:, at] = relative
+            out[:, at] = 1.0 if at in model.shape_places else 1.0 / np.abs(self.theta[:, at])
             return out
-        branch = [f"viscosity_N_s_per_mm{branch_suffix(j)}" for j in range(model.branches)].index(name)
-        first = STATIC_DEGREE + branch * model.block
+        part = model.parts[viscosities(model).index(name)]
         powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_degree + 1))
-        stiffness = self.theta[:, first : first + powers.size] @ powers
-        out[:, first : first + powers.size] = powers / stiffness[:, None]
-        out[:, first + powers.size] = 1.0
+        stiffness = self.theta[:, part.stiffness] @ powers
+        out[:, part.stiffness] = powers / stiffness[:, None]
+        out[:, part.shapes.start] = 1.0
         return out
+
+
+def viscosities(model: ChannelModel) -> list[str]:
+    """Names of the viscosities of a model's branches; none where its relaxations are no exponentials."""
+    count = model.branches if model.viscous else 0
+    return [f"viscosity_N_s_per_mm{branch_suffix(branch)}" for branch in range(count)]
+
+
+def usual_wants(model: ChannelModel) -> list[str]:
+    """Numbers that are wanted where nobody says: times, and viscosity, stiffness or ratio of every part."""
+    names, beside = list(model.parameter_names), viscosities(model)
+    for part in model.parts:
+        beside += [names[part.shapes.start]] if part.shapes.start < part.shapes.stop else []
+        if part.ratio is not None:
+            beside.append(names[part.ratio])
+        elif not model.viscous:
+            beside.append(names[part.stiffness.start])
+    return sorted(beside, key=lambda name: not name.startswith("relaxation_time"))
 
 
 def full_name(named: str, model: ChannelModel) -> str:
@@ -123,8 +139,7 @@ def full_name(named: str, model: ChannelModel) -> str:
     suffix = _SUFFIX.search(named)
     base, ending = (named[: suffix.start()], suffix.group(1)) if suffix else (named, "")
     name = ALIASES.get(base, base) + ending
-    known = [*model.parameter_names]
-    known += [f"viscosity_N_s_per_mm{branch_suffix(j)}" for j in range(model.branches)]
+    known = [*model.parameter_names, *viscosities(model)]
     if name not in known:
         msg = f"unknown number {named!r}; this tissue has {', '.join(known)} (tau, eta and K for short)"
         raise UsageError(msg)

@@ -62,13 +62,14 @@ def _indentations(protocol: Mapping[str, Any]) -> str:
 def _facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     asked, tissue, machine = document["asked"], document["tissue"], document["machine"]
     plural = "es" if tissue["branches"] != 1 else ""
+    law = f"{tissue['branches']} branch{plural}, K of degree {tissue['stiffness_degree']}"
     draws = f"{tissue['draws']} draw{'s' * (tissue['draws'] > 1)}"
     rest, mounting = number(asked["recovery_s"], 3), number(asked["setup_s"], 3)
     scatter, contact = number(100.0 * asked["gain_sd"], 2), number(machine["contact_sd_mm"], 2)
     repeats = f"{asked['repeats']} repeats at the least, {asked['max_logs']} logs at the most"
     return [
         ("Tissue", f"{tissue['name']}: {tissue['words']}, {draws}"),
-        ("Model", f"{tissue['branches']} branch{plural}, K of degree {tissue['stiffness_degree']}"),
+        ("Model", law if tissue["law"] == "kelvin-voigt" else tissue["law"]),
         ("Machine", f"{machine['name']}{': ' * bool(machine['notes'])}{machine['notes']}"),
         ("Precision", f"{asked['interval']}, for {_percent(asked['assurance'])} of the tissues"),
         ("Allowed", f"{number(asked['max_depth_mm'], 3)} mm, {number(asked['max_force_N'], 4)} N; {repeats}"),

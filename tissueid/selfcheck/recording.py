@@ -121,8 +121,8 @@ def recorded_force(
         depth = np.interp(time, log.time_s, depth)
     touched = contact_path(Path(time, depth), offset_mm)
     # the force that bends the frame is the log's own, gain and all
-    static, stiffness, tau = model.split(theta)
-    scaled = model.join(gain * static, gain * stiffness, tau)
+    scaled = theta.copy()
+    scaled[model.linear_places] *= gain
     tip = tip_depth(model, scaled, touched.time_s, touched.value_mm, give)
     force = np.interp(time, touched.time_s, model.force(scaled, ContactPath(touched.time_s, tip)))
     # tissue pushes and does not pull
