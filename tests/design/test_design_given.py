@@ -10,14 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from design_cases import ETA, PAPER_A, TAU, asked_for, silent
+from law_cases import LAWS, law_bundle
 
-from tissueid.design.given import given_protocol, given_recipe, of_recipe_tissue, plain_guesses
+from tissueid.design.given import given_protocol, given_recipe, of_bundle, of_recipe_tissue, plain_guesses
 from tissueid.design.machine import PRESETS, Setting, found_machine
 from tissueid.design.plan import planned
-from tissueid.design.sheets import recipe_text, session_order, study_text, test_sheet
-from tissueid.design.tissues import COARSEST_WANT, parsed_guess, parsed_want
+from tissueid.design.sheets import has_recipe, recipe_text, session_order, study_text, test_sheet
+from tissueid.design.tissues import COARSEST_WANT, full_name, parsed_guess, parsed_want, usual_wants
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
+from tissueid.store.bundle import write_bundle
 from tissueid.synth import load_recipe, recipe
 
 MACHINE_TOML = """\
@@ -211,6 +213,27 @@ def test_the_files_of_a_plan_are_read_by_their_own_readers(tmp_path: Path) -> No
 
 
 @pytest.mark.needs_jit
+def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path: Path) -> None:
+    write_bundle(law_bundle("power * stretched", LAWS["power * stretched"]), tmp_path / "bundle.h5")
+
+    tissues = of_bundle(tmp_path / "bundle.h5", count=16)
+
+    assert tissues.theta.shape == (16, 5)
+    assert usual_wants(tissues.model) == ["relaxation_time_s", "stiffness_0_N_per_mm"]
+    assert tissues.longest_tau_s == pytest.approx(0.08, rel=0.1)
+    assert full_name("tau", tissues.model) == "relaxation_time_s"
+    with pytest.raises(UsageError, match="unknown number 'eta'; this tissue has static_N_per_mm_n"):
+        full_name("eta", tissues.model)
+    assert not has_recipe(tissues.model)
+
+
+def test_a_tissue_of_which_nothing_relaxes_is_no_tissue_to_plan_for(tmp_path: Path) -> None:
+    write_bundle(law_bundle("hertz * impact", [12.0, 0.8]), tmp_path / "bundle.h5")
+
+    with pytest.raises(UsageError, match="no relaxing branch"):
+        of_bundle(tmp_path / "bundle.h5", count=16)
+
+
 def test_repeats_are_spread_over_the_session() -> None:
     machine = PRESETS["paper-a"]
     best = planned(machine, PAPER_A, asked_for({TAU: 0.02, ETA: 0.005}, machine), silent).best

@@ -20,11 +20,11 @@ from design_cases import (
     simulated_errors,
     two_branches,
 )
+from law_cases import LAWS, SPECTRUM, law_of
 
 from tissueid.design.information import Chain, Indentation, information
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.precision import relative_sd
-from tissueid.model.grammar import parsed
 from tissueid.selfcheck.recording import ProtocolLog, low_pass, recorded_force
 
 pytestmark = pytest.mark.needs_jit
@@ -179,19 +179,11 @@ def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) ->
         assert relative_sd(one + prior, gradient)[:, 0] == pytest.approx(exact, rel=0.01)
 
 
-LAWS = {
-    "power * stretched": [12.0, 1.4, 30.0, 0.08, 0.5],
-    "exponential * linear * power-law": [12.0, 0.15, 30.0, 4.0, 0.05, 0.3],
-    "polynomial * tangent * prony:2": [20.0, -1.2, 0.35, 1.2, 0.02, 0.6, 0.3],
-    "hertz * spectrum:3": [12.0, 20.0, 10.0, 5.0],
-}
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_information_of_any_law_is_that_of_its_simulated_forces(name: str) -> None:
+@pytest.mark.parametrize(("name", "tissue"), [*LAWS.items(), SPECTRUM])
+def test_information_of_any_law_is_that_of_its_simulated_forces(name: str, tissue: list[float]) -> None:
     setting, test = Setting(200.0, 0.5), Indentation(250.0, 2.0, 3.0)
     machine = replace(PRESETS["paper-a"], contact_sd_mm=1e-4)
-    model, theta = parsed(name).model(6.0, 0.005, 4.0), np.array(LAWS[name])
+    model, theta = law_of(name), np.array(tissue)
     (log,) = recorded_logs(test, machine, setting, 1, "log")
     fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
 

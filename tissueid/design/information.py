@@ -172,7 +172,7 @@ def _calibration_columns(
 
 def _times(ramp: Ramp, hold_s: float, step_s: float, uniform_s: float) -> FloatArray:
     """Times of a path: even up to a time of the hold, then ever further apart."""
-    even: FloatArray = np.arange(int(np.ceil((ramp.seconds + min(hold_s, uniform_s)) / step_s)) + 1) * step_s
+    even = np.arange(np.ceil((ramp.seconds + min(hold_s, uniform_s)) / step_s) + 1.0) * step_s
     last = ramp.seconds + hold_s
     if even[-1] >= last:
         return even
@@ -187,7 +187,7 @@ def _rows(
     ramp = ramp_of(test, chain.machine)
     step, filter_s = chain.setting.step_s, chain.setting.filter_s
     samples = max(int(np.ceil((ramp.seconds + hold_s) / step)), 2)
-    sampled: FloatArray = np.arange(float(samples)) * step
+    sampled = np.asarray(np.arange(float(samples)) * step, dtype=np.float64)
     fine, tau = 1, model.times(theta)
     if filter_s > 0.0:
         finest = min(filter_s, float(tau.min(initial=np.inf)))
@@ -226,7 +226,7 @@ def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Seq
 def information(
     model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
 ) -> FloatArray:
-    """Information of an indentation about (coefficients, ln of shapes, calibration), for several holds at once.
+    """Information of an indentation on (coefficients, ln of shapes, calibration), for several holds at once.
 
     ``theta`` (p,); ``test``: its own hold is not looked at; ``holds_s``: ascending.  Returns (holds, q, q),
     in the order of theta, shapes by their logarithm, calibration behind them.

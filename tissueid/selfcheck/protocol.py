@@ -14,7 +14,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError, InputError
 from tissueid.model.channels import ChannelModel
-from tissueid.model.kelvin_voigt import KEY, kelvin_voigt
+from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
@@ -171,13 +171,15 @@ def pooled(pooling: str, *, logs: int) -> str:
 def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
     """Tissue of a bundle, and a ramp-and-hold program within its depth and speeds.
 
-    Raises BundleError: it holds another contact model.
+    Raises BundleError: it holds no law, or a spectrum.
     """
     model = bundle.contact_model()
-    if bundle.model.key != KEY:
-        msg = f"{where}: contact model {bundle.model.key!r} can't be checked, {KEY!r} can"
+    if not bundle.parameters or model.fixed_s.size:
+        msg = (
+            f"{where}: {bundle.model.key} can't be checked: its times follow the recordings; fit another law"
+        )
         raise BundleError(msg)
-    _, _, tau = model.split(bundle.theta)
+    tau = model.times(np.asarray(bundle.theta))
     slow, fast = bundle.speeds_mm_s
     slow, fast = (slow, fast) if fast > 0.0 else (1.0, 1.0)
     slow = slow if slow > 0.0 else fast

@@ -20,6 +20,7 @@ from tissueid.manifest import Calibration, Study
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import linear_frame
+from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.priors import Priors
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
@@ -75,6 +76,14 @@ class TissueCheck:
         return "white+ar1" if self.white_share > 0.0 else "ar1"
 
     @property
+    def fit(self) -> FitOptions:
+        """The law of the truth, and how its logs are pooled."""
+        shared = FitOptions(static=self.pooling, noise=self.noise_model)
+        if self.model.name != KELVIN_VOIGT:
+            return replace(shared, model=self.model.name)
+        return replace(shared, branches=self.model.branches, stiffness_degree=self.model.stiffness_degree)
+
+    @property
     def segmentation(self) -> SegmentOptions:
         """Statement of the contact points: none, or their depth and its standard deviation."""
         if not self.contact_stated:
@@ -114,12 +123,7 @@ class TissueCheck:
         """
         options = IdentifyOptions(
             segment=self.segmentation,
-            fit=FitOptions(
-                branches=self.model.branches,
-                stiffness_degree=self.model.stiffness_degree,
-                static=self.pooling,
-                noise=self.noise_model,
-            ),
+            fit=self.fit,
             posterior=PosteriorOptions(draws=SAMPLED, seed=seed),
             seed=seed,
         )

@@ -1,7 +1,8 @@
 """Proper priors around a tissue, truths drawn from them, and the numbers that are checked.
 
 A truth is drawn from the very priors that the inference is given: linear parameters from independent normals,
-by rejection on the passive cone; relaxation times from log-normals in ascending order; noise, correlation,
+by rejection on the passive cone; relaxation times from log-normals in ascending order, other shapes from
+log-normals within their bounds; noise, correlation,
 spread of the gains and calibration likewise.  Only then is a rank uniform.
 """
 
@@ -14,9 +15,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
-from tissueid.model.base import branch_suffix
-from tissueid.model.channels import ChannelModel
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.model.base import ParameterSpec, branch_suffix
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
@@ -35,6 +35,7 @@ class Widths:
     #: Of each coefficient of F_s and K, as a fraction of its curve at full depth over the power of it.
     curve: float = 0.15
     ln_tau: float = 0.4
+    ln_shape: float = 0.15  # of other shapes of a law
     ln_sigma: float = 0.3
     arctanh_phi: float = 0.4  # half width of the uniform prior of the correlation, in arctanh(phi)
     gain_sd: float = 0.05  # scale of the half-normal prior of the standard deviation of a log's ln gain
@@ -57,9 +58,24 @@ class Truth:
 
 def _blocks(model: ChannelModel) -> list[slice]:
     """Positions in theta of the coefficients of F_s and of each K."""
-    size = model.stiffness_degree + 1
-    starts = [STATIC_DEGREE + branch * model.block for branch in range(model.branches)]
-    return [slice(0, STATIC_DEGREE), *(slice(start, start + size) for start in starts)]
+    outside = [part.stiffness for part in model.parts if part.ratio is None]
+    return [slice(0, len(model.static.coefficients)), *outside]
+
+
+def _is_curve(model: ChannelModel, block: slice) -> bool:
+    """True of coefficients of a polynomial, of which only the sum has to be positive."""
+    return block.start > 0 or model.static.polynomial
+
+
+def _times(model: ChannelModel) -> list[int]:
+    """Places of the relaxation times in theta."""
+    names = model.parameter_names
+    return [int(k) for k in model.shape_places if names[k].startswith("relaxation_time")]
+
+
+def _other_shapes(model: ChannelModel) -> list[int]:
+    """Places of shapes that are no times."""
+    return [int(k) for k in model.shape_places if int(k) not in _times(model)]
 
 
 def _stated_curve(names: tuple[str, ...], stated: Priors) -> dict[str, tuple[float, float]]:
@@ -79,8 +95,10 @@ def _centred_curve(
     model: ChannelModel, theta: FloatArray, block: slice, share: float
 ) -> dict[str, tuple[float, float]]:
     """Normal priors around one curve, as wide as a share of it at full depth."""
-    powers = model.depth_mm ** np.arange(float(block.stop - block.start))
-    sd = share * abs(float(theta[block] @ powers)) / powers
+    sd = share * np.abs(theta[block])
+    if _is_curve(model, block):
+        powers = model.depth_mm ** np.arange(float(block.stop - block.start))
+        sd = share * abs(float(theta[block] @ powers)) / powers
     pairs = zip(theta[block].tolist(), sd.tolist(), strict=True)
     return dict(zip(model.parameter_names[block], pairs, strict=True))
 
@@ -106,9 +124,11 @@ def centred_priors(
         linear |= _stated_curve(model.parameter_names[block], stated) or _centred_curve(
             model, theta, block, widths.curve
         )
-    _, _, tau = model.split(theta)
-    around = tuple(SpreadPrior(float(time), widths.ln_tau) for time in tau)
-    times = (*stated.relaxation_time_s, *around[len(stated.relaxation_time_s) :])[: model.branches]
+    around = tuple(SpreadPrior(float(theta[k]), widths.ln_tau) for k in _times(model))
+    times = (*stated.relaxation_time_s, *around[len(stated.relaxation_time_s) :])[: len(around)]
+    shapes = {
+        model.parameter_names[k]: SpreadPrior(float(theta[k]), widths.ln_shape) for k in _other_shapes(model)
+    }
     narrow = (0.0, 1.0)
     if phi > 0.0:
         a = float(np.arctanh(phi))
@@ -118,6 +138,7 @@ def centred_priors(
         stated,
         linear=linear,
         relaxation_time_s=times,
+        shapes={**shapes, **{name: one for name, one in stated.shapes.items() if name in shapes}},
         sigma_N=stated.sigma_N or SpreadPrior(median=sigma_N, sd_ln=widths.ln_sigma),
         phi=narrow if stated.phi == default.phi else stated.phi,
         gain_sd=widths.gain_sd if stated.gain_sd == default.gain_sd else stated.gain_sd,
@@ -125,12 +146,12 @@ def centred_priors(
 
 
 def _passive_block(
-    mean: FloatArray, sd: FloatArray, powers: FloatArray, rng: np.random.Generator
+    mean: FloatArray, sd: FloatArray, powers: FloatArray | None, rng: np.random.Generator
 ) -> FloatArray:
-    """A normal draw of one polynomial, by rejection on the passive cone."""
+    """A normal draw of one polynomial, or of coefficients without powers, by rejection on the cone."""
     for _ in range(MOST_REJECTED):
         draw = mean + sd * rng.standard_normal(mean.size)
-        if minimum_on_unit(draw * powers) >= 0.0:
+        if (draw.min() if powers is None else minimum_on_unit(draw * powers)) >= 0.0:
             return np.asarray(draw)
     message = (
         f"the priors leave no passive tissue: {MOST_REJECTED} draws around "
@@ -158,6 +179,34 @@ def _cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
     return prior.lower
 
 
+def _bounded(prior: SpreadPrior, spec: ParameterSpec, rng: np.random.Generator) -> float:
+    """A log-normal draw of a shape, drawn again until it is within its bounds."""
+    for _ in range(MOST_REJECTED):
+        value = prior.median * float(np.exp(prior.sd_ln * rng.standard_normal()))
+        if spec.lower <= value <= spec.upper:
+            return value
+    message = f"the prior of {spec.name} leaves nothing from {spec.lower:g} to {spec.upper:g}"
+    raise InputError(code="priors", message=message, path="study.toml")
+
+
+def _drawn_tissue(model: ChannelModel, priors: Priors, rng: np.random.Generator) -> FloatArray:
+    """Theta of a passive tissue."""
+    for _ in range(MOST_REJECTED):
+        theta = np.zeros(len(model.parameter_names))
+        for block in _blocks(model):
+            known = np.array([priors.linear[name] for name in model.parameter_names[block]])
+            powers = model.depth_mm ** np.arange(float(known.shape[0])) if _is_curve(model, block) else None
+            theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
+        theta[_times(model)] = _ascending(priors.relaxation_time_s, rng)
+        for k in _other_shapes(model):
+            spec = model.parameters[k]
+            theta[k] = _bounded(priors.shapes[spec.name], spec, rng)
+        if not model.inside or model.is_passive(theta):
+            return theta
+    message = f"the priors leave no passive tissue: the static force sank in {MOST_REJECTED} draws"
+    raise InputError(code="priors", message=message, path="study.toml")
+
+
 def draw_truth(
     model: ChannelModel,
     priors: Priors,
@@ -175,14 +224,7 @@ def draw_truth(
     nuisances as well.
     """
     assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
-    theta = np.zeros(len(model.parameter_names))
-    for block in _blocks(model):
-        known = np.array([priors.linear[name] for name in model.parameter_names[block]])
-        powers = model.depth_mm ** np.arange(float(known.shape[0]))
-        theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
-    tau = _ascending(priors.relaxation_time_s, rng)
-    for branch in range(model.branches):
-        theta[STATIC_DEGREE + (branch + 1) * model.block - 1] = tau[branch]
+    theta = _drawn_tissue(model, priors, rng)
     sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
     phi = float(rng.uniform(*priors.phi)) if correlated else 0.0
     spread = abs(priors.gain_sd * float(rng.standard_normal())) if pooling != "shared" else 0.0
@@ -220,19 +262,14 @@ def numbers_of(
     v mm/s``.
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
-    static, *branches = _blocks(model)
-
-    def at(block: slice, depth: float) -> FloatArray:
-        return np.asarray(theta[:, block] @ depth ** np.arange(float(block.stop - block.start)))
-
-    for branch, block in enumerate(branches):
-        viscosity = at(block, REFERENCE_DEPTH * model.depth_mm) * theta[:, block.stop]
-        out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = viscosity
+    if model.viscous:
+        for branch, (part, time) in enumerate(zip(model.parts, _times(model), strict=True)):
+            powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_law.powers))
+            viscosity = (theta[:, part.stiffness] @ powers) * theta[:, time]
+            out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = viscosity
     for depth, speed in points:
-        lengths = [speed * theta[:, block.stop] for block in branches]
-        states = [-length * np.expm1(-depth / length) for length in lengths]
-        carried = (at(block, depth) * state for block, state in zip(branches, states, strict=True))
-        out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = depth * at(static, depth) + sum(carried)
+        forces = [loading_force(model, one, np.array([depth]), speed_mm_s=speed)[0] for one in theta]
+        out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = np.array(forces)
     return out
 
 
@@ -246,6 +283,8 @@ def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool
         said[f"relaxation_time_s{branch_suffix(branch)}"] = (
             f"log-normal, median {time.median:.4g}, sd of ln {time.sd_ln:.3g}"
         )
+    for name, one in priors.shapes.items():
+        said[name] = f"log-normal, median {one.median:.4g}, sd of ln {one.sd_ln:.3g}, cut to its bounds"
     if priors.sigma_N is not None:
         said["sigma_N"] = (
             f"log-normal, median {priors.sigma_N.median:.4g}, sd of ln {priors.sigma_N.sd_ln:.3g}"
