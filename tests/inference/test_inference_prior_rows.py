@@ -59,12 +59,16 @@ def test_stated_priors_are_their_densities():
 
 
 @pytest.mark.parametrize(
+    "stated", [{}, {"static_N_per_mm_n": (12.0, 4.0), "stiffness_0_N_per_mm": (30.0, 9.0)}]
+)
+@pytest.mark.parametrize(
     "name",
     ["power * stretched", "exponential * linear * fung", "polynomial * tangent * prony:2", "power * prony:2"],
 )
-def test_the_prior_of_any_law_is_that_of_the_sampled_vectors(name: str) -> None:
+def test_the_prior_of_any_law_is_that_of_the_sampled_vectors(name: str, stated: dict) -> None:
     (log,) = draw(RECIPE, 1)
-    ours = identified(handles_for([log]), noise="white", candidates=candidates(name))
+    priors = Priors(linear=stated)
+    ours = identified(handles_for([log]), noise="white", candidates=candidates(name), priors=priors)
     at = SpecimenTarget(ours, machine=False)
     tissue = np.r_[np.arange(at.law.times), at.law.times + 3 + np.arange(at.law.linear)]
 

@@ -17,7 +17,7 @@ recorded travel: what a frame gives way to changes the depth of the tip, not thi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -340,6 +340,16 @@ class ChannelLaw:
         static = np.broadcast_to(self._full(shapes).reshape(self.static_size, -1).T, (n, self.static_size))
         powers = self.depth_mm ** -np.arange(1.0, self.powers + 1)
         return np.concatenate([1.0 / static, np.tile(powers, (n, self.branches))], axis=1)
+
+    def ln_volume(self, log_times: FloatArray, stated: Container[str]) -> FloatArray:
+        """Ln of the volume of coefficients whose prior a study states, by that of linear parameters, (n,).
+
+        It follows the shapes of the static law.
+        """
+        named = [k for k, name in enumerate(self.linear_names[: self.static_size]) if name in stated]
+        if not (named and self.static.shapes):
+            return np.zeros(len(log_times))
+        return np.asarray(np.log(self.field(log_times)[:, named]).sum(axis=1))
 
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
         """Theta of the contact model [N, mm, s], of one point or of rows of points.

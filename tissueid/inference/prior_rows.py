@@ -134,7 +134,7 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     logs = np.log(theta[:, model.shape_places])[:, np.argsort(law._order)]  # noqa: SLF001
     field = law.field(logs)
     linear = theta[:, model.linear_places] / field
-    value = -logs.sum(axis=1) - np.log(field).sum(axis=1)
+    value = law.ln_volume(logs, priors.linear) - logs.sum(axis=1) - np.log(field).sum(axis=1)
     spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
     for one in law.blocks:
         # the largest state follows the time of an exponential; of other laws it is a constant

@@ -350,6 +350,7 @@ class SpecimenTarget:
         prior, places = self.optimum.prior, self.places
         off = shared @ prior.rows.T - prior.target
         value, ln_sigma = -0.5 * (off**2).sum(axis=1), x[:, places["ln_sigma"]]
+        value += self.law.ln_volume(shared[:, : self.law.times], self.priors.linear)
         outside = np.abs(ln_sigma) > 60.0
         if self.priors.sigma_N is not None:
             stated = self.priors.sigma_N
