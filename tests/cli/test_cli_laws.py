@@ -150,12 +150,17 @@ def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path: Path) -> Non
     assert "relaxation time, longest [s]" in rows
 
 
-def test_what_takes_the_papers_law_only_says_so(tmp_path: Path) -> None:
+def test_a_protocol_is_planned_for_the_tissue_of_another_law(tmp_path: Path) -> None:
     recorded("power * prony", tmp_path / "log.csv")
     out = tmp_path / "out"
     quick = ("--sampler", "none", "--no-study", "-q")
     assert run("fit", tmp_path / "log.csv", "--model", "power * prony", "-o", out, *quick).code in (0, 4)
-    for command, code in ((("cohort", out), 4),):
-        ended = run(*command)
-        assert ended.code == code, ended.stderr
-        assert "elvin-" in ended.stderr
+    asked = ("--machine", "bench", "--max-logs", "6", "--want", "tau=5%", "--want", "static_exponent=5%")
+    ended = run("design", out / "bundle.h5", *asked, "-o", tmp_path / "plan", "--json")
+    assert ended.code == 0, ended.stderr
+    document = json.loads(ended.stdout)
+    assert document["tissue"]["law"] == "power * prony"
+    assert document["verdict"]["reached"]
+    # a recipe can't state a power of depth
+    assert not (tmp_path / "plan" / "recipe.toml").exists()
+    assert "power * prony" in (tmp_path / "plan" / "design.html").read_text(encoding="utf-8")

@@ -249,7 +249,7 @@ def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tiss
             msg = f"--tissue needs one of {both}, {'and has both' if all(either) else 'and has none'}"
             raise UsageError(msg)
     theta = _guessed_draws(model, known, count)
-    if not all(model.is_passive(one) for one in theta):
+    if not model.passive(theta).all():
         msg = f"--tissue: such a tissue gives a negative force or stiffness within {depth_mm:g} mm"
         raise UsageError(msg)
     return Tissues("guesses", "guessed tissue", model, theta)

@@ -47,8 +47,10 @@ KEPT_DRAWS = 2000
 HALVINGS = 40
 #: NRMSD of the centre at the most over that of the optimum.
 WORSE = 1.1
-#: Widest total interval of ln viscosity that counts as identified: a factor of seven from end to end.
+#: Widest total interval of ln viscosity that counts as identified where its time is not: a factor of seven.
 MAX_WIDTH_VISCOSITY = 2.0
+#: Names of a branch's time and viscosity, before its number.
+TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,18 +267,24 @@ def _with_medians(
 ) -> tuple[Estimate, ...]:
     """Values are medians of the draws; what is identified is judged by their intervals.
 
-    Polynomials always have an interval that says how well they are known; times and viscosities are
-    identified where theirs is closed, and narrow in the logarithm.
+    Polynomials always have an interval that says how well they are known; times are identified where theirs
+    is closed, and narrow in the logarithm, and so are viscosities of times that are not: where a time is
+    known, what opens K tau is K at that depth, a polynomial.
     """
-    out = []
+    out: list[Estimate] = []
+    times: dict[str, bool] = {}
     for one in parameters:
         value, own = float(np.median(draws[one.name])), found[one.name]
         low, high = own.ci95 if own.ci95_total is None else own.ci95_total
         width = float(np.log(high / low)) if low > 0.0 else float("inf")
-        if one.name.startswith("relaxation_time"):
+        if one.name.startswith(TIME):
             known = width <= MAX_WIDTH and not (one.detail.get("open_low") or one.detail.get("open_high"))
+            times[one.name.removeprefix(TIME)] = known
+        elif one.name.startswith(("static", "stiffness")):
+            known = True
         else:
-            known = width <= MAX_WIDTH_VISCOSITY or one.name.startswith(("static", "stiffness"))
+            timed = one.name.startswith(VISCOSITY) and times.get(one.name.removeprefix(VISCOSITY), False)
+            known = width <= MAX_WIDTH_VISCOSITY or timed
         detail = {**one.detail, "mode": one.detail.get("estimate"), "estimate": value}
         detail["width_ln"] = width if np.isfinite(width) else None
         stderr = own.sd if known else None

@@ -36,6 +36,8 @@ LOADING_POINTS = 201
 PASSIVE_TOLERANCE = 1e-10
 #: Depths at which uniqueness of the free surface is examined.
 CONTACT_LOSS_GRID = 257
+#: Depths at which the static law has to grow where it is convolved.
+GROWING_POINTS = 65
 #: Bounds and starts of the ratio of relaxing to static force.
 RATIO = ((1e-3, 1e3), (0.3, 2.0))
 
@@ -371,22 +373,28 @@ class ChannelModel:
 
     def is_passive(self, theta: FloatArray) -> bool:
         """F_s >= 0 and K >= 0 on [0, depth_mm], shapes positive, F_s growing where it is convolved."""
-        if not np.isfinite(self._whole(theta)).all() or (theta[self.shape_places] <= 0.0).any():
-            return False
-        count = len(self.static.coefficients)
-        powers = np.arange(float(max(count, 3)))
-        blocks = [theta[part.stiffness] for part in self.parts if part.ratio is None]
+        return bool(self.passive(self._whole(theta)[None])[0])
+
+    def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """True for rows of theta, (n, p), that :meth:`is_passive` holds of, (n,)."""
+        count, powers = len(self.static.coefficients), np.arange(float(max(theta.shape[1], 3)))
+        good = np.asarray(np.isfinite(theta).all(axis=1))
+        good &= (theta[:, self.shape_places] > 0.0).all(axis=1)
+        blocks = [part.stiffness for part in self.parts if part.ratio is None]
         if self.static.polynomial:
-            blocks.append(theta[:count])
-        elif (theta[:count] < 0.0).any():
-            return False
-        for one in blocks:
-            q = one * self.depth_mm ** powers[: one.size]
-            if minimum_on_unit(q) < -PASSIVE_TOLERANCE * np.abs(q).max(initial=0.0):
-                return False
-        grid = np.linspace(0.0, self.depth_mm, 65)
-        slope = self.static_slope(theta, grid)
-        return bool(not self.inside or slope.min() >= -PASSIVE_TOLERANCE * np.abs(slope).max())
+            blocks.append(slice(0, count))
+        else:
+            good &= (theta[:, :count] >= 0.0).all(axis=1)
+        rows = np.where(good[:, None], theta, 0.0)
+        for at in blocks:
+            q = rows[:, at] * self.depth_mm ** powers[: at.stop - at.start]
+            good &= minimum_on_unit(q) >= -PASSIVE_TOLERANCE * np.abs(q).max(axis=1, initial=0.0)
+        if self.inside:
+            grid = np.linspace(0.0, self.depth_mm, GROWING_POINTS)
+            for k in np.flatnonzero(good):
+                slope = self.static_slope(theta[k], grid)
+                good[k] = slope.min() >= -PASSIVE_TOLERANCE * np.abs(slope).max()
+        return np.asarray(good)
 
 
 class ElasticModel(ChannelModel):

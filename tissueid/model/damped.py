@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec
@@ -78,11 +79,11 @@ class DampedModel(ElasticModel):
         damped = np.maximum(1.0 + self.factor(theta) * path_ratio(path), 0.0)
         return np.asarray(self.static_force(theta, np.maximum(path.depth_mm, 0.0)) * damped)
 
-    def is_passive(self, theta: FloatArray) -> bool:
-        """F_s >= 0 and growing, chi >= 0: then no loop gives energy."""
-        spec = self.damping.shape.spec
-        inside = bool(spec.lower * (1.0 - ROUNDING) <= theta[-1] <= spec.upper * (1.0 + ROUNDING))
-        return inside and super().is_passive(theta)
+    def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """True of rows with F_s >= 0 and growing, chi >= 0: then no loop gives energy, (n, p) -> (n,)."""
+        spec, last = self.damping.shape.spec, theta[:, -1]
+        inside = (last >= spec.lower * (1.0 - ROUNDING)) & (last <= spec.upper * (1.0 + ROUNDING))
+        return np.asarray(inside & super().passive(theta))
 
 
 def path_ratio(path: ContactPath) -> FloatArray:

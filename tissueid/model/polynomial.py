@@ -39,17 +39,18 @@ def generators(degree: int) -> FloatArray:
     raise ValueError(msg)
 
 
-def minimum_on_unit(q: FloatArray) -> float:
-    """Smallest value of a polynomial of degree <= 2 on [0, 1].
+def minimum_on_unit(q: FloatArray) -> FloatArray:
+    """Smallest values of polynomials of degree <= 2 on [0, 1].
 
-    ``q`` (degree + 1,): coefficients by powers of u, constant first.
+    ``q`` (..., degree + 1): coefficients by powers of u, constant first.  Returns (...).
     """
-    values = [float(q[0]), float(q.sum())]
-    if q.size > MAX_DEGREE and q[2] > 0.0:
-        vertex = -q[1] / (2.0 * q[2])
-        if 0.0 < vertex < 1.0:
-            values.append(float(q[0] + vertex * (q[1] + vertex * q[2])))
-    return min(values)
+    ends = np.minimum(q[..., 0], q.sum(axis=-1))
+    if q.shape[-1] <= MAX_DEGREE:
+        return np.asarray(ends)
+    bent = q[..., 2] > 0.0
+    vertex = np.clip(-q[..., 1] / (2.0 * np.where(bent, q[..., 2], 1.0)), 0.0, 1.0)
+    turn = q[..., 0] + vertex * (q[..., 1] + vertex * q[..., 2])
+    return np.asarray(np.where(bent, np.minimum(ends, turn), ends))
 
 
 def coordinates(q: FloatArray) -> FloatArray:

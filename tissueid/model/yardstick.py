@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
@@ -172,9 +173,9 @@ class Yardstick(ChannelModel):
             total = total + polyval(x, stiffness) * state
         return np.asarray(total)
 
-    def is_passive(self, theta: FloatArray) -> bool:
-        """No weight is negative."""
-        return bool(np.isfinite(theta).all() and (theta >= 0.0).all())
+    def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """True of rows without a negative weight, (n, p) -> (n,)."""
+        return np.asarray((np.isfinite(theta) & (theta >= 0.0)).all(axis=1))
 
 
 def yardstick_of(depth_mm: float, inside_s: tuple[float, ...], outside_s: tuple[float, ...]) -> Yardstick:

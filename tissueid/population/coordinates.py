@@ -153,7 +153,7 @@ class Coordinates:
         shapes = theta[:, self.shapes]
         inside = np.asarray(((shapes >= low) & (shapes <= high)).all(axis=1))
         good = inside & (np.diff(theta[:, self.times], axis=1) > 0.0).all(axis=1)
-        return np.array([bool(good[i]) and self.model.is_passive(row) for i, row in enumerate(theta)])
+        return np.asarray(good & self.model.passive(theta))
 
     @property
     def _static_size(self) -> int:

@@ -53,7 +53,7 @@ class SpecimenLaw:
         # the same draws each time: a result must not depend on the order of specimens
         rng = np.random.default_rng(0)
         spread = rng.multivariate_normal(self.theta, self.covariance, size=LAW_DRAWS, method="eigh")
-        kept = [theta for theta in spread if self.model.is_passive(theta)]
+        kept = spread[self.model.passive(spread)]
         return np.array(kept).reshape(-1, self.theta.size)
 
 

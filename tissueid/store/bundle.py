@@ -95,9 +95,9 @@ def model_problem(bundle: Bundle) -> str | None:
     if not model.is_passive(bundle.theta):
         return "theta is not passive: it would put out more energy than was put in"
     if bundle.draws is not None:
-        for row, draw in enumerate(bundle.draws):
-            if not model.is_passive(draw):
-                return f"draw {row} is not passive: it would put out more energy than was put in"
+        active = np.flatnonzero(~model.passive(bundle.draws))
+        if active.size:
+            return f"draw {active[0]} is not passive: it would put out more energy than was put in"
     return None
 
 

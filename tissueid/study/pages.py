@@ -101,7 +101,7 @@ def rendering_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) ->
         "normalised": False,
         "passive": model.is_passive(theta),
         "draws": len(draws),
-        "draws_passive": sum(model.is_passive(one) for one in draws),
+        "draws_passive": int(model.passive(draws).sum()),
         "unique": model.contact_loss_is_unique(theta),
         "devices": rows,
     }
