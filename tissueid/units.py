@@ -48,8 +48,12 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "毫牛": "mN",
         "inches": "inch",
         "in": "inch",
-        "lbs": "lb",
         "gf": "force_gram",
+        # masses, where a force is printed: their weight under standard gravity
+        "g": "force_gram",
+        "kg": "force_kilogram",
+        "lb": "force_pound",
+        "lbs": "force_pound",
         "cm³": "cm**3",
         "%": "percent",
         "MM": "mm",

@@ -259,7 +259,9 @@ def _none_found(
                 column=column.index + 1,
             )
     named = [column for column in columns if column.name]
-    way_out = _WAY_OUT if channel != "time" or len(named) > 2 else _ADD_TIME
+    way_out = _WAY_OUT if channel != "time" or len(named or columns) > 2 else _ADD_TIME
+    if not named and way_out == _WAY_OUT:
+        way_out = "name them by their numbers, as in --columns time=#1,displacement=#2,force=#3"
     return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {way_out}", line=line)
 
 

@@ -21,6 +21,8 @@ _WHOLE_FROM = 20
 #: A lost mark makes a number ten times larger or more; half of that stands out from a steep curve.
 _TIMES = 5.0
 _PADDED = re.compile(r"\s*[+-]?0\d+\s*")
+#: Zeros behind a mark that groups no thousands: the numbers are whole, and their marks are there.
+_MARKED = re.compile(r"\s*[+-]?(?:0[.,]\d+|[\d.,' ]*[.,](?:\d{1,2}|\d{4,}))\s*")
 
 
 def lost_marks(
@@ -38,9 +40,10 @@ def lost_marks(
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):
             return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
+    marked = [k < len(first_row) and bool(_MARKED.fullmatch(first_row[k])) for k in range(len(columns))]
     whole = [
-        column.size >= _WHOLE_FROM and not decimals.any()
-        for column, decimals in zip(columns, fractional, strict=True)
+        column.size >= _WHOLE_FROM and not decimals.any() and not has_marks
+        for column, decimals, has_marks in zip(columns, fractional, marked, strict=True)
     ]
     for channel, column, is_whole in zip(CHANNELS, columns, whole, strict=True):
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all(whole)):

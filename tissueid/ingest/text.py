@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import codecs
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.spaced import by_spaces, with_seconds
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, plain_words, rank_of
 
 _NUMBER = r"(?: 1)?"
@@ -189,7 +190,7 @@ def decode_text(data: bytes, place: Place) -> Text:
         message = f"the encoding of the header is not certain, {codec} was taken"
         doubt = () if sure else (Flag("undecoded_text", message, {"encoding": codec}),)
         text = Text(_line_ends(data), codec, codec, doubt)
-    return _unwrapped(text)
+    return _plain(text)
 
 
 def _refuse_long_lines(data: bytes, place: Place) -> None:
@@ -226,7 +227,7 @@ def _from_utf16(data: bytes, place: Place) -> Text:
             "not_an_export",
             "this is binary data, not the raw data of a test; give the export of the test machine",
         )
-    return _unwrapped(Text(unified, "utf-8", "utf-16"))
+    return _plain(Text(unified, "utf-8", "utf-16"))
 
 
 def _line_ends(data: bytes) -> bytes:
@@ -283,6 +284,13 @@ def _known_words(decoded: str) -> int:
         for piece in pieces
         if len(piece) <= 80
     )
+
+
+def _plain(text: Text) -> Text:
+    """The text without wrapped lines, columns by spaces and clock times."""
+    text = _unwrapped(text)
+    data = with_seconds(by_spaces(text.data))
+    return text if data is text.data else replace(text, data=data)
 
 
 def _unwrapped(text: Text) -> Text:

@@ -8,7 +8,7 @@ the lower rank wins, the leftmost column among equals.  It is the written rule b
 quantity       rank  names
 =============  ====  =========================================================================
 time           0     the time of the test (``Time``, ``Temps d'essai``, ``Zeit``, ``时间``)
-..             1     elapsed time of a cycle or step, which starts again
+..             1     elapsed time of a cycle or step, which starts again; a time stamp
 displacement   0     depth of the tool in the tissue, measured as such (``Indentation``)
 ..             1     travel of the machine from its zero (``Extension``, ``Standard travel``,
                      ``Allongement``, ``Traversenweg``, ``位移``)
@@ -49,8 +49,8 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
         (
             0,
             (
-                r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit"
-                r"|versuchszeit|laufzeit|messzeit"
+                r"(?:total |test |running |measured )?time(?: measurement)?|seconds|secs?|zeit|pruf ?zeit"
+                r"|test ?zeit|versuchszeit|laufzeit|messzeit"
                 r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
                 r"|do) ensaio| total)?"
                 r"|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
@@ -60,6 +60,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             1,
             (
                 r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
+                r"|time ?stamp|date ?time|zeitstempel|uhrzeit"
                 r"|tiempo transcurrido"
             ),
         ),
@@ -78,7 +79,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             1,
             (
                 r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
-                r"|standard travel|disp"
+                r"|standard travel|displ?|distance|dist"
                 r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
                 r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
                 r"|deplacement(?: (?:de (?:la )?)?(?:traverse|machine|verin))?|traverse"
@@ -158,9 +159,9 @@ _SYMBOLS: dict[Channel, frozenset[str]] = {
     "force": frozenset("Ff"),
 }
 _LOOSE_WORDS = {
-    "time": re.compile(r"\b(?:time|zeit|temps|tiempo|tempo|czas)\b|时间"),
+    "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
-        r"\b(?:displacement|extension|indentation|depth|travel|position|height|disp|weg|deplacement"
+        r"\b(?:displacement|extension|indentation|depth|travel|position|height|displ?|distance|weg|deplacement"
         r"|desplazamiento|spostamento|przemieszczenie)\b|位移"
     ),
     "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila)\b|载荷"),

@@ -1,0 +1,146 @@
+"""Tables by spaces and clock times, made plain line for line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.errors import InputError
+from tissueid.ingest import ReadOptions, read_trials
+from tissueid.ingest.spaced import by_spaces, with_seconds
+
+TIME = np.arange(0.0, 4.0, 0.01)
+DEPTH = np.clip(2.0 * (TIME - 0.5), -1.0, 4.0)
+FORCE = 3.0 * np.maximum(DEPTH, 0.0)
+
+
+def table(row, head: str = "") -> str:
+    return head + "".join(row(*one) for one in zip(TIME, DEPTH, FORCE, strict=True))
+
+
+def read(path: Path, text: str, **options):
+    path.write_text(text, encoding="utf-8")
+    (trial,) = read_trials(path, ReadOptions(**options))
+    return trial
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Time (s)  Displacement (mm)  Force (N)\n",
+        "Time(s) Disp(mm) Force(N)\n",
+        "Operator: A B\n\n  Time   Displacement   Force\n  (s)    (mm)    (N)\n",
+        "Time (s) Displ. (mm) Force (N)\n",
+    ],
+)
+def test_columns_by_spaces_are_columns_under_their_names(head: str, tmp_path: Path) -> None:
+    trial = read(tmp_path / "a.txt", table(lambda t, x, f: f"  {t:8.3f}  {x:9.4f} {f:10.4f}  \n", head))
+
+    assert trial.time_s == pytest.approx(TIME, abs=1e-9)
+    assert trial.displacement_mm == pytest.approx(DEPTH, abs=1e-4)
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
+
+
+def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path) -> None:
+    text = table(lambda t, x, f: f"   {t:.7e}   {x:.7e}   {f:.7e}\n")
+    named = {"time": "#1", "displacement": "#2", "force": "#3"}
+
+    trial = read(tmp_path / "a.dat", text, columns=named)
+
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-6)
+    with pytest.raises(InputError, match="name them by their numbers, as in --columns time=#1"):
+        read(tmp_path / "a.dat", text)
+
+
+def test_a_damaged_row_by_spaces_is_named_by_its_line(tmp_path: Path) -> None:
+    lines = table(lambda t, x, f: f"{t:.3f} {x:.4f} {f:.4f}\n", "Time(s) Disp(mm) Force(N)\n").splitlines()
+    lines[350] = "3.490 4.0000"
+
+    with pytest.raises(InputError) as caught:
+        read(tmp_path / "a.txt", "\n".join(lines) + "\n")
+
+    assert caught.value.line == 351
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"a b c\n1 2\n3 4 5\n", "ragged"),
+        (b"t;x;f\n" + b"1;2;3\n" * 9, "semicolons"),
+        (b"1, 2, 3\n" * 9, "commas"),
+        (b"Test of 3 4 5\n" * 9, "words"),
+    ],
+)
+def test_other_texts_stay_as_they_are(data: bytes, why: str) -> None:
+    assert by_spaces(data) == data, why
+    assert with_seconds(data) == data, why
+
+
+@pytest.mark.parametrize(
+    ("clock", "delimiter", "decimal"),
+    [
+        ("2026-03-04 {h:02d}:{m:02d}:{s:06.3f}", ",", "."),
+        ("2026-03-04T{h:02d}:{m:02d}:{s:06.3f}Z", "\t", "."),
+        ("04.03.2026 {h:02d}:{m:02d}:{s:06.3f}", ";", ","),
+        ("{h:02d}:{m:02d}:{s:06.3f}", ",", "."),
+    ],
+)
+def test_clock_times_are_seconds_even_past_midnight(
+    clock: str, delimiter: str, decimal: str, tmp_path: Path
+) -> None:
+    def row(t: float, x: float, f: float) -> str:
+        whole = (86398.0 + t) % 86400.0
+        stamp = clock.format(h=int(whole // 3600), m=int(whole // 60 % 60), s=whole % 60)
+        cells = [stamp, *(f"{one:.4f}".replace(".", decimal) for one in (x, f))]
+        return delimiter.join(cells) + "\n"
+
+    head = delimiter.join(["Timestamp", "Displacement (mm)", "Force (N)"]) + "\n"
+    trial = read(tmp_path / "a.csv", table(row, head))
+
+    # a stamp prints milliseconds
+    assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=1.1e-3)
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
+
+
+def test_halves_of_a_day_are_told_apart(tmp_path: Path) -> None:
+    def row(t: float, x: float, f: float) -> str:
+        second = 58.0 + t
+        hour, half = (11, "AM") if second < 60.0 else (12, "PM")
+        return f'"{hour}:{59 if half == "AM" else 0:02d}:{second % 60.0:06.3f} {half}",{x:.4f},{f:.4f}\n'
+
+    trial = read(tmp_path / "a.csv", table(row, "Time,Extension (mm),Load (N)\n"))
+
+    assert trial.time_s[0] == pytest.approx(43198.0)
+    assert np.ptp(trial.time_s) == pytest.approx(np.ptp(TIME), abs=2e-3)
+
+
+def test_the_time_of_the_test_wins_over_a_stamp(tmp_path: Path) -> None:
+    text = table(
+        lambda t, x, f: f"10:00:{t:06.3f},{t:.2f},{x:.4f},{f:.4f}\n",
+        "Timestamp,Time (s),Displacement (mm),Force (N)\n",
+    )
+
+    trial = read(tmp_path / "a.csv", text)
+
+    assert trial.time_s[0] == 0.0
+    assert "column_choice" in {flag.code for flag in trial.flags}
+
+
+@pytest.mark.parametrize(("unit", "newtons"), [("g", 9.80665e-3), ("kg", 9.80665), ("lbs", 4.4482216152605)])
+def test_a_mass_over_a_force_is_its_weight(unit: str, newtons: float, tmp_path: Path) -> None:
+    text = table(
+        lambda t, x, f: f"{t:.2f},{x:.4f},{f / newtons:.6f}\n", f"Time (sec),Distance (mm),Force ({unit})\n"
+    )
+
+    assert read(tmp_path / "a.csv", text).force_N == pytest.approx(FORCE, abs=1e-4)
+
+
+def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) -> None:
+    head = "Time (s),Position (um),Force (mN)\n"
+    text = table(lambda t, x, f: f'{t:.2f},"{1e3 * x:,.2f}","{1e3 * f:,.1f}"\n', head)
+    bare = table(lambda t, x, f: f"{t:.2f},{1e3 * x:.0f},{1e3 * f:.1f}\n", head)
+
+    assert "no_decimals" not in {flag.code for flag in read(tmp_path / "a.csv", text).flags}
+    assert "no_decimals" in {flag.code for flag in read(tmp_path / "b.csv", bare).flags}
