@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pytest
 
 from tissueid.errors import InputError
@@ -135,6 +137,50 @@ def test_a_mass_over_a_force_is_its_weight(unit: str, newtons: float, tmp_path: 
     )
 
     assert read(tmp_path / "a.csv", text).force_N == pytest.approx(FORCE, abs=1e-4)
+
+
+def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
+    head = (
+        "LabVIEW Measurement\t\nSeparator\tTab\nDate\t2026/03/04\nTime\t10:00:00.123\n***End_of_Header***\t\n"
+        "\t\n"
+        "Channels\t2\t\nSamples\t400\t400\nTime\t10:00:00.1\t10:00:00.1\nX0\t0.0\t0.0\nDelta_X\t0.01\t0.01\n"
+        "***End_of_Header***\t\nX_Value\tDisplacement (mm)\tForce (N)\tComment\n"
+    )
+    trial = read(tmp_path / "a.lvm", table(lambda t, x, f: f"{t:.6f}\t{x:.6f}\t{f:.6f}\n", head))
+
+    assert trial.time_s == pytest.approx(TIME, abs=1e-9)
+    assert trial.source.columns["force"] == "Force (N)"
+
+
+@pytest.mark.parametrize("kind", ["date", "clock", "span"])
+def test_dates_and_clocks_of_a_sheet_are_seconds(kind: str, tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["Time", "Extension (mm)", "Load (N)"])
+    start = dt.datetime(2026, 3, 4, 10)
+    for t, x, f in zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True):
+        at = start + dt.timedelta(seconds=t)
+        sheet.append([{"date": at, "clock": at.time(), "span": dt.timedelta(seconds=t)}[kind], x, f])
+    book.save(tmp_path / "a.xlsx")
+
+    (trial,) = read_trials(tmp_path / "a.xlsx")
+
+    # a sheet keeps days as a number of fifteen digits
+    assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=2e-3)
+
+
+def test_a_number_that_a_spreadsheet_made_a_date_is_refused(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["Time (s)", "Extension (mm)", "Load (N)"])
+    for k, (t, x, f) in enumerate(zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True)):
+        sheet.append([dt.datetime(2026, 5, 1) if k == 150 else t, x, f])
+    book.save(tmp_path / "a.xlsx")
+
+    with pytest.raises(InputError, match="stored as text or date") as caught:
+        read_trials(tmp_path / "a.xlsx")
+
+    assert caught.value.line == 152
 
 
 def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) -> None:

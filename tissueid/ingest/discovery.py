@@ -23,10 +23,10 @@ from tissueid.ingest.text import HEAD_BYTES, decode_text
 #: Suffixes taken from a directory.
 SUFFIXES = (
     ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip",
-    ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".dat", ".txt",
+    ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".lvm", ".asc", ".dat", ".txt",
 )  # fmt: skip
 #: Suffixes of prose and other data as well: taken from a directory only where the head holds a table.
-_PROSE_SUFFIXES = (".txt", ".dat")
+_PROSE_SUFFIXES = (".asc", ".txt", ".dat")
 #: Texts that say themselves what they are, wherever their tables begin.
 _SIGNED = (b"<Mach-1 File>", b"MTS793|")
 #: Refusals of what is no recording at all.

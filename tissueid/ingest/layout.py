@@ -26,6 +26,7 @@ from tissueid.ingest.results import (
     results_spans,
 )
 from tissueid.ingest.text import HEAD_BYTES, Text
+from tissueid.ingest.vocabulary import is_comment_name
 
 __all__ = ["Anchor", "Layout", "Row", "anchor", "find_decimal", "find_layout", "is_units_row", "split_line"]
 
@@ -206,7 +207,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         delimiter,
         decimal,
         _without_results(rows[: found.first if found.names is None else found.names]),
-        _padded(names, n_columns),
+        _padded(names, n_columns, comments=True),
         _padded(units, n_columns),
         found.units is not None,
         None if found.names is None else found.names + 1,
@@ -255,10 +256,13 @@ def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | Non
     return None if results is None else start + sum(map(len, raw[:results]))
 
 
-def _padded(row: Row, n_columns: int) -> Row:
-    """Empty cells at the end are added or dropped; a filled one stays and is refused later."""
+def _padded(row: Row, n_columns: int, *, comments: bool = False) -> Row:
+    """Empty cells at the end are added or dropped; a filled one stays and is refused later.
+
+    ``comments``: the name of a column of comments that no row has is dropped as well.
+    """
     cells = list(row)
-    while len(cells) > n_columns and not cells[-1].strip():
+    while len(cells) > n_columns and (not cells[-1].strip() or (comments and is_comment_name(cells[-1]))):
         cells.pop()
     return tuple(cells + [""] * (n_columns - len(cells)))
 

@@ -8,7 +8,7 @@ the lower rank wins, the leftmost column among equals.  It is the written rule b
 quantity       rank  names
 =============  ====  =========================================================================
 time           0     the time of the test (``Time``, ``Temps d'essai``, ``Zeit``, ``时间``)
-..             1     elapsed time of a cycle or step, which starts again; a time stamp
+..             1     elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's ``X_Value``
 displacement   0     depth of the tool in the tissue, measured as such (``Indentation``)
 ..             1     travel of the machine from its zero (``Extension``, ``Standard travel``,
                      ``Allongement``, ``Traversenweg``, ``位移``)
@@ -60,7 +60,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             1,
             (
                 r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
-                r"|time ?stamp|date ?time|zeitstempel|uhrzeit"
+                r"|time ?stamp|date ?time|zeitstempel|uhrzeit|x value"
                 r"|tiempo transcurrido"
             ),
         ),

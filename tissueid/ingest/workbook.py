@@ -12,6 +12,7 @@ displacement and force is no trial and is passed over; a workbook without any tr
 
 from __future__ import annotations
 
+import datetime as dt
 import io
 import re
 from collections import Counter
@@ -276,11 +277,14 @@ def _read_columns(
 ) -> tuple[list[FloatArray], list[Flag]]:
     """The three channels in s, mm, N; every cell must be stored as a number."""
     wanted = [choice.index[channel] for channel in CHANNELS]
+    moment = _first_moment(cells[first:], wanted[0])
     kept: list[tuple[int, list[Any]]] = []
     skipped: list[int] = []
     flags: list[Flag] = []
     for number, row in enumerate(cells[first:], start=first + 1):
         values = [row[index] if index < len(row) else "" for index in wanted]
+        if moment is not None and isinstance(values[0], dt.datetime | dt.time | dt.timedelta):
+            values[0] = _seconds_since(moment, values[0]) / choice.factors["time"]
         if all(type(value) is float or type(value) is int for value in values):
             kept.append((number, values))
         elif not any(_shown(value) for value in values):
@@ -312,6 +316,22 @@ def _read_columns(
     table = np.array([values for _, values in kept], dtype=np.float64)
     _check(table, [number for number, _ in kept], wanted, place)
     return [table[:, k] * choice.factors[channel] for k, channel in enumerate(CHANNELS)], flags
+
+
+def _first_moment(rows: Cells, column: int) -> dt.datetime | None:
+    """Midnight before the time of the first row, where it is a date or a clock; None where it is a number."""
+    value = rows[0][column] if rows and column < len(rows[0]) else ""
+    if isinstance(value, dt.datetime):
+        return dt.datetime.combine(value.date(), dt.time())
+    return dt.datetime(1970, 1, 1) if isinstance(value, dt.time | dt.timedelta) else None
+
+
+def _seconds_since(moment: dt.datetime, value: dt.datetime | dt.time | dt.timedelta) -> float:
+    """Seconds since the midnight of the first row."""
+    if isinstance(value, dt.timedelta):
+        return value.total_seconds()
+    at = value if isinstance(value, dt.datetime) else dt.datetime.combine(moment.date(), value)
+    return (at - moment).total_seconds()
 
 
 def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: Place) -> InputError:
