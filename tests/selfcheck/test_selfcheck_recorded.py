@@ -15,7 +15,7 @@ from tissueid.errors import InputError, UsageError
 from tissueid.manifest import Calibration, Entry, Study
 from tissueid.model.frame import linear_frame
 from tissueid.selfcheck.protocol import Centre, Protocol
-from tissueid.selfcheck.recorded import of_bundle_inputs, of_fit, of_recordings, white_share
+from tissueid.selfcheck.recorded import Recordings, of_bundle_inputs, of_fit, of_recordings, white_share
 from tissueid.store.bundle import bundle_from_fit
 from tissueid.trial import Source, Trial
 from tissueid.uncertainty import NoiseFit
@@ -32,17 +32,15 @@ def trial(path: str, specimen: str = "liver", *, stiffness: float = 30.0) -> Tri
 
 
 def of_these(
-    trials: Sequence[Trial], *, study: Study | None = None, specimen: str | None = None
+    trials: Sequence[Trial],
+    *,
+    study: Study | None = None,
+    specimen: str | None = None,
+    model: str | None = None,
 ) -> tuple[str, Protocol, Centre]:
     known = {one.source.path: one for one in trials}
-    return of_recordings(
-        iter(trials),
-        study=study,
-        specimen=specimen,
-        reload=lambda source: known[source.path],
-        progress=lambda *_: None,
-        where="lab",
-    )
+    given = Recordings(iter(trials), lambda source: known[source.path], "lab", study)
+    return of_recordings(given, specimen=specimen, model=model, progress=lambda *_: None)
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +54,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     monkeypatch.setattr("tissueid.selfcheck.recorded.identify", identify)
     return given
+
+
+def test_the_law_that_is_asked_for_is_fitted(asked: dict[str, Any]) -> None:
+    of_these([trial("a.csv")], model="power * fung")
+
+    assert asked["options"].fit.model == "power * fung"
 
 
 def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ Examples:
   tissueid calibrate paper-a-30-k1 --rate 100
   tissueid calibrate lab_data/study.toml -o calibration --simulations 500
   tissueid calibrate out/bundle.h5 --interval total --workers 4
+  tissueid calibrate lab_data/ --model "power * fung"
   tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
 """
 
@@ -53,6 +54,7 @@ _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
     help="Processes; results do not depend on them.",
 )
 @click.option("--specimen", metavar="NAME", help="Which specimen of a study, where it has several.")
+@click.option("--model", metavar="NAME", help="Law of the tissue in recordings, as of tissueid fit.")
 @click.option(
     "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
     help="total draws calibration defects from their priors and checks the intervals that know these.",

@@ -43,7 +43,11 @@ def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
     from tissueid.synth import RECIPES
 
     named: str = flags["source"]
-    if named in RECIPES or _is_recipe(Path(named)):
+    recipe = named in RECIPES or _is_recipe(Path(named))
+    if flags["model"] is not None and (recipe or bundle_file(Path(named)) is not None):
+        msg = "--model is for recordings: a recipe and a bundle have a law of their own"
+        raise UsageError(msg)
+    if recipe:
         return _recipe(named, flags)
     if flags["rate"] is not None:
         msg = "--rate is for recipes: recordings and bundles have their own"
@@ -139,19 +143,20 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
 
 
 def _recordings(named: str, flags: Mapping[str, Any], progress: _Progress) -> Found:
-    from tissueid.selfcheck.recorded import of_recordings
+    from tissueid.selfcheck.recorded import Recordings, of_recordings
     from tissueid.study.recordings import locate_study, read_decided_one
 
     reading = read_options({})
     study, paths = locate_study((named,))
     refused: list[Refusal] = []
-    specimen, protocol, centre = of_recordings(
+    given = Recordings(
         read_all(read_in_order(paths, reading, study), refused),
-        study=study,
-        specimen=flags["specimen"],
-        reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
-        progress=progress,
-        where=named,
+        lambda source: read_decided_one(source.path, source.sheet, reading, study),
+        named,
+        study,
+    )
+    specimen, protocol, centre = of_recordings(
+        given, specimen=flags["specimen"], model=flags["model"], progress=progress
     )
     for one in refused:
         note(f"refused ({one.code})  {one}", quiet=flags["quiet"])

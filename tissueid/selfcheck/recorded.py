@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,7 @@ from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
 from tissueid.model.frame import deflection
-from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.grammar import rebuilt
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions, segment
 from tissueid.selfcheck.protocol import Centre, Protocol, pooled
@@ -122,36 +122,45 @@ def _chosen(
     return name, names[name]
 
 
+@dataclass(frozen=True, slots=True)
+class Recordings:
+    """Recordings that a check is made of, as they are read."""
+
+    trials: Iterable[Trial]
+    reload: _Reload
+    where: str  # as the user named them
+    study: Study | None = None
+
+
 def of_recordings(
-    trials: Iterable[Trial],
-    *,
-    study: Study | None,
-    specimen: str | None,
-    reload: _Reload,
-    progress: _Progress,
-    where: str,
+    given: Recordings, *, specimen: str | None, model: str | None, progress: _Progress
 ) -> tuple[str, Protocol, Centre]:
     """Name, protocol and identified tissue of one specimen of some recordings.
 
-    Raises InputError: nothing can be fitted; UsageError: there are several specimens and none, or another,
-    was named.
+    ``model``: law of the tissue; that of the study, or the paper's, where it is None.  Raises InputError:
+    nothing can be fitted; UsageError: there are several specimens and none, or another, was named; the law
+    can't be checked.
     """
-    name, sources = _chosen(trials, study, specimen, where, progress)
-    own = [reload(source) for source in sources]
-    options = IdentifyOptions(fit=FitOptions(model=KELVIN_VOIGT), posterior=PosteriorOptions(draws=DRAWS))
+    study, where = given.study, given.where
+    name, sources = _chosen(given.trials, study, specimen, where, progress)
+    own = [given.reload(source) for source in sources]
+    options = IdentifyOptions(fit=FitOptions(model=model), posterior=PosteriorOptions(draws=DRAWS))
     found = identify(own, study=study, options=options, progress=progress)
     if not found.specimens:
         message = f"holds nothing that can be fitted; the first: {found.exit.reasons[0]}"
         raise InputError(code="no_contact", message=message, path=where)
-    protocol = _protocol(own, study)
-    return name, protocol, of_fit(found.specimens[0], logs=len(protocol.logs))
+    protocol, fit = _protocol(own, study), found.specimens[0]
+    if not fit.parameters or rebuilt(fit.model, fit.depth_mm).fixed_s.size:
+        msg = f"{fit.model.name or fit.model.key} can't be checked: its times follow the recordings"
+        raise UsageError(msg)
+    return name, protocol, of_fit(fit, logs=len(protocol.logs))
 
 
 def of_fit(fit: SpecimenFit, *, logs: int) -> Centre:
     """The tissue that was identified, and its noise: white, where no posterior tells of it."""
     noise = NoiseFit("white", fit.sigma_N, 0.0, 1.0) if fit.posterior is None else fit.posterior.noise
     return Centre(
-        model=kelvin_voigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm),
+        model=rebuilt(fit.model, fit.depth_mm),
         theta=np.asarray(fit.theta),
         sigma_N=noise.sigma_N,
         phi=0.0 if noise.model == "white" else noise.phi,
