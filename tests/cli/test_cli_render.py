@@ -328,6 +328,9 @@ def test_consent_is_asked_for_where_somebody_can_answer(bundle: Path, tmp_path: 
     )  # fmt: skip
     assert ended.code == 2
     assert "give --yes where it was given" in ended.stderr
+    # what is agreed to is read line by line
+    assert "kept in a file apart." in ended.stderr.splitlines()
+    assert "\\n" not in ended.stderr
     assert list(tmp_path.iterdir()) == []
 
 

@@ -34,8 +34,8 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     texts += [CONSENT_BLIND] if plan.order is not None else []
     if not texts:
         return
-    for text in texts:
-        note(text, quiet=quiet if given else 0)
+    for line in "\n".join(texts).splitlines():
+        note(line, quiet=quiet if given else 0)
     if given:
         return
     if not sys.stdin.isatty():
