@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from inference_cases import point_of, ramp_hold
 
-from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
 from tissueid.inference.law import Path, passive_rows, relaxation_states
 from tissueid.model.base import ContactPath
+from tissueid.model.grammar import parsed
 
 
 def random_path(n=300, seed=1):
@@ -90,3 +91,23 @@ def test_lifted_polynomials_are_passive_and_others_stay():
             else:
                 # no more than it lacks
                 assert (u @ after[block]).min() < 1e-4
+
+
+def test_a_static_law_that_is_convolved_is_lifted_until_it_grows():
+    model = parsed("polynomial * tangent * prony:2").model(4.0, 0.01, 8.0)
+    law = ChannelLaw.of(model)
+    rng = np.random.default_rng(12)
+    # forces that are positive throughout and sink between their ends
+    size = 200
+    linear = rng.uniform([1.0, -6.0, 3.0], [3.0, -2.0, 6.0], (size, 3))
+        [rng.uniform(1.0, 3.0, 200), rng.uniform(-6.0, -2.0, 200), rng.uniform(3.0, 6.0, 200)]
+    )
+    times = np.repeat(np.log([[0.1, 1.0, 0.5, 0.5]]), size, axis=0)
+    before, after = law.theta(times, linear, exact=True), law.theta(times, linear)
+
+    assert not model.passive(before).all()
+    assert model.passive(after).all()
+    grows = model.passive(before)
+    assert after[grows] == pytest.approx(before[grows], rel=1e-12)
+    slopes = np.array([model.static_slope(one, np.linspace(0.0, 4.0, 2001)) for one in after])
+    assert slopes.min() > -1e-12 * slopes.max()

@@ -16,6 +16,7 @@ from tissueid.model.functionals import (
     force_after_step,
     instantaneous_stiffness,
 )
+from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 
 MODEL = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=4.0)
@@ -121,3 +122,16 @@ def test_a_value_without_a_slope_beside_it_has_no_error():
 
     value, stderr = delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool))
     assert (value, stderr) == (1.0, np.inf)
+
+
+def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:
+    law = parsed("power * prony").model(4.0, 0.01, 8.0)
+    theta, covariance = np.array([1e-3, 4.0, 1.0, 0.1]), np.diag([1.0, 1e40, 1.0, 1.0])
+
+    def deepest(one: np.ndarray) -> float:
+        return float(law.static_force(one, np.array([4.0]))[0])
+
+    value, stderr = delta_method(deepest, theta, covariance, np.zeros(4, bool))
+
+    assert value == pytest.approx(1e-3 * 4.0**4)
+    assert np.isinf(stderr)

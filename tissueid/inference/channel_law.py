@@ -34,6 +34,7 @@ from tissueid.model.damped import DampedModel
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
+from tissueid.model.polynomial import minimum_on_unit
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
@@ -314,20 +315,18 @@ class ChannelLaw:
         return kelvin_voigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
 
     def lifted(self, linear: FloatArray) -> FloatArray:
-        """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none."""
+        """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none.
+
+        Of a static law that is convolved it is the slope that is lifted.
+        """
         out = np.array(linear)
         for one in self.blocks:
             block = out[:, one.at]
             if not one.polynomial:
                 np.maximum(block, 0.0, out=block)
                 continue
-            least = np.minimum(block[:, 0], block.sum(axis=1))
-            if one.size == 3:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    turn = -block[:, 1] / (2.0 * block[:, 2])
-                inside = (turn > 0.0) & (turn < 1.0)
-                turn = np.where(inside, turn, 0.0)
-                least = np.minimum(least, block[:, 0] + turn * (block[:, 1] + turn * block[:, 2]))
+            slope = self.inside and one.branch < 0
+            least = minimum_on_unit(block * np.arange(1.0, one.size + 1) if slope else block)
             scale = np.abs(block).max(axis=1)
             block[:, 0] += np.where(least < 0.0, -least + 1e-14 * scale, 0.0)
             block[np.abs(block) < NONE * scale[:, None]] = 0.0

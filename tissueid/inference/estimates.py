@@ -98,9 +98,12 @@ def _curve_verdict(
         step = 1e-6 * max(abs(float(theta[k])), float(np.sqrt(max(covariance[k, k], 0.0))), 1e-12)
         moved = theta.copy()
         moved[k] += step
-        slopes.append((curve(moved) - height) / step)
+        # a shape that nothing determines leaves the numbers: no width is finite then
+        with np.errstate(over="ignore", invalid="ignore"):
+            slopes.append((curve(moved) - height) / step)
     basis, block = np.array(slopes).T, covariance[np.ix_(at, at)]
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, block, basis), 0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, block, basis), 0.0))
     width = width_of(float(height.max()), float(spread.max()))
     return width <= MAX_WIDTH, width
 

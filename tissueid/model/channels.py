@@ -380,16 +380,19 @@ class ChannelModel:
         count, powers = len(self.static.coefficients), np.arange(float(max(theta.shape[1], 3)))
         good = np.asarray(np.isfinite(theta).all(axis=1))
         good &= (theta[:, self.shape_places] > 0.0).all(axis=1)
-        blocks = [part.stiffness for part in self.parts if part.ratio is None]
+        blocks: list[tuple[slice, FloatArray]] = [
+            (part.stiffness, np.ones(1)) for part in self.parts if part.ratio is None
+        ]
         if self.static.polynomial:
-            blocks.append(slice(0, count))
+            # of its slope where it is convolved, else of F_s / x
+            blocks.append((slice(0, count), 1.0 + powers[:count] if self.inside else np.ones(1)))
         else:
             good &= (theta[:, :count] >= 0.0).all(axis=1)
         rows = np.where(good[:, None], theta, 0.0)
-        for at in blocks:
-            q = rows[:, at] * self.depth_mm ** powers[: at.stop - at.start]
+        for at, times in blocks:
+            q = rows[:, at] * self.depth_mm ** powers[: at.stop - at.start] * times
             good &= minimum_on_unit(q) >= -PASSIVE_TOLERANCE * np.abs(q).max(axis=1, initial=0.0)
-        if self.inside:
+        if self.inside and not self.static.polynomial:
             grid = np.linspace(0.0, self.depth_mm, GROWING_POINTS)
             for k in np.flatnonzero(good):
                 slope = self.static_slope(theta[k], grid)

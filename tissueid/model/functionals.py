@@ -105,7 +105,8 @@ def delta_method(
         up, down = theta.copy(), theta.copy()
         up[i] += step
         down[i] -= step
-        gradient[i] = (function(up) - function(down)) / (2.0 * step)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gradient[i] = (function(up) - function(down)) / (2.0 * step)
     moves = np.abs(gradient * theta) > NO_INFLUENCE * abs(value)
     if (moves & unknown).any() or not np.isfinite(gradient).all():
         return value, float("inf")
