@@ -100,8 +100,6 @@ def test_a_static_law_that_is_convolved_is_lifted_until_it_grows():
     # forces that are positive throughout and sink between their ends
     size = 200
     linear = rng.uniform([1.0, -6.0, 3.0], [3.0, -2.0, 6.0], (size, 3))
-        [rng.uniform(1.0, 3.0, 200), rng.uniform(-6.0, -2.0, 200), rng.uniform(3.0, 6.0, 200)]
-    )
     times = np.repeat(np.log([[0.1, 1.0, 0.5, 0.5]]), size, axis=0)
     before, after = law.theta(times, linear, exact=True), law.theta(times, linear)
 
