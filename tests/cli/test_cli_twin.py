@@ -11,6 +11,7 @@ from command_line import run
 from test_cli_laws import STUDY, recorded
 
 import tissueid as ti
+from tissueid.errors import UsageError
 from tissueid.haptics.simulated_layout import MAX_KNOTS
 from tissueid.rendering.session_plan import read_script
 from tissueid.twin.program import program_of_recording, program_of_script
@@ -94,6 +95,21 @@ def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path: Path) -> N
         assert program.recorded[-1, 0] == pytest.approx(program.duration_s)
         meant = np.interp(program.recorded[:, 0], program.time_s, program.depth_mm)
         assert np.abs(meant[-1] - program.depth_mm[-1]) < 1e-9
+
+
+def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(tmp_path: Path) -> None:
+    recorded("power * prony", tmp_path / "log.csv")
+    (trial,) = ti.read(tmp_path / "log.csv")
+    whole = program_of_recording(trial, 6.5)
+
+    scaled = program_of_recording(trial, 5.0)
+
+    assert scaled.depth_mm.max() == pytest.approx(5.0, abs=0.01)
+    assert scaled.duration_s == pytest.approx(whole.duration_s, abs=0.01)
+    assert scaled.recorded is None
+    assert scaled.words.endswith("scaled to 5 mm")
+    with pytest.raises(UsageError, match="the bundle is claimed to 3 mm"):
+        program_of_recording(trial, 3.0)
 
 
 @pytest.mark.system

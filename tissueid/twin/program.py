@@ -19,6 +19,9 @@ from tissueid.trial import Trial, contact_frame
 REST_S, CLEARANCE_MM, APPROACH_MM_S = 0.7, 0.5, 2.0
 #: Deviation of straight stretches from a recording's travel that is tried first, over its depth.
 FINEST = 2e-4
+#: Claimed over travelled depth from which a travel is taken as it is, and below which it is of another tissue:
+#: between them a frame gave way.
+SAME_DEPTH, MOST_SCALED = 0.99, 0.67
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +68,9 @@ def program_of_script(script: Script) -> Program:
 def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     """A recording's own travel from contact on.
 
-    ``depth_mm``: to which the tissue is claimed.  Raises UsageError: it has no contact, goes deeper than
-    that, or needs more straight stretches than a grip is led by.
+    ``depth_mm``: to which the tissue is claimed; the travel of a recording that is a little deeper (its frame
+    gave way) is scaled to it, and its force is not compared.  Raises UsageError: it has no contact, goes much
+    deeper than that, or needs more straight stretches than a grip is led by.
     """
     segmentation = segment(trial)
     if segmentation.contact is None:
@@ -75,9 +79,13 @@ def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     depth, force = contact_frame(trial, segmentation)
     start = segmentation.contact.index
     time, depth, force = trial.time_s[start:] - trial.time_s[start], depth[start:], force[start:]
-    if depth.max() > 1.01 * depth_mm:
+    scale = min(depth_mm / float(depth.max()), 1.0)
+    if scale < MOST_SCALED:
         msg = f"{trial.name} is {depth.max():.3g} mm deep, the bundle is claimed to {depth_mm:.3g} mm"
         raise UsageError(msg)
+    deeper = scale < SAME_DEPTH
+    depth = scale * depth if deeper else depth
+    words = f"travel of {trial.name}" + f", scaled to {depth_mm:.3g} mm" * deeper
     path = np.column_stack([time, np.maximum(depth, -CLEARANCE_MM)])
     tolerance = FINEST * float(depth.max())
     knots = _simplified(path, tolerance)
@@ -88,8 +96,9 @@ def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     time = np.concatenate([[0.0, REST_S], REST_S + came_s + knots[:, 0]])
     depths = np.concatenate([[-CLEARANCE_MM, -CLEARANCE_MM], knots[:, 1]])
     depths[2] = 0.0
+    whole = _whole(time, depths, words)
     recorded = np.column_stack([REST_S + came_s + path[:, 0], force])
-    return replace(_whole(time, depths, f"travel of {trial.name}"), recorded=recorded)
+    return whole if deeper else replace(whole, recorded=recorded)
 
 
 def _whole(time_s: FloatArray, depth_mm: FloatArray, words: str) -> Program:
