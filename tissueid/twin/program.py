@@ -19,7 +19,7 @@ from tissueid.trial import Trial, contact_frame
 REST_S, CLEARANCE_MM, APPROACH_MM_S = 0.7, 0.5, 2.0
 #: Deviation of straight stretches from a recording's travel that is tried first, over its depth.
 FINEST = 2e-4
-#: Claimed over travelled depth from which a travel is taken as it is, and below which it is of another tissue:
+#: Claimed over travelled depth from which a travel is taken as it is, and below which it is of other tissue:
 #: between them a frame gave way.
 SAME_DEPTH, MOST_SCALED = 0.99, 0.67
 
