@@ -19,8 +19,8 @@ from tissueid.inference.system import Point, System
 
 #: Nodes of ln tau, pairs from which triples are looked for, and starting points of each number of branches.
 NODES, PAIRS_EXTENDED, STARTS = 27, 8, {1: 3, 2: 2, 3: 2}
-#: Times that are tried of a law whose shapes are on a grid, and its starting points.
-GRID_NODES, GRID_STARTS = 7, 2
+#: Times that are tried of a law whose shapes are on a grid, its starting points, and shapes that have one.
+GRID_NODES, GRID_STARTS, GRID_SHAPES = 7, 2, 4
 #: Share of the Gram's diagonal that keeps equal columns apart.
 RIDGE = 1e-10
 #: Nodes between two starting points, at the least.
@@ -121,16 +121,22 @@ def _of_grid(system: System, law: ChannelLaw, at: Point, white: Whitener) -> lis
     """Starting points of a law whose shapes are tried on a grid."""
     low, high = time_bounds(system)
     nodes = np.linspace(low + 1.0, high - 1.0, GRID_NODES)
+    out: list[tuple[float, tuple[float, ...], Point]] = []
     times = [np.array(one) for one in combinations(nodes, law.counts[0])]
     # branches begin with the same shapes: their times tell them apart
     further = law.shapes[law.counts[0] : law.counts[0] + law.counts[1] + law.counts[2]]
-    target, to, out = white(system.force), _generators(law), []
+    target, to = white(system.force), _generators(law)
     for time, shapes in product(times, product(*[np.log(one.starts) for one in further])):
         static, own = shapes[: law.counts[1]], shapes[law.counts[1] :]
         values = np.concatenate([time, static, np.tile(own, law.branches)])
         columns = white(observed_columns(system, law, values, at))
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         coefficients, rest = nnls(columns / size, target)
-        out.append((rest, Point(values, at.machine, to @ (coefficients / size), at.own)))
+        out.append((rest, shapes, Point(values, at.machine, to @ (coefficients / size), at.own)))
     out.sort(key=lambda one: one[0])
-    return [point for _, point in out[:GRID_STARTS]]
+    best = [point for _, _, point in out[:GRID_STARTS]]
+    # an open machine makes valleys along shapes: each of the likeliest ones has a start of its own
+    firsts: dict[tuple[float, ...], Point] = {}
+    for _, shapes, point in out:
+        firsts.setdefault(shapes, point)
+    return [*best, *(one for one in list(firsts.values())[:GRID_SHAPES] if all(one is not b for b in best))]
