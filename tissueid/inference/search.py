@@ -123,12 +123,10 @@ def _of_grid(system: System, law: ChannelLaw, at: Point, white: Whitener) -> lis
     nodes = np.linspace(low + 1.0, high - 1.0, GRID_NODES)
     out: list[tuple[float, tuple[float, ...], Point]] = []
     times = [np.array(one) for one in combinations(nodes, law.counts[0])]
-    # branches begin with the same shapes: their times tell them apart
-    further = law.shapes[law.counts[0] : law.counts[0] + law.counts[1] + law.counts[2]]
+    further = [np.log(one.starts) for one in law.shapes[law.counts[0] :]]
     target, to = white(system.force), _generators(law)
-    for time, shapes in product(times, product(*[np.log(one.starts) for one in further])):
-        static, own = shapes[: law.counts[1]], shapes[law.counts[1] :]
-        values = np.concatenate([time, static, np.tile(own, law.branches)])
+    for time, shapes in product(times, product(*further)):
+        values = np.concatenate([time, shapes])
         columns = white(observed_columns(system, law, values, at))
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         coefficients, rest = nnls(columns / size, target)
