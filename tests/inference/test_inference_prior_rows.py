@@ -78,7 +78,7 @@ def test_the_prior_of_any_law_is_that_of_the_sampled_vectors(name: str, stated: 
 
     points = np.repeat(at.mode[None], 4, axis=0)
     low, high = at.law.bounds(-5.0, 5.0)
-    points[:, : at.law.times] = np.clip(points[:, : at.law.times], low + 0.2, high - 0.2)
+    points[:, : at.law.times] = np.clip(points[:, : at.law.times], low + 0.5, high - 0.5)
     points[1, tissue[: at.law.times]] += 0.05
     points[2, tissue[at.law.times :]] *= 1.2
     points[3, tissue] *= 1.03
