@@ -58,12 +58,29 @@ def test_a_matrix_saved_as_text_is_read_by_column_numbers(tmp_path: Path) -> Non
 
 def test_a_damaged_row_by_spaces_is_named_by_its_line(tmp_path: Path) -> None:
     lines = table(lambda t, x, f: f"{t:.3f} {x:.4f} {f:.4f}\n", "Time(s) Disp(mm) Force(N)\n").splitlines()
-    lines[350] = "3.490 4.0000"
+    for damaged in (350, 120):
+        rows = [*lines[:damaged], "3.490 4.0000", *lines[damaged + 1 :]]
+        with pytest.raises(InputError) as caught:
+            read(tmp_path / "a.txt", "\n".join(rows) + "\n")
+        assert caught.value.line == damaged + 1
 
-    with pytest.raises(InputError) as caught:
-        read(tmp_path / "a.txt", "\n".join(lines) + "\n")
 
-    assert caught.value.line == 351
+def test_rows_of_many_columns_are_cut_at_no_line(tmp_path: Path) -> None:
+    more = " ".join(f"{k}.12345678" for k in range(24))
+    names = "Time(s) Disp(mm) Force(N) " + " ".join(f"channel{k}" for k in range(24))
+
+    trial = read(tmp_path / "a.txt", table(lambda t, x, f: f"{t:.3f} {x:.4f} {f:.4f} {more}\n", names + "\n"))
+
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
+
+
+def test_a_last_row_that_was_cut_is_left_out_and_told(tmp_path: Path) -> None:
+    text = table(lambda t, x, f: f"{t:.3f} {x:.4f} {f:.4f}\n", "Time(s) Disp(mm) Force(N)\n")
+
+    trial = read(tmp_path / "a.txt", text + "4.000 4.0")
+
+    assert trial.time_s.size == TIME.size
+    assert "cut_row" in {flag.code for flag in trial.flags}
 
 
 @pytest.mark.parametrize(
@@ -190,3 +207,23 @@ def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) ->
 
     assert "no_decimals" not in {flag.code for flag in read(tmp_path / "a.csv", text).flags}
     assert "no_decimals" in {flag.code for flag in read(tmp_path / "b.csv", bare).flags}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"1" * 60_000,
+        b"1 " + b"1" * 60_000 + b" x",
+        b"1 2" + b" " * 60_000 + b"x",
+        b"a(" * 30_000,
+        b" " * 60_000,
+    ],
+    ids=["digits", "more digits", "spaces", "brackets", "blank"],
+)
+def test_lines_of_one_kind_are_looked_at_once(line: bytes) -> None:
+    # a pattern that tries every division of such a line would not come to an end
+    rows = b"".join(b"%d.5 %d.25 3.5\n" % (k, k) for k in range(9))
+    text = line + b"\n" + rows + line + b"\n" + rows
+
+    assert by_spaces(text).count(b"\n") == text.count(b"\n")
+    assert with_seconds(text) == text

@@ -81,6 +81,8 @@ class HapticDevice(ABC):
     name: ClassVar[str] = ""
     #: Options of the command line that its driver takes: port, firmware, calibration.
     takes: ClassVar[tuple[str, ...]] = ()
+    #: Those of them that its driver takes only to say why it refuses them.
+    refuses: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits

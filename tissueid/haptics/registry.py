@@ -103,8 +103,9 @@ def device_class(name: str) -> type[HapticDevice]:
 
 
 def owners_of(option: str) -> list[str]:
-    """Built-in devices whose driver takes an option of the command line."""
-    return [name for name in DEVICES if option in device_class(name).takes]
+    """Built-in devices whose driver takes an option of the command line, and does something with it."""
+    found = {name: device_class(name) for name in DEVICES}
+    return [name for name, one in found.items() if option in one.takes and option not in one.refuses]
 
 
 def configured(name: str, asked: AskedDevice) -> dict[str, Any]:

@@ -9,13 +9,20 @@ but for a line of names or units that has as many words as the rows have numbers
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import takewhile
 
-HEAD_LINES = 300
+#: What is looked at.
+HEAD_BYTES, HEAD_LINES = 1 << 16, 300
 #: Rows that show a table by spaces, or a clock.
 FEWEST_ROWS = 5
-_NUMBER = rb"[+-]?(?:\d+(?:,\d+|\.?\d*)|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?nan"
+#: Share of the rows that have the same number of columns.
+ALIKE = 0.9
+#: A longer line is no line of names.
+LONGEST_NAMES = 1000
+#: Written so that a text can be a number in one way only: a line of digits is refused in linear time.
+_NUMBER = rb"[+-]?(?:\d+(?:,\d+|\.\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?nan"
 _ROW = re.compile(rb"[ \t]*(?:%b)(?: +(?:%b))+[ \t]*\r?" % (_NUMBER, _NUMBER), re.IGNORECASE)
 #: Words of a line of names: ``Time (s)`` and ``(s)`` are one each.
 _NAME = re.compile(rb"[^\s(\[]+(?: ?[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]")
@@ -32,25 +39,37 @@ DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
 
 def by_spaces(data: bytes) -> bytes:
     """The text with tabs in place of spaces between columns; as it is where other delimiters part them."""
-    lines = data[: 1 << 16].split(b"\n")[:HEAD_LINES]
-    rows = [k for k, line in enumerate(lines) if _ROW.fullmatch(line)]
+    lines = _head(data)
+    counts = {k: len(line.split()) for k, line in enumerate(lines) if _ROW.fullmatch(line)}
+    if not counts:
+        return data
+    columns, often = Counter(counts.values()).most_common(1)[0]
+    rows = [k for k, count in counts.items() if count == columns]
     first = next(
         (k for k, after in zip(rows, rows[FEWEST_ROWS - 1 :], strict=False) if after - k < FEWEST_ROWS), None
     )
-    if first is None:
-        return data
-    columns = len(lines[first].split())
-    if any(len(lines[k].split()) != columns for k in rows if k >= first):
+    # a damaged row is named by its line once the others are cells
+    if first is None or often < ALIKE * len(counts):
         return data
     head = [_named(line, columns) if k >= first - 2 else line for k, line in enumerate(lines[:first])]
     offset = sum(len(line) + 1 for line in lines[:first])
-    body = re.sub(rb"(?m)^[ ]+|[ ]+(?=\r?$)", b"", data[offset:])
-    return b"".join(line + b"\n" for line in head) + re.sub(rb"(?<=\S)[ ]+(?=\S)", b"\t", body)
+    body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", data[offset:]))
+    body = body.replace(b"\t\n", b"\n").replace(b"\t\r\n", b"\r\n").removesuffix(b"\t")
+    return b"".join(line + b"\n" for line in head) + body
+
+
+def _head(data: bytes) -> list[bytes]:
+    """The first whole lines."""
+    head = data[:HEAD_BYTES]
+    lines = head.split(b"\n")
+    return (lines[:-1] if len(data) > len(head) else lines)[:HEAD_LINES]
 
 
 def _named(line: bytes, columns: int) -> bytes:
     """A line of names or units, parted by tabs where it has as many words as there are columns."""
     plain = line.strip()
+    if len(plain) > LONGEST_NAMES:
+        return line
     for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
         if len(words) == columns:
             return b"\t".join(words)
@@ -59,7 +78,7 @@ def _named(line: bytes, columns: int) -> bytes:
 
 def with_seconds(data: bytes) -> bytes:
     """The text with seconds in the place of clock times in its rows; as it is where rows have none."""
-    lines = data[: 1 << 16].split(b"\n")[:HEAD_LINES]
+    lines = _head(data)
     first = _first_row(lines)
     if first is None:
         return data

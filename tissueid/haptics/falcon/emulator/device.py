@@ -31,6 +31,7 @@ class EmulatorDevice(FalconDevice):
     """
 
     name = "emulator"
+    refuses = ("port",)
 
     def __init__(
         self,
