@@ -219,7 +219,8 @@ def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path: Path)
     tissues = of_bundle(tmp_path / "bundle.h5", count=16)
 
     assert tissues.theta.shape == (16, 5)
-    assert usual_wants(tissues.model) == ["relaxation_time_s", "stiffness_0_N_per_mm"]
+    wanted = ["relaxation_time_s", "relaxation_exponent", "stiffness_0_N_per_mm"]
+    assert usual_wants(tissues.model) == wanted
     assert tissues.longest_tau_s == pytest.approx(0.08, rel=0.1)
     assert full_name("tau", tissues.model) == "relaxation_time_s"
     with pytest.raises(UsageError, match="unknown number 'eta'; this tissue has static_N_per_mm_n"):

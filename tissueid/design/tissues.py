@@ -120,10 +120,10 @@ def viscosities(model: ChannelModel) -> list[str]:
 
 
 def usual_wants(model: ChannelModel) -> list[str]:
-    """Numbers that are wanted where nobody says: times, and viscosity, stiffness or ratio of every part."""
+    """Numbers that are wanted where nobody says: shapes, and viscosity, stiffness or ratio of every part."""
     names, beside = list(model.parameter_names), viscosities(model)
     for part in model.parts:
-        beside += [names[part.shapes.start]] if part.shapes.start < part.shapes.stop else []
+        beside += names[part.shapes]
         if part.ratio is not None:
             beside.append(names[part.ratio])
         elif not model.viscous:
