@@ -321,6 +321,13 @@ def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -
     assert stiffer == set(sorted(peaks, key=lambda label: peaks[label])[-2:])
 
 
+def test_a_port_that_is_not_there_is_told_before_anybody_is_asked(bundle: Path) -> None:
+    ended = run("render", bundle, "--device", "falcon", "--port", "/dev/no-such-port")
+    assert ended.code == 5
+    assert "/dev/no-such-port: there is no such device" in ended.stderr
+    assert "dead-man" not in ended.stderr
+
+
 def test_consent_is_asked_for_where_somebody_can_answer(bundle: Path, tmp_path: Path) -> None:
     ended = run(
         "render", bundle, "--against-draw", "1", "--blind", "--presentations", "2", "--device", "sim",

@@ -10,6 +10,7 @@ import importlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissueid.errors import DeviceError, UsageError
@@ -177,11 +178,16 @@ def choose_device(name: str = AUTO) -> Choice:
     return Choice("sim", f"device sim, simulated: {why}")
 
 
-def check_present(name: str) -> None:
+def check_present(name: str, port: object = None) -> None:
     """Refuse hardware that is not there, or has something in its way, before anybody is asked anything.
 
-    Raises DeviceError: with the way out.
+    ``port``: path of its port, where one was named.  Raises DeviceError: with the way out.
     """
+    if port is not None:
+        if isinstance(port, str) and port.startswith("/") and not Path(port).exists():
+            msg = f"{port}: there is no such device; is it plugged in, or the emulator running?"
+            raise DeviceError(msg)
+        return
     if name not in HARDWARE:
         return
     found = device_class(name).detect()

@@ -188,8 +188,7 @@ def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticD
     given = dict(options.device_options)
     if options.replay is not None:
         given["log"] = options.replay
-    if "port" not in given:
-        check_present(found.name)
+    check_present(found.name, given.get("port"))
     return (found.name, found.why), device_class(found.name)(**given)
 
 
