@@ -18,7 +18,8 @@ from tissueid.ingest.layout import find_layout
 from tissueid.ingest.loading import LARGEST_BYTES, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.text import HEAD_BYTES, decode_text
+from tissueid.ingest.spaced import HEAD_BYTES
+from tissueid.ingest.text import decode_text
 
 #: Suffixes taken from a directory.
 SUFFIXES = (

@@ -25,7 +25,8 @@ from tissueid.ingest.results import (
     results_below,
     results_spans,
 )
-from tissueid.ingest.text import HEAD_BYTES, Text
+from tissueid.ingest.spaced import HEAD_BYTES
+from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import is_comment_name
 
 __all__ = ["Anchor", "Layout", "Row", "anchor", "find_decimal", "find_layout", "is_units_row", "split_line"]

@@ -19,7 +19,8 @@ from typing import Any
 
 from tissueid.errors import UsageError, printable
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.text import HEAD_BYTES, foreign_kind
+from tissueid.ingest.spaced import HEAD_BYTES
+from tissueid.ingest.text import foreign_kind
 from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
 #: One letter would be a drive.

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import takewhile
 
-#: What is looked at.
+#: What is looked at to recognise a file: 48 header lines and several hundred rows; lines of it that are here.
 HEAD_BYTES, HEAD_LINES = 1 << 16, 300
 #: Rows that show a table by spaces, or a clock.
 FEWEST_ROWS = 5

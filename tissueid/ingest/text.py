@@ -20,7 +20,7 @@ import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.spaced import by_spaces, with_seconds
+from tissueid.ingest.spaced import HEAD_BYTES, by_spaces, with_seconds
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, plain_words, rank_of
 
 _NUMBER = r"(?: 1)?"
@@ -87,8 +87,6 @@ def is_protocol_key(key: str) -> bool:
     return any(pattern.fullmatch(words) for pattern in _ALL)
 
 
-#: What is looked at to recognise a file: 48 header lines and several hundred rows.
-HEAD_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 20
 _CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk", "cp932")
 _MAGIC = (

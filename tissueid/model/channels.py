@@ -148,6 +148,14 @@ class ChannelModel:
         return np.array([k for k, spec in enumerate(self.parameters) if spec.name in names], dtype=np.int64)
 
     @cached_property
+    def time_places(self) -> NDArray[np.int64]:
+        """Places of the relaxation times in theta."""
+        names = self.parameter_names
+        return np.array(
+            [k for k in self.shape_places if names[k].startswith("relaxation_time")], dtype=np.int64
+        )
+
+    @cached_property
     def linear_places(self) -> NDArray[np.int64]:
         """Places of the linear parameters in theta."""
         return np.setdiff1d(np.arange(len(self.parameters)), self.shape_places)

@@ -62,8 +62,7 @@ class Coordinates:
     @property
     def times(self) -> NDArray[np.int64]:
         """Coordinates of relaxation times, which ascend."""
-        names = self.model.parameter_names
-        return np.array([k for k in self.shapes if names[k].startswith("relaxation_time")], dtype=np.int64)
+        return self.model.time_places
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -67,15 +67,9 @@ def _is_curve(model: ChannelModel, block: slice) -> bool:
     return block.start > 0 or model.static.polynomial
 
 
-def _times(model: ChannelModel) -> list[int]:
-    """Places of the relaxation times in theta."""
-    names = model.parameter_names
-    return [int(k) for k in model.shape_places if names[k].startswith("relaxation_time")]
-
-
 def _other_shapes(model: ChannelModel) -> list[int]:
     """Places of shapes that are no times."""
-    return [int(k) for k in model.shape_places if int(k) not in _times(model)]
+    return [int(k) for k in np.setdiff1d(model.shape_places, model.time_places)]
 
 
 def _stated_curve(names: tuple[str, ...], stated: Priors) -> dict[str, tuple[float, float]]:
@@ -124,7 +118,7 @@ def centred_priors(
         linear |= _stated_curve(model.parameter_names[block], stated) or _centred_curve(
             model, theta, block, widths.curve
         )
-    around = tuple(SpreadPrior(float(theta[k]), widths.ln_tau) for k in _times(model))
+    around = tuple(SpreadPrior(float(theta[k]), widths.ln_tau) for k in model.time_places)
     times = (*stated.relaxation_time_s, *around[len(stated.relaxation_time_s) :])[: len(around)]
     shapes = {
         model.parameter_names[k]: SpreadPrior(float(theta[k]), widths.ln_shape) for k in _other_shapes(model)
@@ -197,7 +191,7 @@ def _drawn_tissue(model: ChannelModel, priors: Priors, rng: np.random.Generator)
             known = np.array([priors.linear[name] for name in model.parameter_names[block]])
             powers = model.depth_mm ** np.arange(float(known.shape[0])) if _is_curve(model, block) else None
             theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
-        theta[_times(model)] = _ascending(priors.relaxation_time_s, rng)
+        theta[model.time_places] = _ascending(priors.relaxation_time_s, rng)
         for k in _other_shapes(model):
             spec = model.parameters[k]
             theta[k] = _bounded(priors.shapes[spec.name], spec, rng)
@@ -263,7 +257,7 @@ def numbers_of(
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
     if model.viscous:
-        for branch, (part, time) in enumerate(zip(model.parts, _times(model), strict=True)):
+        for branch, (part, time) in enumerate(zip(model.parts, model.time_places, strict=True)):
             powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_law.powers))
             viscosity = (theta[:, part.stiffness] @ powers) * theta[:, time]
             out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = viscosity
