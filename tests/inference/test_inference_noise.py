@@ -93,3 +93,13 @@ def test_a_long_series_becomes_white():
     assert left.var() == pytest.approx(1.0, abs=0.04)
     assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.03
     assert np.corrcoef(noise[1:], noise[:-1])[0, 1] > 0.87
+
+
+def test_noise_that_lasts_for_ever_divides_by_nothing() -> None:
+    count, step = np.ones(6), np.full(6, 0.01)
+    chain = np.array([True, False, False, False, False, False])
+
+    white = whitener(count, step, step, chain, Memory(time_s=1e18, white=0.0))
+
+    assert np.isfinite(white(np.arange(6.0)[:, None])).all()
+    assert np.isfinite(white.log_det)

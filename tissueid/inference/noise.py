@@ -15,6 +15,8 @@ from scipy.linalg.lapack import dtbtrs
 
 from tissueid.arrays import FloatArray
 
+#: Least variance of an innovation, of the noise's: one that lasts for ever leaves none but rounding.
+LEAST_INNOVATION = 1e-12
 #: Change of the filter's variance below which it has settled.
 SETTLED = 1e-13
 
@@ -134,7 +136,7 @@ def _recursion(rows: list[list[float]], starts: list[bool], q: float, *, settle:
             p, x = q, 1.0
         elif x < 1.0:
             p = x * x * p + q * (1.0 - x * x)
-        s = a * a * p + v + w
+        s = max(a * a * p + v + w, LEAST_INNOVATION)
         g = (a * d * p + c) / s
         out.append((a * x, g, s, (d - g * a) * x))
         after = max(d * d * p + e - g * g * s, 0.0)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import sys
 import time
 import zipfile
 from collections.abc import Callable
@@ -330,7 +331,9 @@ def _walked(
     steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
     found, apart = 0.0, np.inf
     for _ in range(ROUNDS_ALONE if alone else ROUNDS):
-        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+        # emcee prints what a density raises, and results may go to stdout
+        with contextlib.redirect_stdout(sys.stderr):
+            state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         chain = np.swapaxes(sampler.get_chain()[-_counted(sampler, trusted=trusted) :], 0, 1)
         coordinates = diagnose({str(k): chain[:, :, k] for k in range(chain.shape[2])})
         found = min(one.ess_bulk for one in coordinates.values())
