@@ -135,3 +135,11 @@ def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:
 
     assert value == pytest.approx(1e-3 * 4.0**4)
     assert np.isinf(stderr)
+
+
+def test_a_depth_just_above_the_surface_has_no_force() -> None:
+    law = parsed("power * stretched").model(4.0, 0.01, 8.0)
+
+    force = law.static_force(np.array([2.0, 1.5, 1.0, 0.1, 0.5]), np.array([-1e-9, 0.0, 1.0]))
+
+    assert force.tolist() == [0.0, 0.0, 2.0]

@@ -207,7 +207,8 @@ class ChannelModel:
         x = np.asarray(depth_mm, dtype=np.float64)
         if self.static.polynomial:
             return np.asarray(x * np.polynomial.polynomial.polyval(x, linear))
-        return np.asarray(linear @ self.static.basis(x, *shapes))
+        # a path in contact may begin a rounding, or its noise, above the surface
+        return np.asarray(linear @ self.static.basis(np.maximum(x, 0.0), *shapes))
 
     def static_slope(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """F_s' [N/mm]."""
