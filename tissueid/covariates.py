@@ -13,12 +13,12 @@ import numpy as np
 
 from tissueid.collection import Collected, Excluded
 from tissueid.decided import arithmetic_refusal
+from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
 from tissueid.inference.frame_effect import frame_flags
 from tissueid.inference.order import gain_spread, order_effect, repeated_sites
 from tissueid.inference.specimen import FitOptions, LogHandle
 from tissueid.manifest import Study
 from tissueid.result import Estimate, Refusal, SpecimenFit
-from tissueid.store.schema import load_schema
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,6 @@ def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> 
     return replace(fit, flags=tuple(flags))
 
 
-def _columns(rows: str) -> tuple[str, ...]:
-    """Keys of one kind of row, in the order of the schema: one list for code and contract."""
-    schema = load_schema("identification")["$defs"]["study"]["properties"][rows]
-    return tuple(schema["items"]["properties"])
-
-
 def study_record(
     study: Study, collected: Collected, names: Mapping[str, str], exclusions: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
@@ -71,9 +65,8 @@ def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions:
     rows, gathered from wherever they were made.
     """
     shown = dict.fromkeys([*fitted, *study.specimens])
-    stated = load_schema("identification")["$defs"]["calibration"]["properties"]
     frame = study.calibration.frame
-    calibration = {key: study.calibration.values.get(key) for key in stated}
+    calibration = {key: study.calibration.values.get(key) for key in Calibration.__struct_fields__}
     return {
         "path": study.path,
         "sha256": study.sha256,
@@ -91,7 +84,7 @@ def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions:
 def _specimen_row(study: Study, name: str) -> dict[str, Any]:
     """Covariates of one specimen: its own, else the study's."""
     own = study.specimens.get(name, {})
-    keys = [key for key in _columns("specimens") if key not in {"specimen", "notes"}]
+    keys = [key for key in StatedSpecimen.__struct_fields__ if key not in {"specimen", "notes"}]
     row = {key: own.get(key, study.about.get(key)) for key in keys}
     return {"specimen": name, **row, "notes": own.get("notes")}
 
@@ -100,7 +93,7 @@ def _trial_row(collected: Collected, entry: Mapping[str, Any], names: Mapping[st
     """Covariates of one fitted trial."""
     decision = collected.decisions[entry["path"], entry["sheet"]]
     override = decision.override
-    row = {key: decision.trial.get(key) for key in _columns("trials")}
+    row = {key: decision.trial.get(key) for key in StatedTrial.__struct_fields__}
     return row | {
         "path": entry["path"],
         "sheet": entry["sheet"],

@@ -14,6 +14,7 @@ from fit_factory import identification, specimen_fit
 from jsonschema import Draft202012Validator
 from posterior_factory import sampled
 
+from tissueid.documents.schemas import ROOTS, schema_of
 from tissueid.errors import BundleError
 from tissueid.flags import FLAGS, Flag
 from tissueid.result import Estimate
@@ -66,7 +67,12 @@ def test_every_object_says_what_else_it_may_hold(name: str) -> None:
 
 def test_every_schema_file_is_known_by_name() -> None:
     files = {entry.name.removesuffix(".schema.json") for entry in schema_folder().iterdir()}
-    assert files == set(SCHEMA_NAMES)
+    assert files == set(SCHEMA_NAMES) == set(ROOTS)
+
+
+@pytest.mark.parametrize("name", SCHEMA_NAMES)
+def test_every_schema_is_written_from_the_types(name: str) -> None:
+    assert load_schema(name) == schema_of(name), "run scripts/write-docs"
 
 
 def test_flag_codes_are_those_of_the_code() -> None:
@@ -75,7 +81,7 @@ def test_flag_codes_are_those_of_the_code() -> None:
 
 def test_refusal_codes_are_those_of_ingest_and_those_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
-    known = set(load_schema("inspect")["$defs"]["refusal_code"]["enum"])
+    known = set(load_schema("inspect")["$defs"]["error"]["properties"]["code"]["enum"])
     assert known == {
         *refusals.REFUSAL_CODES,
         "no_contact",

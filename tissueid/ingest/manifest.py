@@ -233,12 +233,18 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
 def _properties(*where: str | int) -> Mapping[str, Any]:
     """Keys that a table of the manifest may hold, from the schema; empty where it says nothing."""
     schema = load_schema("study")
+
+    def referred(node: Mapping[str, Any]) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = node
+        if "$ref" in node:
+            found = schema["$defs"][node["$ref"].rpartition("/")[2]]
+        return found
+
     node: Mapping[str, Any] = schema
     for part in where:
         node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
-        if "$ref" in node:
-            node = schema["$defs"][node["$ref"].rpartition("/")[2]]
-    found: Mapping[str, Any] = node.get("items", node).get("properties", {})
+        node = referred(node)
+    found: Mapping[str, Any] = referred(node.get("items", node)).get("properties", {})
     return found
 
 

@@ -1,0 +1,1 @@
+"""Documents: what is written to files and printed by ``--json``, as types."""

@@ -1,0 +1,135 @@
+"""Identified tissues beside each other."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from tissueid.documents.base import Document, Fraction, NonNegative, Positive, PositiveCount
+from tissueid.documents.measured_contrast import MeasuredPair
+
+
+class Common(Document, frozen=True):
+    """Depth and speeds that both tissues were tested at."""
+
+    depth_mm: Positive
+    speeds_mm_s: tuple[float, float]
+
+
+class Device(Document, frozen=True):
+    """Device the tissues would be felt on."""
+
+    clamp_N: float
+    force_scale: float
+
+
+class Tissue(Document, frozen=True):
+    """Tissue that is compared."""
+
+    name: str
+    branches: int
+    stiffness_degree: int
+    draws: int
+    interval: Literal["statistical", "total"]
+
+
+#: One value a point
+Row = Annotated[tuple[float, ...], Meta(min_length=2)]
+
+
+class Loading(Document, frozen=True):
+    """Force along a ramp [N], median and central 95 %."""
+
+    speed_mm_s: float
+    depth_mm: Row
+    low: Row
+    median: Row
+    high: Row
+
+
+class Hold(Document, frozen=True):
+    """After the fastest common ramp to the common depth."""
+
+    time_s: Row
+    low: Row
+    median: Row
+    high: Row
+
+
+class Curve(Document, frozen=True):
+    """Forces of one tissue, along ramps and in holds."""
+
+    name: str
+    loading: Annotated[tuple[Loading, ...], Meta(min_length=1)]
+    hold: Hold  # After the fastest common ramp to the common depth
+
+
+Share = Fraction
+
+
+class Difference(Document, frozen=True):
+    """Distance of two tissues in force space, and how sure its direction is."""
+
+    distance: NonNegative
+    directions: PositiveCount
+    probability: Share
+    different: bool
+
+
+#: 2.5, 50, 97.5 %
+Quantiles = tuple[float, float, float]
+
+
+class Number(Document, frozen=True):
+    """One number of both tissues, and their ratio."""
+
+    name: str
+    one: Quantiles
+    other: Quantiles
+    ratio: Quantiles | None  # other over one
+    larger: Share  # Probability that the other one's is larger
+
+
+class Limit(Document, frozen=True):
+    """Published just-noticeable difference."""
+
+    of: str
+    share: float
+    source: str
+    doi: str
+    conditions: str
+
+
+class Noticed(Document, frozen=True):
+    """Difference in units of a just-noticeable difference."""
+
+    name: str
+    limit: Limit
+    times: NonNegative
+    probability: Share
+
+
+class Pair(Document, frozen=True):
+    """Two tissues against each other."""
+
+    one: str
+    other: str
+    difference: Difference
+    numbers: tuple[Number, ...]
+    noticed: tuple[Noticed, ...]
+
+
+class Contrast(Document, frozen=True):
+    """Tissues against each other, and against a hand."""
+
+    schema: Literal["tissueid/contrast/1"]
+    tissueid: str
+    level: float  # Tissues are called different below this probability
+    common: Common
+    device: Device
+    tissues: Annotated[tuple[Tissue, ...], Meta(min_length=2)]
+    curves: Annotated[tuple[Curve, ...], Meta(min_length=2)]  # Forces of every tissue, in their order
+    pairs: tuple[Pair, ...]
+    #: What was measured, no model, pair by pair; of output folders
+    measured: tuple[MeasuredPair, ...] | None = None

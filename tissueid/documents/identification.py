@@ -1,0 +1,493 @@
+"""What `tissueid fit` found (identification.json)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta, field
+
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, Sha256, Text
+from tissueid.documents.flag import Flag
+from tissueid.documents.inspect import Refusal
+from tissueid.documents.measured import Measured, Spread
+from tissueid.documents.quantities import Cycle, Quoted, Unloading
+from tissueid.documents.study import Population, Priors, Study, Tip
+
+
+class Model(Document, frozen=True):
+    """Contact model of a specimen."""
+
+    key: Text
+    branches: Annotated[int, Meta(ge=0, le=12)]
+    static_degree: Annotated[int, Meta(ge=1, le=3)]
+    stiffness_degree: Literal[0, 1, 2]
+    #: `per-log` stands in documents of earlier versions only
+    static_pooling: Literal["scaled", "partial", "shared", "per-log"]
+    #: The model as it was asked for: a whole name, or STATIC * [STIFFNESS *] RELAXATION
+    name: Text | None = None
+    inside_s: tuple[Positive, ...] | None = None  # Nodes of the yardstick inside the convolution [s]
+    outside_s: tuple[Positive, ...] | None = None  # Nodes of the yardstick outside it [s]
+    #: Resolution and window of the recordings [s], between which a relaxation that is no exponential was
+    #: looked at; null of a Kelvin-Voigt law
+    range_s: tuple[Positive, Positive] | None = None
+
+
+class Estimate(Document, frozen=True):
+    """One parameter. `value` is null where `identified` is false."""
+
+    #: Constraints of the JSON Schema beyond types
+    RULES: ClassVar[Mapping[str, Any]] = {
+        "if": {"properties": {"identified": {"const": False}}},
+        "then": {
+            "properties": {
+                "mean": {"type": "null"},
+                "sd": {"type": "null"},
+                "ci95": {"type": "null"},
+                "ci95_total": {"type": "null"},
+                "ess_bulk": {"type": "null"},
+                "ess_tail": {"type": "null"},
+                "r_hat": {"type": "null"},
+            }
+        },
+        "else": {"properties": {"value": {"type": "number"}}},
+        "allOf": [
+            {
+                "if": {
+                    "properties": {
+                        "identified": {"const": False},
+                        "detail": {"not": {"required": ["withheld"]}},
+                    }
+                },
+                "then": {"properties": {"value": {"type": "null"}}},
+            }
+        ],
+    }
+
+    #: Name of a parameter, as the model declares it: tissueid models lists them; viscosity_N_s_per_mm of a
+    #: branch is derived
+    name: Annotated[str, Meta(pattern="^(static|stiffness|relaxation|viscosity|damping)_[a-zA-Z0-9_]+$")]
+    symbol: str
+    unit: str
+    value: float | None
+    stderr: NonNegative | None  # At the optimum, under the noise of the specimen, in the unit of the value
+    identified: bool
+    #: Posterior mean, in the unit of the value; null without a posterior and where not identified
+    mean: float | None
+    sd: NonNegative | None  # Posterior standard deviation, in the unit of the value
+    #: Statistical 95 % interval [low, high], in the unit of the value: noise, scatter between logs, contact
+    #: points
+    ci95: tuple[float, float] | None
+    #: Total 95 % interval [low, high], in the unit of the value: the calibration of the machine as well; null
+    #: for normalised recordings
+    ci95_total: tuple[float, float] | None
+    ess_bulk: NonNegative | None  # Effective draws in the bulk; null where it is not defined
+    ess_tail: NonNegative | None  # Effective draws in the tails
+    r_hat: NonNegative | None  # Rank-normalised R-hat, 1 where chains agree
+    #: Numbers behind the verdict; of a parameter that is not identified the estimate stands under `estimate`,
+    #: and what was sampled under `posterior`: its interval is the prior's as much as the data's
+    detail: dict[str, Any]
+    #: 95 % prediction interval of the next indentation [low, high]: Student's t on the log scale over the
+    #: logs; null where too few logs show how much sites differ
+    prediction95: tuple[float, float] | None = None
+
+
+class TipGeometry(Document, frozen=True):
+    """Shape of the tip, where it was stated; without it nothing is known of the shape."""
+
+    shape: Literal["sphere", "flat", "cone"]
+    half_angle_deg: Annotated[float, Meta(gt=0, lt=90)] | None  # Of a cone, between its axis and its side
+
+
+class Validity(Document, frozen=True):
+    """Where the model is claimed to hold: depths up to depth_mm.
+
+    Loading speeds between the slowest and fastest fitted, this tip.
+    """
+
+    depth_mm: NonNegative
+    speeds_mm_s: tuple[float, float]
+    tip_radius_mm: Positive | None
+    tip: TipGeometry | None = None
+
+
+class Input(Document, frozen=True):
+    """One trial that was read."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    sha256: Sha256  # Of the bytes of the file; empty for a trial that was handed over as arrays
+    recipe: str
+    columns: dict[str, str]
+    specimen: str
+    n_samples: Count
+
+
+class Frame(Document, frozen=True):
+    """Deflection that was taken off the displacement: knots, du/dF and its covariance."""
+
+    path: str | None
+    sha256: str | None
+    force_N: tuple[float, ...]
+    compliance_mm_per_N: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    range_N: tuple[float, ...] | None
+
+
+class Calibration(Document, frozen=True):
+    """What was stated of the channels; null: not stated."""
+
+    load_cell_capacity_N: float | None
+    load_cell_class: float | None
+    verified_from_N: float | None
+    displacement_class: float | None
+    displacement_resolution_mm: float | None
+    sampling_Hz: float | None
+    force_filter_s: float | None
+    force_filter_s_sd: float | None
+    skew_s: float | None
+    skew_s_sd: float | None
+    frame_stiffness_N_per_mm: float | None
+    frame_stiffness_N_per_mm_sd: float | None
+    frame: Frame | None
+
+
+class StudyInputs(Document, frozen=True):
+    """Study file a run was made under."""
+
+    path: str
+    sha256: str
+    calibration: Calibration
+    priors: Priors
+
+
+class Provenance(Document, frozen=True):
+    """What is needed to repeat the run; no time stamps, so that the same run gives the same bytes."""
+
+    tissueid: str  # Version that wrote this
+    options: dict[str, Any]  # Options of the run that change its numbers, the seed among them
+    inputs: tuple[Input, ...]
+    #: How the user asked for the inputs to be read; null where nothing was said
+    reading: dict[str, str | None] | None = None
+    versions: dict[str, str] | None = None  # Versions of the libraries
+    study: StudyInputs | None = None  # The study file, and the calibration and priors its numbers rest on
+
+
+class Units(Document, frozen=True):
+    """What displacement and force are: mm and N, or normalised.
+
+    Keys keep their names; every `unit` is written in these.
+    """
+
+    length: Literal["mm", "1"]  # 1 for a strain or stretch
+    force: Literal["N", "MPa"]  # MPa for a stress
+    time: Literal["s"]
+
+
+class Nrmsd(Document, frozen=True):
+    """Root-mean-square deviation: over the range of the force, over its mean (fractions, not percent).
+
+    And in N.
+    """
+
+    range: NonNegative
+    mean: NonNegative
+    rmse_N: NonNegative
+
+
+class Trial(Document, frozen=True):
+    """Fit of one log."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    nrmsd: NonNegative  # RMSD over the range of the measured force, a fraction
+    nrmsd_mean: NonNegative  # RMSD over the mean size of the measured force, a fraction
+    rmse_N: NonNegative  # RMSD [N]
+    max_residual_fraction: NonNegative  # Largest absolute residual over the range of the force
+    residual_acf1: Annotated[float, Meta(ge=-1, le=1)]  # Lag-one autocorrelation of the residual
+    gain: float
+    contact_offset_mm: float
+    speed_mm_s: float
+    depth_mm: float
+    n_samples: Count
+    flags: tuple[Flag, ...]
+    measured: Measured | None = None
+
+
+class Relaxation(Document, frozen=True):
+    """Exponentials of one hold, without a contact model."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    window_s: tuple[float, float]  # Recorded times of the stop and of the end of the hold
+    peak_force_N: float
+    tau_single_s: NonNegative | None
+    nrmsd_single: NonNegative
+    tau_double_s: Annotated[tuple[NonNegative, ...], Meta(max_length=2)]
+    tau_triple_s: Annotated[tuple[NonNegative, ...], Meta(max_length=3)]
+    flags: tuple[Flag, ...]
+
+
+class RelaxationWindow(Document, frozen=True):
+    """Relaxation time by length of the hold."""
+
+    #: Length of hold that was fitted [s], the whole first
+    cut_s: Annotated[tuple[Positive, ...], Meta(min_length=2, max_length=3)]
+    tau_s: Annotated[tuple[Positive, ...], Meta(min_length=2, max_length=3)]  # Relaxation time of each [s]
+    #: Its standard error under white noise [s]
+    stderr_s: Annotated[tuple[Positive, ...], Meta(min_length=2, max_length=3)]
+    slope: float  # d ln tau / d ln T: 0 for a property of the tissue, 1 for one of the window
+    slope_stderr: NonNegative
+    effective: bool  # True where the slope is above 0.2, beyond its error
+
+
+class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
+    """What Levenberg-Marquardt and variable projection reached, and whether they agree."""
+
+    agree: bool | None
+
+
+class Selection(Document, frozen=True, forbid_unknown_fields=False):
+    """One candidate model and its held-out score: log predictive density less that of the best.
+
+    Larger is better.
+    """
+
+    #: Constraints of the JSON Schema beyond types
+    RULES: ClassVar[Mapping[str, Any]] = {
+        "additionalProperties": {"type": ["number", "string", "boolean", "null"]}
+    }
+
+    branches: Annotated[int, Meta(ge=0, le=12)]
+    stiffness_degree: Literal[0, 1, 2]
+    score: float | None
+    stderr: float | None
+    chosen: bool
+
+
+class Sampler(Document, frozen=True):
+    """How a posterior was sampled."""
+
+    name: Literal["emcee", "exact"]  # `exact` stands in documents of earlier versions only
+    converged: bool  # Whether the stopping rule was reached
+    draws: Count  # Draws kept, of all walkers
+    acceptance: Fraction  # Accepted proposals, a fraction
+    detail: dict[str, Any]  # Steps, walkers, autocorrelation time, seed, and why it is not converged
+
+
+class Noise(Document, frozen=True):
+    """Noise of the force."""
+
+    model: Literal["white", "ar1", "white+ar1"]
+    sigma_N: NonNegative  # Standard deviation of the whole noise [N]
+    phi: Fraction  # Correlation of its correlated part over one reference step
+    reference_step_s: NonNegative  # Reference step [s]
+    #: Coefficient of the innovation before, in the innovations of white noise beside AR(1); 0 unless the
+    #: model is white+ar1
+    moving_average: float
+    #: Standard deviation that quiet stretches of the recordings show [N]; null where nobody looked
+    measured_N: NonNegative | None
+    #: Samples that one independent sample stands for; above 1 where the model misses more than the noise of
+    #: the recordings, and sigma_N is then the size of that miss
+    samples_per_independent: Annotated[float, Meta(ge=1)]
+
+
+class Prior(Document, frozen=True):
+    """One prior beside its posterior."""
+
+    name: Text  # A parameter or a calibration nuisance
+    prior: Text  # In words, with its numbers and units
+    stated: bool  # False for a documented default
+    posterior_mean: float | None  # In the unit of the name
+    posterior_sd: NonNegative | None  # In the unit of the name
+    shrinkage: float | None  # 1 - posterior sd / prior sd; below 0.1 the data said little
+
+
+class Budget(Document, frozen=True):
+    """What one source adds to the uncertainty of one parameter."""
+
+    parameter: Text
+    #: `total` and `cluster bootstrap` stand beside the sources
+    source: Literal[
+        "noise",
+        "scatter between logs",
+        "contact points",
+        "force gain",
+        "displacement gain",
+        "time skew",
+        "force filter",
+        "frame",
+        "total",
+        "cluster bootstrap",
+    ]
+    #: Standard deviation, in the unit of the parameter; null where it could not be worked out
+    sd: NonNegative | None
+    share: NonNegative | None  # Of the total variance; null for rows that are no part of the sum
+
+
+class Comparison(Document, frozen=True):
+    """One model beside the others."""
+
+    model: Text  # In words
+    log_evidence: float | None  # Natural logarithm of the marginal likelihood, less that of the best
+    log_evidence_se: NonNegative | None  # Its Monte-Carlo standard error
+    elpd_log: float | None  # Log predictive density of held-out logs, less that of the best
+    elpd_log_se: NonNegative | None  # Standard error of that difference
+    elpd_speed: float | None  # Log predictive density of held-out speeds, less that of the best
+    elpd_speed_se: NonNegative | None  # Standard error of that difference
+    #: `undecided`: as good as the chosen one; `beside`: compared only, it can't be rendered
+    verdict: Literal["chosen", "undecided", "worse", "beside"]
+
+
+class Check(Document, frozen=True):
+    """One check."""
+
+    name: Text
+    statistic: float | None  # What was measured; null where it has no value
+    p_value: Fraction | None  # Probability of as large a statistic under the fitted model and noise
+    message: Text
+    raised: bool
+
+
+class Misfit(Document, frozen=True):
+    """Posterior predictive checks."""
+
+    raised: bool  # Whether any check was raised: the intervals then can't be believed
+    checks: tuple[Check, ...]
+
+
+class Specimen(Document, frozen=True):
+    """Fit of one specimen."""
+
+    specimen: Text
+    #: What displacement and force are: mm and N, or normalised. Keys keep their names; every `unit` is
+    #: written in these
+    units: Units
+    model: Model
+    parameters: tuple[Estimate, ...]  # None of the yardstick
+    nrmsd: Nrmsd
+    sigma_N: NonNegative
+    n_samples: Count
+    validity: Validity
+    trials: Annotated[tuple[Trial, ...], Meta(min_length=1)]
+    relaxation: tuple[Relaxation, ...]
+    cycles: tuple[Cycle, ...]  # Load-unload loops of its trials
+    quoted: Quoted | None
+    unloading: Unloading | None  # null where only loading was fitted
+    optimisers: Optimisers  # What Levenberg-Marquardt and variable projection reached, and whether they agree
+    selection: tuple[Selection, ...]
+    sampler: Sampler | None  # How the posterior was sampled; null where none was
+    noise: Noise | None  # Noise of the force in the posterior; null where none was sampled
+    priors: tuple[Prior, ...]  # Priors beside their posteriors
+    budget: tuple[Budget, ...]  # Which source adds how much to the uncertainty of which parameter
+    model_comparison: tuple[Comparison, ...]  # Candidate models by evidence and by held-out data
+    #: Whether the residuals show what the model and its noise can't make; null where it was not looked at
+    misfit: Misfit | None
+    flags: tuple[Flag, ...]
+    #: The relaxation time of the one-branch model with holds cut to T, T/2 and T/4; null where no hold
+    #: determines it
+    relaxation_window: RelaxationWindow | None = None
+    measured: tuple[Spread, ...] | None = None  # What was measured, no model, with the spread between logs
+
+
+class Exit(Document, frozen=True):
+    """Exit code and its reasons."""
+
+    code: Literal[0, 1, 2, 3, 4, 5, 6, 7, 130]
+    reasons: tuple[str, ...]
+
+
+class StatedSpecimen(Document, frozen=True):
+    """Row of a specimen in the study file."""
+
+    specimen: str
+    species: str | None
+    tissue: str | None
+    donor: str | None
+    sex: str | None
+    age_years: float | None
+    age_group: str | None
+    side: str | None
+    thickness_mm: float | None
+    thickness_mm_sd: float | None
+    storage: str | None
+    freeze_thaw_cycles: int | None
+    hydration: str | None
+    temperature_C: float | None
+    time_post_mortem_h: float | None
+    support: str | None
+    site: str | None
+    notes: str | None
+
+
+class StatedTrial(Document, frozen=True):
+    """Row of a log in the study file."""
+
+    path: str
+    sheet: str | None
+    specimen: str
+    site: str | None
+    protocol: str | None
+    run: int | None
+    rest_s: float | None
+    listed: bool  # False for a recording that study.toml does not name
+    overridden: tuple[str, ...]  # Keys the user decided
+    because: str | None
+    notes: str | None
+
+
+class WithIt(Document, frozen=True):
+    """One parameter without an excluded log and with it."""
+
+    name: str
+    symbol: str
+    unit: str
+    without: float | None
+    without_stderr: float | None
+    with_it: float | None = field(name="with")
+    with_stderr: float | None
+
+
+class Exclusion(Document, frozen=True):
+    """Log that was left out, and what it would have changed."""
+
+    path: str
+    sheet: str | None
+    specimen: str | None
+    because: str
+    note: str | None
+    #: The specimen's parameters fitted again, same model, with this trial among its logs; null where the data
+    #: do not determine one
+    with_it: tuple[WithIt, ...]
+
+
+class StudyRecord(Document, frozen=True):
+    """What study.toml adds; everything is flat, so that a table can be joined on path and sheet.
+
+    And on specimen.
+    """
+
+    path: str  # study.toml as it was named
+    sha256: Sha256
+    study: Study
+    tip: Tip
+    calibration: Calibration
+    priors: Priors
+    #: One row a fitted or listed specimen; `specimen` is the name used everywhere else. Null: not stated
+    specimens: tuple[StatedSpecimen, ...]
+    #: One row a trial that was fitted; `path` and `sheet` are those of its fit
+    trials: tuple[StatedTrial, ...]
+    exclusions: tuple[Exclusion, ...]  # Recordings that were not fitted because the user said so
+    population: Population | None = None
+
+
+class Identification(Document, frozen=True):
+    """Result of a fit: every number of every specimen."""
+
+    schema: Literal["tissueid/identification/1"]
+    specimens: tuple[Specimen, ...]
+    refused: tuple[Refusal, ...]
+    provenance: Provenance
+    exit: Exit
+    study: StudyRecord | None  # From study.toml; null without one
+    unfitted_cycles: tuple[Cycle, ...]  # Loops of recordings that were read but could not be fitted

@@ -1,0 +1,183 @@
+"""What `tissueid inspect --json` prints."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, PositiveCount, Text
+from tissueid.documents.flag import Flag
+from tissueid.documents.measured import Measured
+from tissueid.documents.quantities import Cycle
+
+#: Why an input was refused: REFUSAL_CODES of tissueid.ingest.refusals, and those that only a fit finds
+#: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range).
+RefusalCode = Literal[
+    "unreadable_file",
+    "empty_file",
+    "not_an_export",
+    "unreadable_workbook",
+    "unreadable_archive",
+    "reader_failed",
+    "job_failed",
+    "no_trial_sheet",
+    "unknown_sheet",
+    "no_recording",
+    "no_rows",
+    "no_columns",
+    "column_not_found",
+    "unknown_unit",
+    "wrong_unit",
+    "unit_conflict",
+    "ambiguous_decimal",
+    "inconsistent_decimal",
+    "damaged_number",
+    "text_in_numbers",
+    "empty_cell",
+    "not_finite",
+    "ragged_rows",
+    "mixed_tables",
+    "time_backwards",
+    "implausible_range",
+    "invalid_study",
+    "study_unmatched",
+    "invalid_frame",
+    "damaged_log",
+    "wrong_scale",
+    "not_rigid",
+    "frame_range",
+    "no_contact",
+    "fit_failed",
+    "mixed_axes",
+    "too_few_samples",
+]
+
+
+class Error(Document, frozen=True):
+    """Reason of a refusal."""
+
+    code: RefusalCode
+    message: Text
+    line: PositiveCount | None
+    column: PositiveCount | None
+
+
+class Refusal(Document, frozen=True):
+    """Recording that could not be read."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    error: Error
+
+
+class Columns(Document, frozen=True):
+    """Which column was taken for which quantity, named as printed in the file."""
+
+    time: str | None = None
+    displacement: str | None = None
+    force: str | None = None
+
+
+class Point(Document, frozen=True):
+    """One sample as recorded, in s, mm and N, before sign or zero are changed."""
+
+    time_s: float
+    displacement_mm: float
+    force_N: float
+
+
+class Contact(Document, frozen=True):
+    """Where the tool met the tissue, in recorded displacement; null where it did not."""
+
+    displacement_mm: float
+    sd_mm: NonNegative
+    baseline_N: float
+    in_record: bool
+
+
+class Phase(Document, frozen=True):
+    """Phase of a recording."""
+
+    kind: Literal["approach", "ramp", "hold", "creep", "retract", "rest", "cycle"]
+    start_s: float
+    end_s: float
+    #: Speed of the line through 20 to 80 % of the travel, in the compression direction; of a cycle, mean
+    #: speed of its loading
+    speed_mm_s: float
+    braking_s: float  # Time a ramp brakes before its stop
+    peak_s: float | None  # Time of a cycle's deepest sample; null in other phases
+
+
+class Corner(Document, frozen=True):
+    """Corner between ramp and hold."""
+
+    phase: Count  # Index of the ramp in phases
+    time_s: float  # Where the ramp's line meets that of the next phase
+    duration_s: NonNegative
+    overshoot_mm: NonNegative
+    ringing_swings: Count
+    ringing_period_s: float | None
+
+
+class Event(Document, frozen=True):
+    """Event that a machine logged."""
+
+    kind: Literal["rupture", "doubtful_rupture", "slip", "settling", "abort", "load_limit"]
+    time_s: float
+    values: dict[str, float]  # Numbers of the event, named with their unit
+
+
+class Verdict(Document, frozen=True):
+    """Keep it (good), stop and look, or push again (repeat), with one reason."""
+
+    level: Literal["good", "look", "repeat"]
+    reason: str | None
+
+
+class Units(Document, frozen=True):
+    """What displacement and force are: mm and N, or normalised.
+
+    Keys keep their names; every `unit` is written in these.
+    """
+
+    length: Literal["mm", "1"]  # 1 for a strain or stretch
+    force: Literal["N", "MPa"]  # MPa for a stress
+    time: Literal["s"]
+
+
+class Trial(Document, frozen=True):
+    """Recording as it was read."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    specimen: str
+    excluded: str | None  # Why the study takes it out of the fit; null where it takes part
+    recipe: Text  # Key of the reader that matched
+    recipe_reason: str  # Why the reader was taken, in its own words
+    recipe_confidence: Fraction  # How sure the reader was of the file
+    encoding: str | None
+    delimiter: str | None
+    decimal: str | None
+    columns: Columns  # Which column was taken for which quantity, named as printed in the file
+    n_samples: Count  # All numeric rows
+    first: Point
+    last: Point
+    peak_force: Point  # The sample of largest absolute force
+    compression_sign: Literal[1, -1]
+    force_sign: Literal[1, -1]  # Sign of the recorded force under compression
+    force_noise_N: NonNegative  # Standard deviation of the white part of the force noise
+    contact: Contact | None
+    phases: tuple[Phase, ...]
+    corners: tuple[Corner, ...]  # How each ramp came to its stop or turned
+    events: tuple[Event, ...]
+    cycles: tuple[Cycle, ...]  # Load-unload loops, measured from the samples alone
+    measured: Measured  # Peaks, forces in the hold, loops, relaxation times and moduli, no model
+    verdict: Verdict  # Keep it (good), stop and look, or push again (repeat), with one reason
+    flags: tuple[Flag, ...]
+    #: What displacement and force are: mm and N, or normalised. Keys keep their names; every `unit` is
+    #: written in these
+    units: Units
+
+
+#: One object a trial, in the order of the command line; a file or sheet that was refused stands among them
+#: with its error.
+Inspect = tuple[Trial | Refusal, ...]

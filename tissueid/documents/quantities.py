@@ -1,0 +1,117 @@
+"""Cycles, functionals, spectra and moduli: parts of identification.json and inspect."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
+
+
+class Measure(Document, frozen=True):
+    """A measured number and its standard error under white force noise; null where it can't be had."""
+
+    value: float | None
+    stderr: NonNegative | None
+
+
+class AtDepth(Document, frozen=True):
+    """Stiffness of a loop at one depth."""
+
+    depth_mm: float
+    secant_N_per_mm: Measure
+    tangent_N_per_mm: Measure
+
+
+class Cycle(Document, frozen=True):
+    """One load-unload loop, measured from its samples.
+
+    No model is involved but for viscosity_model_N_s_per_mm.
+    """
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    number: PositiveCount
+    #: The area of a loop with a hold includes what relaxed in the hold
+    kind: Literal["cycle", "ramp-retract", "ramp-hold-retract"]
+    start_s: float
+    peak_s: float
+    end_s: float
+    floor_mm: float  # Depth from which the loop is closed
+    peak_depth_mm: float
+    #: Force at the end of loading (the ramp's, before a hold), from a quadratic in depth over its last part
+    peak_force_N: Measure
+    loading_work_mJ: Measure  # Work of loading [mJ = N mm]
+    dissipated_mJ: Measure  # Area of the closed loop [mJ = N mm]
+    hysteresis: Measure  # Area over work of loading, a fraction
+    secant_N_per_mm: Measure  # Force over depth at the end of loading
+    tangent_N_per_mm: Measure  # Slope of loading at its end
+    #: Depth at which unloading falls to 1 % of the peak force, or three sd of the noise; null where it never
+    #: does
+    residual_depth_mm: Measure
+    #: Loop area above the residual depth over the integral of v^2 dt: eta where v tau is small against the
+    #: depth; null for a loop with a hold
+    viscosity_N_s_per_mm: Measure
+    #: eta with which the fitted model has the measured area, its relaxation times kept; null where there is
+    #: no fit
+    viscosity_model_N_s_per_mm: Measure
+    #: Against the loop before, a fraction; null for the first loop and for another amplitude
+    peak_force_change: Measure
+    dissipated_change: Measure  # Against the loop before, a fraction
+    at_depths: tuple[AtDepth, ...]
+
+
+class Quantity(Document, frozen=True):
+    """Number derived from the fit, or measured in a hold; value is null where the data do not support it."""
+
+    name: Text
+    unit: str
+    #: Conditions: time_s, frequency_Hz, depth_mm, amplitude_mm, speed_mm_s, path, formula
+    at: dict[str, float | str]
+    value: float | None
+    stderr: NonNegative | None
+    reason: str | None  # Why there is no value
+
+
+class Spectrum(Document, frozen=True):
+    """Regularised spectrum of one hold as seen after its ramp: F = plateau + sum A_k exp(-t / tau_k)."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    start_s: float
+    end_s: float
+    plateau_N: float
+    tau_s: tuple[Positive, ...]
+    amplitude_N: tuple[NonNegative, ...]
+    smoothing: NonNegative
+    rmse_N: NonNegative
+
+
+class Quoted(Document, frozen=True):
+    """Numbers that people quote."""
+
+    window_s: NonNegative  # Longest hold (longest log without one): nothing later is said
+    resolution_s: NonNegative  # Two sampling intervals: nothing earlier is said
+    noise: Literal["white"]  # What the standard errors assume
+    model: tuple[Quantity, ...]  # Functionals of the fitted model, errors by the delta method
+    #: With tip, and thickness where given; empty where the tip is not known: the stiffness is then
+    #: structural, of this tip on this support
+    moduli: tuple[Quantity, ...]
+    spectra: tuple[Spectrum, ...]
+    assumptions: dict[str, float | str | None]  # Tip, thickness and Poisson's ratio behind the moduli
+
+
+class Unloading(Document, frozen=True):
+    """How the fit of unloading went: rounds, and residuals of a direct simulation with contact loss."""
+
+    rounds: PositiveCount
+    converged: bool
+    change_sd: float | None
+    samples_in_contact: Count
+    samples_in_air: Count
+    samples_pulled: Count  # Samples with a negative force beyond noise: adhesion, which the law does not have
+    rms_in_contact_N: float | None
+    rms_in_air_N: float | None
+    surface_unique: bool
+
+
+Quantities = Any

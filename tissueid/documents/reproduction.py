@@ -1,0 +1,111 @@
+"""Papers, recomputed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
+
+from tissueid.documents.base import Count, Document, NonNegative
+
+
+class Paper(Document, frozen=True):
+    """Source paper."""
+
+    name: Literal["sadeghnejad", "pires"]
+    words: str
+    places: tuple[str, ...]  # Tables and figures in the order of a page
+
+
+class Reading(Document, frozen=True):
+    """Choice that a paper leaves open."""
+
+    choice: str
+    words: str
+
+
+Value = float | tuple[float, float] | None
+
+Kind = Literal["reproduced", "recomputed", "given", "round trip", "assumed", "not reproducible"]
+
+Words = str | None
+
+
+class Item(Document, frozen=True):
+    """Printed number and the recomputed one."""
+
+    #: Constraints of the JSON Schema beyond types
+    RULES: ClassVar[Mapping[str, Any]] = {
+        "allOf": [
+            {
+                "if": {"properties": {"kind": {"enum": ["given", "not reproducible"]}}},
+                "then": {"properties": {"recomputed": {"type": "null"}, "agrees": {"type": "null"}}},
+                "else": {"properties": {"recomputed": {"not": {"type": "null"}}}},
+            }
+        ]
+    }
+
+    item: str
+    paper: Literal["sadeghnejad", "pires"]
+    where: str
+    words: str
+    unit: str
+    published: Value  # null where the paper prints no number
+    recomputed: Value
+    interval: tuple[float, float] | None  # 99 %
+    agrees: bool | None
+    kind: Kind
+    rule: Words  # How agreement was decided
+    reading: Words
+    inputs: tuple[str, ...]  # Published numbers it was computed from
+    assumed: tuple[str, ...]
+    instrument: Words  # Could an instrument alone give this?
+    note: Words
+
+
+class Band(Document, frozen=True):
+    """Band around a trace."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+class Trace(Document, frozen=True):
+    """Line of a figure."""
+
+    name: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    style: Literal["line", "dash", "points"]
+    band: Band | None
+
+
+class Figure(Document, frozen=True):
+    """Redrawn figure."""
+
+    key: str
+    paper: Literal["sadeghnejad", "pires"]
+    where: str
+    title: str
+    kind: Kind
+    caption: str
+    x_title: str
+    y_title: str
+    x_log: bool
+    drawing: Literal["schematic", "block-diagram"] | None
+    traces: tuple[Trace, ...]
+
+
+class Reproduction(Document, frozen=True):
+    """Printed numbers of the source papers, recomputed."""
+
+    schema: Literal["tissueid/reproduction/1"]
+    tissueid: str
+    papers: Annotated[tuple[Paper, ...], Meta(min_length=1)]
+    seed: Count
+    seconds: NonNegative
+    readings: dict[str, Reading]  # How lost equations and numbers were read; each can be switched
+    items: tuple[Item, ...]
+    figures: tuple[Figure, ...]
+    lost: tuple[str, ...]

@@ -1,0 +1,173 @@
+"""JSON Schemas of the documents, made from their types and the comments beside their fields."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import io
+import re
+import tokenize
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import msgspec
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+#: Root type of every schema, as MODULE.TYPE of this package; where several are given, a document is one of
+#: them, and those behind a star are the items of a list.
+ROOTS: Mapping[str, str] = {
+    "bundle": "bundle.Bundle",
+    "contrast": "contrast.Contrast",
+    "control": "control.Control",
+    "design": "design.Design",
+    "devices": "devices.List devices.Info devices.Home devices.Test devices.Force devices.Damping",
+    "flag": "flag.Flag",
+    "frame": "frame.Frame",
+    "identification": "identification.Identification",
+    "inspect": "*inspect.Trial inspect.Refusal",
+    "measured": "measured.Measured",
+    "measured-contrast": "measured_contrast.MeasuredContrast",
+    "outputs": "outputs.Outputs",
+    "population": "population.Population",
+    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading",
+    "reproduction": "reproduction.Reproduction",
+    "rupture": "rupture.Rupture",
+    "scene": "scene.Scene",
+    "selfcheck": "selfcheck.SelfCheck",
+    "session": "session.Session",
+    "status": "status.Status",
+    "study": "study.StudyFile",
+    "study-check": "study_check.StudyCheck",
+    "training": "training.Training",
+    "watch": "watch.Watch",
+}
+#: Files that people write: TOML has no null, so that what is left out has no second spelling.
+_WRITTEN_BY_HAND = {"scene", "study"}
+_REFERENCE = "#/$defs/{name}"
+
+
+def schema_of(name: str) -> dict[str, Any]:
+    """JSON Schema (2020-12) of a document.
+
+    ``name``: a key of :data:`ROOTS`.  Raises KeyError: for any other.
+    """
+    named = ROOTS[name]
+    roots = [_type(one) for one in named.removeprefix("*").split()]
+    outer, components = msgspec.json.schema_components(roots, ref_template=_REFERENCE)
+    definitions = {_snake(key): _rewritten(one) for key, one in components.items()}
+    for kind in _kinds(roots):
+        definition = definitions[_snake(_component(kind, components))]
+        _describe(definition, kind)
+        if name in _WRITTEN_BY_HAND:
+            _without_null(definition)
+    title = (import_module(roots[0].__module__).__doc__ or "").split("\n")[0].rstrip(".")
+    head = {"$schema": DIALECT, "$id": f"{name}.schema.json", "title": title}
+    references = [_rewritten(one) for one in outer]
+    if len(roots) == 1:
+        body = definitions.pop(references[0]["$ref"].rpartition("/")[2])
+    else:
+        body = {"oneOf": references}
+    if named.startswith("*"):
+        body = {"type": "array", "items": body}
+    return {**head, **body, **({"$defs": definitions} if definitions else {})}
+
+
+def _type(place: str) -> type[msgspec.Struct]:
+    module, _, kind = place.rpartition(".")
+    found: type[msgspec.Struct] = getattr(import_module(f"tissueid.documents.{module}"), kind)
+    return found
+
+
+def _snake(name: str) -> str:
+    """Key of a definition: ``StatedTrial`` is ``stated_trial``; of two types of one name both with module."""
+    module, _, kind = name.replace("tissueid.documents.", "").rpartition(".")
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower()
+    return f"{module}_{words}" if module else words
+
+
+def _component(kind: type[msgspec.Struct], components: Mapping[str, Any]) -> str:
+    return next(key for key in components if key in (kind.__name__, _full(kind)))
+
+
+def _full(kind: type[msgspec.Struct]) -> str:
+    return re.sub(r"[^A-Za-z0-9_.]", "_", f"{kind.__module__}.{kind.__qualname__}")
+
+
+def _rewritten(node: Any) -> Any:
+    """The same schema, its references by the keys of this project."""
+    if isinstance(node, dict):
+        alike = node.get("prefixItems", ())
+        if alike and all(one == alike[0] for one in alike):  # a pair, a vector
+            node = {key: child for key, child in node.items() if key != "prefixItems"} | {"items": alike[0]}
+        return {
+            key: f"#/$defs/{_snake(child.rpartition('/')[2])}" if key == "$ref" else _rewritten(child)
+            for key, child in node.items()
+            if not (key == "title" and isinstance(child, str))
+        }
+    return [_rewritten(child) for child in node] if isinstance(node, list | tuple) else node
+
+
+def _kinds(roots: list[type[msgspec.Struct]]) -> Iterator[type[msgspec.Struct]]:
+    """Every record that a document may hold, each once."""
+    seen: set[type[msgspec.Struct]] = set()
+    waiting: list[Any] = list(msgspec.inspect.multi_type_info(roots))
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, msgspec.inspect.StructType):
+            if node.cls in seen:
+                continue
+            seen.add(node.cls)
+            yield node.cls
+            waiting += [field.type for field in node.fields]
+        for key in ("type", "item_type", "value_type"):
+            waiting += [child] if (child := getattr(node, key, None)) is not None else []
+        for key in ("types", "item_types"):
+            waiting += getattr(node, key, ())
+
+
+def _describe(definition: dict[str, Any], kind: type[msgspec.Struct]) -> None:
+    """Add what is said at the fields, and rules that no type can say."""
+    said = _comments(import_module(kind.__module__))
+    for field in msgspec.structs.fields(kind):
+        owner = next(one for one in kind.__mro__ if field.name in getattr(one, "__annotations__", {}))
+        words = said.get((owner.__name__, field.name))
+        if words:
+            definition["properties"][field.encode_name]["description"] = words
+    if "additionalProperties" not in definition:
+        definition["additionalProperties"] = True
+    definition |= getattr(kind, "RULES", {})
+
+
+@cache
+def _comments(module: ModuleType) -> Mapping[tuple[str, str], str]:
+    """Sentence beside or above each field of the records of a module."""
+    source = inspect.getsource(module)
+    lines: dict[int, tuple[str, bool]] = {}
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            alone = token.line.lstrip().startswith("#")
+            lines[token.start[0]] = (token.string.lstrip("#: "), alone)
+    found = {}
+    for kind in ast.walk(ast.parse(source)):
+        if not isinstance(kind, ast.ClassDef):
+            continue
+        for field in kind.body:
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+                words = [lines[field.end_lineno or 0][0]] if (field.end_lineno or 0) in lines else []
+                line = field.lineno - 1
+                while line in lines and lines[line][1]:
+                    words.insert(0, lines[line][0])
+                    line -= 1
+                found[kind.name, field.target.id] = " ".join(words)
+    return found
+
+
+def _without_null(definition: dict[str, Any]) -> None:
+    """What may be left out of a file that people write is never null there."""
+    for key, node in definition.get("properties", {}).items():
+        if node.pop("default", 0) is None and "anyOf" in node:
+            kept = [one for one in node.pop("anyOf") if one != {"type": "null"}]
+            definition["properties"][key] = {**(kept[0] if len(kept) == 1 else {"anyOf": kept}), **node}

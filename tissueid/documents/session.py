@@ -1,0 +1,107 @@
+"""The JSON document inside a session's log."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive
+from tissueid.documents.identification import TipGeometry
+
+
+class Tissue(Document, frozen=True):
+    """Tissue of a session."""
+
+    label: Count  # as in the records
+    name: str  # specimen; in a blind session the number of the sample
+    content_sha256: str | None  # of the bundle; null in a blind session
+    draw: int | None  # posterior draw; null for the fitted values
+    depth_mm: float | None
+    fastest_mm_s: float | None
+    tip_radius_mm: float | None
+    block: tuple[float, ...]  # the environment's parameter block; empty in a blind session
+    tip: TipGeometry | None = None
+
+
+class Device(Document, frozen=True):
+    """Device of a session."""
+
+    name: str
+    why: str
+    hardware: bool
+    calibrated: bool
+    clamp_N: NonNegative
+    damping_N_s_per_m: NonNegative
+    delay_ticks: NonNegative
+
+
+class Scale(Document, frozen=True, forbid_unknown_fields=False):
+    """Precheck.as_json; null for an installed force law."""
+
+    force_scale: Positive
+    motion_scale: Positive
+
+
+class Servo(Document, frozen=True):
+    """Servo of a session."""
+
+    period_s: Positive
+    virtual_time: bool
+
+
+class PeriodUs(Document, frozen=True):
+    """Absolute error of the period."""
+
+    median: NonNegative
+    p99: NonNegative
+    p99_9: NonNegative
+    max: NonNegative
+
+
+class Summary(Document, frozen=True):
+    """Summary of a session."""
+
+    ticks: Count
+    seconds: NonNegative
+    skipped_ticks: Count
+    lost_records: Count
+    period_us: PeriodUs  # absolute error of the period
+    timing_degraded: bool  # more than 1 % of the ticks are off by more than 10 %
+    scheduling: str
+    shares: dict[str, Fraction]  # share of the ticks with each lamp lit
+    contact_share: NonNegative
+    peak_device_force_N: NonNegative
+    peak_tissue_force_N: NonNegative
+    deepest_mm: float
+    energy_J: float  # taken from the hand, as the observer counts it
+    switches: Count
+    end_state: str
+    fault: str
+    recording_stopped: str | None  # why the recording ended before the session; null where it did not
+
+
+class Session(Document, frozen=True):
+    """What `tissueid render --log` writes: the head before the first tick, the summary after the last.
+
+    It names no person.
+    """
+
+    schema: Literal["tissueid/session/1"]
+    tissueid: str  # version
+    started: str  # UTC, ISO 8601
+    pseudonym: str | None  # of the person who felt it; never a name
+    blind: bool
+    tissues: Annotated[tuple[Tissue, ...], Meta(min_length=1)]
+    environment: str  # tissue, free air, or the name of an installed force law
+    #: kind (0 plane, 1 sphere, 2 box), point [m], normal, size [m], radius of the tool tip [m]
+    surface: Annotated[tuple[float, ...], Meta(min_length=11, max_length=11)]
+    device: Device
+    scale: Scale | None  # Precheck.as_json; null for an installed force law
+    script: str | None
+    servo: Servo
+    record: tuple[tuple[str, str, tuple[Count, ...]], ...]  # field, numpy type, shape
+    summary: Summary | None  # null where the session was killed
+    #: name of the scene it comes from; none in a blind session, and in logs before this key
+    scene: str | None = None
+    participation: dict[str, Any] | None = None  # of a person, in logs of 0.1
