@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
+
+from tissueid.documents.measured import Spread
 
 #: A force earlier than so many ramp times after the stop still knows the ramp.
 RAMP_TIMES = 10.0
@@ -277,12 +279,10 @@ class SpreadRow:
     reason: str = ""
 
     @classmethod
-    def of_json(cls, document: Mapping[str, Any]) -> SpreadRow:
+    def of(cls, row: Spread) -> SpreadRow:
         """The row of ``specimens[].measured``."""
-        ramp = document["ramp_time_s"]
-        more = {"ramp_time_s": None if ramp is None else tuple(ramp), "reason": document["reason"] or ""}
-        plain = {key: value for key, value in document.items() if key != "prediction95"}
-        return cls(**{**plain, **more})
+        known = {one.name: getattr(row, one.name) for one in fields(cls)}
+        return cls(**known | {"reason": row.reason or ""})
 
     def as_json(self) -> dict[str, Any]:
         """The ``spread`` object of ``schemas/measured.schema.json``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import Model
 from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.measures import Measured, SpreadRow, spread_json
@@ -131,6 +132,13 @@ class ModelChoice:
     range_s: tuple[float, float] | None = None
     inside_s: tuple[float, ...] = ()
     outside_s: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, found: Model) -> ModelChoice:
+        """A choice from a document."""
+        known = {one.name: getattr(found, one.name) for one in fields(cls)}
+        nodes = {key: known[key] or () for key in ("inside_s", "outside_s")}
+        return cls(**known | nodes | {"name": found.name or ""})
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:

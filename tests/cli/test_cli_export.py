@@ -14,12 +14,15 @@ import pytest
 from command_line import run
 from fit_factory import STATIC, identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.result import SpecimenFit
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
+
+tidy_table = typed_call(tidy_table)
 
 FITS = (
     specimen_fit("kidney 3", samples=60),

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from typed_call import typed_call
+
 from tissueid.report.measured_lines import brief_measured_lines, measured_lines
+
+brief_measured_lines = typed_call(brief_measured_lines)
+measured_lines = typed_call(measured_lines)
 
 
 def row(name: str, mean: float | None, **more: Any) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import pytest
 from command_line import run
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.flags import Flag
 from tissueid.report.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
@@ -17,6 +18,10 @@ from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 from tissueid.trial import Axes
+
+alarm_lines = typed_call(alarm_lines)
+parameter_lines = typed_call(parameter_lines)
+sampling_lines = typed_call(sampling_lines)
 
 WIDTH = 100
 

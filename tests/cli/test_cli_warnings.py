@@ -8,11 +8,18 @@ from typing import Any
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.cli.fit_summary import _print_specimens
 from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
 from tissueid.report.uncertainty_lines import WIDTH, block_lines
 from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
+
+_print_specimens = typed_call(_print_specimens)
+block_lines = typed_call(block_lines)
+shared_codes = typed_call(shared_codes)
+shared_lines = typed_call(shared_lines)
+warning_lines = typed_call(warning_lines)
 
 #: Lines of a specimen without -v.
 MOST_LINES = 12

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typed_call import typed_call
 
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.ingest import ReadOptions, read_trials
@@ -16,6 +17,8 @@ from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 from tissueid.trial import Axes, Trial
+
+render_report = typed_call(render_report)
 
 STRAIN_STRESS = Axes("1", "MPa")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typed_call import typed_call
 
 from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import read_trials
@@ -21,6 +22,8 @@ from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate
 from tissueid.trial import Axes, Trial
+
+render_report = typed_call(render_report)
 
 RETRACT = Recipe(
     "knee",

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.report import render_report
 from tissueid.store.curves import curves_of_fits
@@ -15,6 +16,10 @@ from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import completeness_of_result
 from tissueid.study.pages import rendering_of
+
+render_report = typed_call(render_report)
+completeness_of_result = typed_call(completeness_of_result)
+rendering_of = typed_call(rendering_of)
 
 pytestmark = pytest.mark.browser
 

@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from rendered_tissues import PAPER_A
+from typed_call import typed_call
 
 from tissueid.contrast.document import Compared, contrast_document
 from tissueid.model.channels import ChannelModel
 from tissueid.report.contrast_page import contrast_verdict, render_contrast
 from tissueid.store.files import plain_json
+
+contrast_verdict = typed_call(contrast_verdict)
+render_contrast = typed_call(render_contrast)
 
 
 def tissue(name: str, scale: float, *, sd: float = 0.01) -> Compared:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typed_call import typed_call
 
 from tissueid.design.document import design_document
 from tissueid.design.given import given_protocol, given_recipe, of_recipe_tissue
@@ -19,6 +20,8 @@ from tissueid.design.tissues import parsed_want
 from tissueid.report.design_page import render_design
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
+
+render_design = typed_call(render_design)
 
 pytestmark = pytest.mark.needs_jit
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typed_call import typed_call
+
 from tissueid.report.wording import event_words, took
+
+event_words = typed_call(event_words)
 
 MM_N = {"length": "mm", "force": "N"}
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typed_call import typed_call
 
 from tissueid.cli.main import main
 from tissueid.flags import Flag
@@ -23,6 +24,9 @@ from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Segmentation, Source, Trial
+
+inspected_recording = typed_call(inspected_recording)
+decisions = typed_call(decisions)
 
 LARGEST_PAGE_BYTES = 10_000_000
 

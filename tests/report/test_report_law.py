@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.report import render_report
 from tissueid.report.groups import loading_force
@@ -22,6 +23,10 @@ from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
+
+render_report = typed_call(render_report)
+law_payload = typed_call(law_payload)
+speed_groups = typed_call(speed_groups)
 
 #: The page's numbers have five digits; a cubic of a rounded depth loses some of them.
 DIGITS = 1e-4

@@ -11,6 +11,7 @@ from typing import Any
 import openpyxl
 import pytest
 from fit_factory import identification, specimen_fit
+from typed_call import typed_call
 
 from tissueid.measured import spread
 from tissueid.measures import (
@@ -28,6 +29,10 @@ from tissueid.report.workbook import report_workbook
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
+
+render_report = typed_call(render_report)
+measured_view = typed_call(measured_view)
+report_workbook = typed_call(report_workbook)
 
 
 def log(peak_N: float, *, depth_mm: float = 6.0, speed_mm_s: float = 4.0, holds: int = 1) -> Measured:

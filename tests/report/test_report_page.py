@@ -17,6 +17,7 @@ import openpyxl
 import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.report import render_report
 from tissueid.report.figures import curve_bytes, thinned
@@ -25,6 +26,8 @@ from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
+
+render_report = typed_call(render_report)
 
 LARGEST_PAGE_BYTES = 7_000_000
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from cohort_outputs import cohort_fits, study_of
 from fit_factory import identification
+from typed_call import typed_call
 
 from tissueid.population.cohort import CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle
@@ -17,6 +18,11 @@ from tissueid.store.bundle import Bundle
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
+
+members_of = typed_call(members_of)
+held_out_sentence = typed_call(held_out_sentence)
+render_population = typed_call(render_population)
+population_payload = typed_call(population_payload)
 
 pytestmark = pytest.mark.needs_jit
 

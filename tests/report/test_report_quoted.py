@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from fit_factory import identification, specimen_fit
+from typed_call import typed_call
 
 from tissueid.quantities import CycleRow, DepthStiffness, Measure, Quantity, QuotedNumbers, Spectrum
 from tissueid.report import render_report
@@ -13,6 +14,10 @@ from tissueid.report.quoted_words import MOST_ROWS, cycle_table, quoted_tables
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
+
+render_report = typed_call(render_report)
+cycle_table = typed_call(cycle_table)
+quoted_tables = typed_call(quoted_tables)
 
 
 def loop(number: int = 1, **changes: Any) -> CycleRow:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typed_call import typed_call
 
 from tissueid.report.reproduction_page import KINDS, render_reproduction
 from tissueid.reproduce.controller import table_3
@@ -18,6 +19,8 @@ from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 from tissueid.store.files import plain_json
 from tissueid.store.schema import check
+
+render_reproduction = typed_call(render_reproduction)
 
 #: What plotly drew, line by line.
 DRAWN = (

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from fit_factory import identification
 from rupture_cohorts import known_cohort, typical_threshold
+from typed_call import typed_call
 
 from tissueid.report.rupture_page import render_rupture
 from tissueid.rupture.document import as_document
@@ -18,6 +19,8 @@ from tissueid.rupture.run import RuptureRun
 from tissueid.rupture.study import rupture_study
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
+
+render_rupture = typed_call(render_rupture)
 
 pytestmark = pytest.mark.needs_jit
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typed_call import typed_call
 
 from tissueid.report.selfcheck_page import render_selfcheck
 from tissueid.selfcheck.document import Asked, check_document
@@ -17,6 +18,8 @@ from tissueid.selfcheck.tissue import tissue_check
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 from tissueid.synth import recipe
+
+render_selfcheck = typed_call(render_selfcheck)
 
 NAMES = ("relaxation_time_s", "viscosity_N_s_per_mm", "force_N at 4 mm, 2.9 mm/s")
 

@@ -10,12 +10,16 @@ from typing import Any
 import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.report import render_report
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
+
+render_report = typed_call(render_report)
+methods_view = typed_call(methods_view)
 
 TABLE = "#specimen-1-trial-table"
 

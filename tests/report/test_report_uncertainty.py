@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import SHARES, SOURCES, posterior, sampled
+from typed_call import typed_call
 
 from tissueid.digits import together
 from tissueid.flags import Flag
@@ -23,6 +24,12 @@ from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
+
+render_report = typed_call(render_report)
+posterior_payload = typed_call(posterior_payload)
+paper_view = typed_call(paper_view)
+reported_order = typed_call(reported_order)
+uncertainty_view = typed_call(uncertainty_view)
 
 
 def document_of(fit: SpecimenFit) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.digits import number, rounded_to, with_error
 from tissueid.flags import FLAGS
@@ -14,6 +15,11 @@ from tissueid.report.remarks import remarks
 from tissueid.report.sentences import overview_sentence, tissue_sentence
 from tissueid.report.wording import parameter_words, unit_words, verdict
 from tissueid.store.files import plain_json
+
+remarks = typed_call(remarks)
+overview_sentence = typed_call(overview_sentence)
+tissue_sentence = typed_call(tissue_sentence)
+verdict = typed_call(verdict)
 
 
 def document(**options: Any) -> dict[str, Any]:

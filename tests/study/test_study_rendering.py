@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from fit_factory import THETA, specimen_fit
 from posterior_factory import sampled
+from typed_call import typed_call
 
 from tissueid.haptics.limits import GuardLimits
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -19,6 +20,9 @@ from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import ITEMS, completeness_of_result
 from tissueid.study.pages import rendering_of
 from tissueid.trial import Axes
+
+completeness_of_result = typed_call(completeness_of_result)
+rendering_of = typed_call(rendering_of)
 
 
 def rendering(fit: SpecimenFit) -> dict[str, Any]:

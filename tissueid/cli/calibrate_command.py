@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.calibrate_source import found_source
-from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.documents import typed
+from tissueid.documents.selfcheck import SelfCheck
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,43 +37,54 @@ FEWEST = 20
 _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
 
 
+@dataclass(frozen=True, kw_only=True)
+class CalibrateFlags(OutputFlags):
+    """Flags of ``tissueid calibrate``."""
+
+    # fmt: off
+    source: str = argument(type=click.Path())
+    out: str = option(
+        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-calibration", show_default=True,
+        help="Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+    )
+    simulations: int = option(
+        "--simulations", type=click.IntRange(min=FEWEST), default=200, show_default=True, metavar="N",
+        help="How many truths are drawn, recorded and inferred.",
+    )
+    seed: int = option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
+    )
+    workers: int = option(
+        "--workers", type=click.IntRange(min=1), default=1, show_default=True,
+        help="Processes; results do not depend on them.",
+    )
+    specimen: str | None = option(
+        "--specimen", metavar="NAME", help="Which specimen of a study, where it has several.",
+    )
+    model: str | None = option(
+        "--model", metavar="NAME", help="Law of the tissue in recordings, as of tissueid fit.",
+    )
+    interval: str = option(
+        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+        help="total draws calibration defects from their priors and checks the intervals that know these.",
+    )
+    noise: str = option(
+        "--noise", type=click.Choice(["auto", "white", "ar1"]), default="auto", show_default=True,
+        help="Noise of the recordings; auto takes the recipe's, or that of the fit.",
+    )
+    phi: float | None = option(
+        "--phi", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
+        help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+    )
+    rate: float | None = option(
+        "--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.",
+    )
+    # fmt: on
+
+
 @click.command("calibrate", epilog=EPILOG)
-@click.argument("source", type=click.Path())
-@click.option(
-    "-o", "--out", type=click.Path(file_okay=False), default="tissueid-calibration", show_default=True,
-    help="Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
-)  # fmt: skip
-@click.option(
-    "--simulations", type=click.IntRange(min=FEWEST), default=200, show_default=True, metavar="N",
-    help="How many truths are drawn, recorded and inferred.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Processes; results do not depend on them.",
-)
-@click.option("--specimen", metavar="NAME", help="Which specimen of a study, where it has several.")
-@click.option("--model", metavar="NAME", help="Law of the tissue in recordings, as of tissueid fit.")
-@click.option(
-    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-    help="total draws calibration defects from their priors and checks the intervals that know these.",
-)  # fmt: skip
-@click.option(
-    "--noise", type=click.Choice(["auto", "white", "ar1"]), default="auto", show_default=True,
-    help="Noise of the recordings; auto takes the recipe's, or that of the fit.",
-)  # fmt: skip
-@click.option(
-    "--phi", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
-    help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
-)  # fmt: skip
-@click.option("--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(CalibrateFlags)
+def command(flags: CalibrateFlags) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
 
     SOURCE is a study.toml or a folder of recordings (their own measured displacement is used), a bundle of
@@ -86,8 +101,8 @@ def command(**flags: Any) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags["quiet"]
-    if flags["phi"] is not None and flags["noise"] != "ar1":
+    quiet: int = flags.quiet
+    if flags.phi is not None and flags.noise != "ar1":
         msg = "--phi is the correlation of --noise ar1: give both, or neither"
         raise UsageError(msg)
     with progress_bar(show=not quiet) as progress:
@@ -96,30 +111,30 @@ def command(**flags: Any) -> int:
             found.protocol,
             _with_noise(found.centre, flags),
             stated=found.stated,
-            defects=flags["interval"] == "total",
+            defects=flags.interval == "total",
         )
-        out = _folder(flags["out"])
-        digest = fingerprint({"check": described(check), "seed": flags["seed"]})
+        out = _folder(flags.out)
+        digest = fingerprint({"check": described(check), "seed": flags.seed})
         with Checkpoint(out / _FILES[2], digest) as checkpoint:
             records = run_simulations(
                 check,
                 checkpoint,
-                simulations=flags["simulations"],
-                seed=flags["seed"],
-                workers=flags["workers"],
+                simulations=flags.simulations,
+                seed=flags.seed,
+                workers=flags.workers,
                 progress=progress,
             )
-    asked = Asked(found.kind, flags["source"], found.specimen, flags["simulations"], flags["seed"])
+    asked = Asked(found.kind, flags.source, found.specimen, flags.simulations, flags.seed)
     written, verdict = check_document(asked, found.protocol, check, records)
     document: dict[str, Any] = plain_json(written)
     check_schema(document, "selfcheck", where=_FILES[0])
     created = datetime.now(UTC).isoformat(timespec="seconds")
     write_file(out / _FILES[0], json_bytes(document))
-    write_file(out / _FILES[1], render_selfcheck(document, created=created).encode("utf-8"))
-    if flags["as_json"]:
+    write_file(out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created).encode("utf-8"))
+    if flags.as_json:
         echo_json(document)
     elif not quiet:
-        _print(check, found.protocol, verdict, flags["out"])
+        _print(check, found.protocol, verdict, flags.out)
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=quiet)
     return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
@@ -143,15 +158,15 @@ def _folder(name: str) -> Path:
     return out
 
 
-def _with_noise(centre: Centre, flags: dict[str, Any]) -> Centre:
+def _with_noise(centre: Centre, flags: CalibrateFlags) -> Centre:
     """The noise the user asked for, or that of the source."""
     from dataclasses import replace
 
-    if flags["noise"] == "auto":
+    if flags.noise == "auto":
         return centre
-    if flags["noise"] == "white":
+    if flags.noise == "white":
         return replace(centre, phi=0.0, white_share=0.0)
-    phi = flags["phi"] or centre.phi
+    phi = flags.phi or centre.phi
     if phi == 0.0:
         msg = "--noise ar1 needs its correlation here: add --phi, as --phi 0.9"
         raise UsageError(msg)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
-from tissueid.cli.output import echo, echo_json, note, output_options, write_output
-from tissueid.cli.reading import read_in_order, read_options, reading_options
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, note, write_output
+from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
+from tissueid.documents import typed
+from tissueid.documents.frame import Frame
 
 EPILOG = """\b
 Examples:
@@ -16,15 +19,22 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class CalibrateFrameFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid calibrate-frame``."""
+
+    # fmt: off
+    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    output: str = option(
+        "-o", "--output", type=click.Path(dir_okay=False), default="frame.json", show_default=True,
+        help="Frame file to write.",
+    )
+    # fmt: on
+
+
 @click.command("calibrate-frame", epilog=EPILOG)
-@click.argument("paths", nargs=-1, required=True, type=click.Path())
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False), default="frame.json", show_default=True,
-    help="Frame file to write.",
-)  # fmt: skip
-@reading_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(CalibrateFrameFlags)
+def command(flags: CalibrateFrameFlags) -> int:
     """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
 
     Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several
@@ -40,7 +50,7 @@ def command(**flags: Any) -> int:
 
     reading = read_options(flags)
     trials: list[Trial] = []
-    for item in read_in_order(flags["paths"], reading):
+    for item in read_in_order(flags.paths, reading):
         if isinstance(item, Refusal):
             raise InputError(
                 code=item.code,
@@ -52,25 +62,23 @@ def command(**flags: Any) -> int:
             )
         trials.append(item)
     document = calibrate_frame(trials)
-    check(document, "frame", where=flags["output"])
-    write_output(flags["output"], json_bytes(document))
-    if flags["as_json"]:
+    check(document, "frame", where=flags.output)
+    write_output(flags.output, json_bytes(document))
+    if flags.as_json:
         echo_json(document)
-    elif not flags["quiet"]:
-        _print(document)
-    note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    elif not flags.quiet:
+        _print(typed(document, Frame))
+    note(f"wrote {flags.output}", quiet=flags.quiet)
     return 0
 
 
-def _print(document: dict[str, Any]) -> None:
-    top = document["range_N"][1]
-    plural = "s" if document["loadings"] > 1 else ""
-    echo(f"{document['loadings']} loading{plural} to {top:.4g} N")
-    echo(f"stiffness above {top / 2:.3g} N: {document['stiffness_N_per_mm']:.4g} N/mm")
+def _print(document: Frame) -> None:
+    top = document.range_N[1]
+    plural = "s" if document.loadings > 1 else ""
+    echo(f"{document.loadings} loading{plural} to {top:.4g} N")
+    echo(f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm")
     echo("force [N]   deflection [mm]   sd [mm]")
-    for force, give, sd in zip(
-        document["force_N"], document["deflection_mm"], document["sd_mm"], strict=True
-    ):
+    for force, give, sd in zip(document.force_N, document.deflection_mm, document.sd_mm, strict=True):
         echo(f"{force:9.4g}   {give:15.5f}   {sd:7.5f}")
-    if document["repeatability_sd_mm"] is None:
+    if document.repeatability_sd_mm is None:
         echo("one loading: a repeatability of 5 % was assumed; record several to know it")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tissueid.cli.output import note
-from tissueid.cli.reading import read_all, read_in_order, read_options
+from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
+    from tissueid.cli.calibrate_command import CalibrateFlags
     from tissueid.priors import Priors
     from tissueid.result import Refusal
     from tissueid.selfcheck.protocol import Centre, Protocol
@@ -34,7 +35,7 @@ class Found:
     stated: Priors | None = None  # of a study
 
 
-def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
+def found_source(flags: CalibrateFlags, progress: _Progress) -> Found:
     """Look at the source the user named.
 
     Raises UsageError: it is none, or an option does not go with it; InputError, BundleError: it can't be
@@ -42,14 +43,14 @@ def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
     """
     from tissueid.synth import RECIPES
 
-    named: str = flags["source"]
+    named: str = flags.source
     recipe = named in RECIPES or _is_recipe(Path(named))
-    if flags["model"] is not None and (recipe or bundle_file(Path(named)) is not None):
+    if flags.model is not None and (recipe or bundle_file(Path(named)) is not None):
         msg = "--model is for recordings: a recipe and a bundle have a law of their own"
         raise UsageError(msg)
     if recipe:
         return _recipe(named, flags)
-    if flags["rate"] is not None:
+    if flags.rate is not None:
         msg = "--rate is for recipes: recordings and bundles have their own"
         raise UsageError(msg)
     if not Path(named).exists() and "::" not in named:
@@ -75,11 +76,11 @@ def _is_recipe(path: Path) -> bool:
     return "logs" in table and "schema" not in table
 
 
-def _recipe(named: str, flags: Mapping[str, Any]) -> Found:
+def _recipe(named: str, flags: CalibrateFlags) -> Found:
     from tissueid.selfcheck.protocol import of_recipe
     from tissueid.synth import RECIPES, load_recipe, recipe
 
-    rate = flags["rate"]
+    rate = flags.rate
     if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
         msg = f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
         raise UsageError(msg)
@@ -102,7 +103,7 @@ def bundle_file(path: Path) -> Path | None:
     raise UsageError(msg)
 
 
-def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:
+def _bundle(path: Path, flags: CalibrateFlags, progress: _Progress) -> Found:
     from dataclasses import replace
 
     from tissueid.selfcheck.protocol import of_bundle, pooled
@@ -113,7 +114,7 @@ def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:
     program, centre = of_bundle(bundle, where=str(path))
     measured = _measured(bundle, progress) if inputs_there(bundle) else None
     if measured is None:
-        note(f"note: {program.words}", quiet=flags["quiet"])
+        note(f"note: {program.words}", quiet=flags.quiet)
         return Found("bundle", bundle.specimen, program, centre)
     centre = replace(centre, pooling=pooled(bundle.model.static_pooling, logs=len(measured.logs)))
     return Found("bundle", bundle.specimen, measured, centre)
@@ -125,7 +126,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
     from tissueid.selfcheck.recorded import inputs_there, of_bundle_inputs
     from tissueid.study.recordings import locate_study
 
-    reading = read_options(bundle.provenance.get("reading", {}))
+    reading = recorded_options(bundle.provenance.get("reading", {}))
     manifest = bundle.provenance.get("study", {}).get("path")
     paths = tuple(dict.fromkeys(str(entry["path"]) for entry in inputs_there(bundle)))
     try:
@@ -142,11 +143,11 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
         return None
 
 
-def _recordings(named: str, flags: Mapping[str, Any], progress: _Progress) -> Found:
+def _recordings(named: str, flags: CalibrateFlags, progress: _Progress) -> Found:
     from tissueid.selfcheck.recorded import Recordings, of_recordings
     from tissueid.study.recordings import locate_study, read_decided_one
 
-    reading = read_options({})
+    reading = recorded_options({})
     study, paths = locate_study((named,))
     refused: list[Refusal] = []
     given = Recordings(
@@ -156,8 +157,8 @@ def _recordings(named: str, flags: Mapping[str, Any], progress: _Progress) -> Fo
         study,
     )
     specimen, protocol, centre = of_recordings(
-        given, specimen=flags["specimen"], model=flags["model"], progress=progress
+        given, specimen=flags.specimen, model=flags.model, progress=progress
     )
     for one in refused:
-        note(f"refused ({one.code})  {one}", quiet=flags["quiet"])
+        note(f"refused ({one.code})  {one}", quiet=flags.quiet)
     return Found("study", specimen, protocol, centre, None if study is None else study.priors)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar, write_output
-from tissueid.cli.reading import reading_options
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+from tissueid.cli.reading import ReadingFlags
+from tissueid.documents import typed
+from tissueid.documents.contrast import Contrast
+from tissueid.documents.measured_contrast import MeasuredPair
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,23 +34,30 @@ Examples:
 CLAMP_N = 5.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class CompareFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid compare``."""
+
+    # fmt: off
+    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    interval: str = option(
+        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+        help="total for recordings of different machines: it knows their calibration. Needs output folders.",
+    )
+    clamp: float = option(
+        "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True,
+        metavar="N", help="Largest force of the device at which a hand would feel them.",
+    )
+    output: str | None = option(
+        "-o", "--output", type=click.Path(), metavar="PATH",
+        help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+    )
+    # fmt: on
+
+
 @click.command("compare", epilog=EPILOG)
-@click.argument("paths", nargs=-1, required=True, type=click.Path())
-@click.option(
-    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-    help="total for recordings of different machines: it knows their calibration. Needs output folders.",
-)  # fmt: skip
-@click.option(
-    "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True, metavar="N",
-    help="Largest force of the device at which a hand would feel them.",
-)  # fmt: skip
-@click.option(
-    "-o", "--output", type=click.Path(), metavar="PATH",
-    help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
-)  # fmt: skip
-@reading_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(CompareFlags)
+def command(flags: CompareFlags) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
 
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
@@ -58,14 +70,14 @@ def command(**flags: Any) -> int:
     """
     from tissueid.cli.compare_measured import are_recordings, compare_recordings
 
-    if are_recordings(flags["paths"]):
+    if are_recordings(flags.paths):
         return compare_recordings(flags)
     from tissueid.contrast.document import contrast_document
     from tissueid.measured.comparison import measured_pairs
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 
-    both = [tissue for path in flags["paths"] for tissue in _tissues(Path(path), flags["interval"])]
+    both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
     if len(both) < 2:
         msg = "one tissue is nothing to compare: name a second bundle or output folder"
         raise UsageError(msg)
@@ -74,25 +86,26 @@ def command(**flags: Any) -> int:
         [(tissue.name, rows) for tissue, (_, rows) in zip(tissues, both, strict=True) if rows]
     )
     try:
-        with progress_bar(show=not flags["quiet"]) as progress:
-            found = contrast_document(tissues, clamp_N=flags["clamp"], progress=progress)
+        with progress_bar(show=not flags.quiet) as progress:
+            found = contrast_document(tissues, clamp_N=flags.clamp, progress=progress)
     except UsageError:
         # models that share no speed can't be compared; what was measured at any time may
-        if not flags["as_json"] and not flags["quiet"]:
-            _print_measured(measured)
+        if not flags.as_json and not flags.quiet:
+            _print_measured(typed(plain_json(measured), tuple[MeasuredPair, ...]))
         raise
-    document: dict[str, Any] = plain_json(found) | ({"measured": measured} if measured else {})
-    check(document, "contrast", where="contrast.json")
-    if flags["output"] is not None:
-        _write(document, Path(flags["output"]), quiet=flags["quiet"])
-    if flags["as_json"]:
-        echo_json(document)
-    elif not flags["quiet"]:
+    plain = plain_json(found) | ({"measured": plain_json(measured)} if measured else {})
+    check(plain, "contrast", where="contrast.json")
+    document = typed(plain, Contrast)
+    if flags.output is not None:
+        _write(plain, Path(flags.output), quiet=flags.quiet)
+    if flags.as_json:
+        echo_json(plain)
+    elif not flags.quiet:
         _print(document)
     return 0
 
 
-def _write(document: dict[str, Any], target: Path, *, quiet: int) -> None:
+def _write(plain: Any, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
     from datetime import UTC, datetime
 
@@ -106,8 +119,8 @@ def _write(document: dict[str, Any], target: Path, *, quiet: int) -> None:
             msg = f"{target}: can't be made ({error.strerror}); choose another place with -o"
             raise UsageError(msg) from error
         target = target / "contrast.html"
-    page = render_contrast(document, created=datetime.now(UTC).isoformat(timespec="seconds"))
-    write_output(str(target.with_suffix(".json")), json_bytes(document))
+    page = render_contrast(typed(plain, Contrast), created=datetime.now(UTC).isoformat(timespec="seconds"))
+    write_output(str(target.with_suffix(".json")), json_bytes(plain))
     write_output(str(target.with_suffix(".html")), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
@@ -127,11 +140,8 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]
 
     document, _, posteriors = read_results(str(path))
     stored = {one.specimen: one for one in posteriors}
-    rows = {
-        one["specimen"]: [SpreadRow.of_json(row) for row in one.get("measured", ())]
-        for one in document["specimens"]
-    }
-    names = bundle_names(one["specimen"] for one in document["specimens"])
+    rows = {one.specimen: [SpreadRow.of(row) for row in one.measured or ()] for one in document.specimens}
+    names = bundle_names(one.specimen for one in document.specimens)
     return [
         (
             _compared(load_bundle(path / file), stored.get(name) if interval == "total" else None, interval),
@@ -171,7 +181,7 @@ def _apart(tissues: list[Compared]) -> list[Compared]:
     return named
 
 
-def _print_measured(pairs: Sequence[Mapping[str, Any]]) -> None:
+def _print_measured(pairs: Sequence[MeasuredPair]) -> None:
     from tissueid.cli.compare_measured import measured_pair_lines
 
     for pair in pairs:
@@ -180,29 +190,29 @@ def _print_measured(pairs: Sequence[Mapping[str, Any]]) -> None:
         echo()
 
 
-def _print(document: dict[str, Any]) -> None:
-    _print_measured(document.get("measured", ()))
-    common = document["common"]
-    slow, fast = common["speeds_mm_s"]
-    echo(f"compared to {common['depth_mm']:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
-    for pair in document["pairs"]:
-        verdict = "differ" if pair["difference"]["different"] else "not shown to differ"
-        probability = pair["difference"]["probability"]
+def _print(document: Contrast) -> None:
+    _print_measured(document.measured or ())
+    common = document.common
+    slow, fast = common.speeds_mm_s
+    echo(f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
+    for pair in document.pairs:
+        verdict = "differ" if pair.difference.different else "not shown to differ"
+        probability = pair.difference.probability
         echo()
-        echo(f"{pair['one']} and {pair['other']}: {verdict} (p = {probability:.2g})")
-        width = max(len(row["name"]) for row in pair["numbers"])
-        for row in pair["numbers"]:
-            ratio = "" if row["ratio"] is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row["ratio"])
+        echo(f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})")
+        width = max(len(row.name) for row in pair.numbers)
+        for row in pair.numbers:
+            ratio = "" if row.ratio is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row.ratio)
             echo(
-                f"  {row['name']:<{width}}  {row['one'][1]:>9.4g}  {row['other'][1]:>9.4g}  {ratio:<32} "
-                f"larger: {row['larger']:.3f}"
+                f"  {row.name:<{width}}  {row.one[1]:>9.4g}  {row.other[1]:>9.4g}  {ratio:<32} "
+                f"larger: {row.larger:.3f}"
             )
-        felt = [one for one in pair["noticed"] if one["times"] > 1.0]
+        felt = [one for one in pair.noticed if one.times > 1.0]
         if felt:
-            most = max(felt, key=lambda one: one["times"])
-            limit = most["limit"]
-            times = f"{most['times']:.2g} times the just-noticeable difference"
-            source = f"{limit['source']}, doi {limit['doi']}: {limit['conditions']}"
-            echo(f"  a hand could tell: {most['name']}, {times} ({source})")
+            most = max(felt, key=lambda one: one.times)
+            limit = most.limit
+            times = f"{most.times:.2g} times the just-noticeable difference"
+            source = f"{limit.source}, doi {limit.doi}: {limit.conditions}"
+            echo(f"  a hand could tell: {most.name}, {times} ({source})")
         else:
             echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tissueid.cli.output import echo, echo_json, note, write_output
 from tissueid.cli.reading import read_in_order, read_options, segment_options
+from tissueid.documents import typed
+from tissueid.documents.measured_contrast import MeasuredContrast, MeasuredNumber, MeasuredPair, Side
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
+    from tissueid.cli.compare_command import CompareFlags
     from tissueid.measures import SpreadRow
 
 #: Folders with one of these were written by a fit.
@@ -36,36 +39,36 @@ def _is_fit(path: Path) -> bool:
     return (path / _RESULT).is_file() if path.is_dir() else path.suffix == ".h5"
 
 
-def compare_recordings(flags: Mapping[str, Any]) -> int:
+def compare_recordings(flags: CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid import __version__
     from tissueid.measured.comparison import measured_pairs
-    from tissueid.store.files import json_bytes
+    from tissueid.store.files import json_bytes, plain_json
 
-    if len(flags["paths"]) < 2:
+    if len(flags.paths) < 2:
         msg = "one side is nothing to compare: name a second recording or folder"
         raise UsageError(msg)
-    sides = [(path, _measured(path, flags)) for path in flags["paths"]]
-    document: dict[str, Any] = {
+    sides = [(path, _measured(path, flags)) for path in flags.paths]
+    written = {
         "schema": "tissueid/measured-contrast/1",
         "tissueid": __version__,
         "pairs": measured_pairs(sides),
     }
-    if flags["output"] is not None:
-        target = str(Path(flags["output"]).with_suffix(".json"))
-        write_output(target, json_bytes(document))
-        note(f"wrote {target}", quiet=flags["quiet"])
-    if flags["as_json"]:
-        echo_json(document)
-    elif not flags["quiet"]:
-        for pair in document["pairs"]:
+    if flags.output is not None:
+        target = str(Path(flags.output).with_suffix(".json"))
+        write_output(target, json_bytes(written))
+        note(f"wrote {target}", quiet=flags.quiet)
+    if flags.as_json:
+        echo_json(written)
+    elif not flags.quiet:
+        for pair in typed(plain_json(written), MeasuredContrast).pairs:
             echo()
             for line in measured_pair_lines(pair):
                 echo(line)
     return 0
 
 
-def _measured(path: str, flags: Mapping[str, Any]) -> Sequence[SpreadRow]:
+def _measured(path: str, flags: CompareFlags) -> Sequence[SpreadRow]:
     """Measured pushes of the recordings of one path."""
     from tissueid.errors import InputError
     from tissueid.inspection import measured_of, segmented
@@ -84,31 +87,31 @@ def _measured(path: str, flags: Mapping[str, Any]) -> Sequence[SpreadRow]:
     return spread(found)
 
 
-def measured_pair_lines(pair: Mapping[str, Any]) -> list[str]:
+def measured_pair_lines(pair: MeasuredPair) -> list[str]:
     """Lines of one pair: the numbers that may be compared, then those that may not, with the reason."""
-    lines = [f"{pair['one']} and {pair['other']}: measured, no model"]
-    known = [row for row in pair["numbers"] if row["reason"] is None]
+    lines = [f"{pair.one} and {pair.other}: measured, no model"]
+    known = [row for row in pair.numbers if row.reason is None]
     width = max((len(_name(row)) for row in known), default=0)
     for row in known:
-        one, other = (_value(row[side]) for side in ("one", "other"))
-        ratio = "" if row["ratio"] is None else f"ratio {row['ratio']:.3g}"
+        one, other = _value(row.one), _value(row.other)
+        ratio = "" if row.ratio is None else f"ratio {row.ratio:.3g}"
         lines.append(f"  {_name(row):<{width}}  {one:>14}  {other:>14}  {ratio}".rstrip())
-    refused = [row for row in pair["numbers"] if row["reason"] is not None]
-    for reason in dict.fromkeys(row["reason"] for row in refused):
-        names = ", ".join(_name(row) for row in refused if row["reason"] == reason)
+    refused = [row for row in pair.numbers if row.reason is not None]
+    for reason in dict.fromkeys(row.reason for row in refused):
+        names = ", ".join(_name(row) for row in refused if row.reason == reason)
         lines.append(f"  not compared: {names}: {reason}")
     return lines
 
 
-def _name(row: Mapping[str, Any]) -> str:
-    time = "" if row["time_s"] is None else f" at {row['time_s']:g} s"
-    unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
-    number = f", program {row['program']}" if row["program"] > 1 else ""
-    number += f", hold {row['hold']}" if row["hold"] > 1 else ""
-    return f"{row['name'].replace('_', ' ')}{time}{number}{unit}"
+def _name(row: MeasuredNumber) -> str:
+    time = "" if row.time_s is None else f" at {row.time_s:g} s"
+    unit = "" if row.unit == "1" else f" [{row.unit}]"
+    number = f", program {row.program}" if row.program > 1 else ""
+    number += f", hold {row.hold}" if row.hold > 1 else ""
+    return f"{row.name.replace('_', ' ')}{time}{number}{unit}"
 
 
-def _value(side: Mapping[str, Any]) -> str:
+def _value(side: Side) -> str:
     from tissueid.digits import with_error
 
-    return with_error(side["mean"], side["sd"])
+    return with_error(side.mean, side.sd)

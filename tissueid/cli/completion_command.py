@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_bytes, echo_json, note, output_options, write_output
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_bytes, echo_json, note, write_output
 from tissueid.errors import UsageError
 
 EPILOG = """\b
@@ -27,34 +28,44 @@ FOUND_BY = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class CompletionFlags(OutputFlags):
+    """Flags of ``tissueid completion``."""
+
+    # fmt: off
+    shell: str = argument(type=click.Choice(list(FOUND_BY)))
+    install: bool = option(
+        "--install", is_flag=True, help="Write it where the shell looks; no file of yours is edited.",
+    )
+    # fmt: on
+
+
 @click.command("completion", epilog=EPILOG)
-@click.argument("shell", type=click.Choice(list(FOUND_BY)))
-@click.option("--install", is_flag=True, help="Write it where the shell looks; no file of yours is edited.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(CompletionFlags)
+def command(flags: CompletionFlags) -> int:
     """Print the script that completes tissueid in a shell, or install it.
 
     Completes commands, options, choices, files, readers, recipes and the words that tissueid explain knows.
     """
-    script = _script(flags["shell"])
-    if not flags["install"]:
-        if flags["as_json"]:
-            echo_json({"shell": flags["shell"], "script": script})
+    script = _script(flags.shell)
+    if not flags.install:
+        if flags.as_json:
+            echo_json({"shell": flags.shell, "script": script})
         else:
             echo_bytes(script.encode(), safe=True)
         return 0
-    target = _target(flags["shell"])
+    target = _target(flags.shell)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         msg = f"{target.parent}: can't be made ({error.strerror}); print the script and place it yourself"
         raise UsageError(msg) from error
     write_output(str(target), script.encode("utf-8"))
-    if flags["as_json"]:
-        echo_json({"shell": flags["shell"], "path": str(target)})
+    if flags.as_json:
+        echo_json({"shell": flags.shell, "path": str(target)})
     note(
-        f"wrote {target}: {FOUND_BY[flags['shell']].format(folder=target.parent)}",
-        quiet=flags["quiet"],
+        f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}",
+        quiet=flags.quiet,
     )
     return 0
 

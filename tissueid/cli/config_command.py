@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import click
 
 from tissueid.cli.completing import subcommands
-from tissueid.cli.output import echo, echo_json, output_options
+from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.output import echo, echo_json
 from tissueid.errors import UsageError
 
 EPILOG = """\b
@@ -18,10 +20,18 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ConfigFlags(OutputFlags):
+    """Flags of ``tissueid config``."""
+
+    # fmt: off
+    name: tuple[str, ...] = argument(nargs=-1, metavar="[COMMAND]...", shell_complete=subcommands)
+    # fmt: on
+
+
 @click.command("config", epilog=EPILOG)
-@click.argument("name", nargs=-1, metavar="[COMMAND]...", shell_complete=subcommands)
-@output_options
-def command(**flags: Any) -> int:
+@takes(ConfigFlags)
+def command(flags: ConfigFlags) -> int:
     """Say which settings are in force, and where each comes from.
 
     Without a COMMAND: what files and environment set, of all commands. With one: every option of it. What is
@@ -41,13 +51,13 @@ def command(**flags: Any) -> int:
         {"command": " ".join(path), "option": key, "value": setting.value, "source": setting.source}
         for (*path, key), setting in settings.items()
     ]
-    if flags["name"]:
-        rows = _of_command(flags["name"], rows)
+    if flags.name:
+        rows = _of_command(flags.name, rows)
     user = user_file()
     read = [str(file.path) for file in files]
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json({"files": read, "settings": rows})
-    elif not flags["quiet"]:
+    elif not flags.quiet:
         echo(f"files read: {', '.join(read) or 'none'}")
         if user is not None and str(user) not in read:
             echo(f"your own would be {user}")

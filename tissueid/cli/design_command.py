@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.design_printing import print_plan
-from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_json, note, progress_bar
+from tissueid.documents import typed
+from tissueid.documents.design import Design
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,81 +40,83 @@ _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 DEFAULT_WANT = "5%"
 
 
+@dataclass(frozen=True, kw_only=True)
+class DesignFlags(OutputFlags):
+    """Flags of ``tissueid design``."""
+
+    # fmt: off
+    source: str | None = argument(required=False, type=click.Path())
+    guesses: tuple[str, ...] = option(
+        "--tissue", multiple=True, metavar="NAME=VALUE[~PERCENT%]",
+        help="A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+    )
+    machine: str | None = option(
+        "--machine", metavar="FILE|NAME", help="machine.toml, or a preset; without it the presets are named.",
+    )
+    wants: tuple[str, ...] = option(
+        "--want", multiple=True, metavar="NAME=PERCENT%",
+        help="Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
+            "reaches, or 5 % of every relaxation time and viscosity.",
+    )
+    against: str | None = option(
+        "--against", metavar="RECIPE",
+        help="A protocol to compare with; a recipe as SOURCE is compared with.",
+    )
+    max_depth: float | None = option(
+        "--max-depth", type=float, metavar="MM", help="Depth that the tissue bears; default what is known.",
+    )
+    max_force: float | None = option(
+        "--max-force", type=float, metavar="N", help="Force that the tissue bears; default the load cell's.",
+    )
+    budget: str = option(
+        "--budget", default="8h", show_default=True, metavar="TIME",
+        help="Machine time a specimen: 90min, 2h.",
+    )
+    recovery: float = option(
+        "--recovery", type=float, default=60.0, show_default=True, metavar="S", help="Rest between logs.",
+    )
+    setup: float = option(
+        "--setup", type=float, default=600.0, show_default=True, metavar="S",
+        help="Changing and zeroing a specimen.",
+    )
+    specimens: int = option(
+        "--specimens", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
+        help="Specimens to test: the whole time is said as well.",
+    )
+    repeats: int = option(
+        "--repeats", type=click.IntRange(min=1), default=3, show_default=True, metavar="N",
+        help="Fewest repeats of each indentation.",
+    )
+    max_logs: int = option(
+        "--max-logs", type=click.IntRange(min=1), default=60, show_default=True, metavar="N",
+        help="Most logs a specimen.",
+    )
+    gain_sd: float = option(
+        "--gain-sd", type=float, default=0.02, show_default=True, metavar="SD",
+        help="Scatter of the force from log to log (standard deviation of the ln gain).",
+    )
+    interval: str = option(
+        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+        help="total counts what is unknown of gains, skew, filter and frame.",
+    )
+    assurance: float = option(
+        "--assurance", type=click.FloatRange(0.5, 1.0), default=0.9, show_default=True, metavar="SHARE",
+        help="Share of the tissues for which the precision must be reached.",
+    )
+    draws: int = option(
+        "--draws", type=click.IntRange(min=1), default=16, show_default=True, metavar="N",
+        help="Tissues drawn from what is known.",
+    )
+    out: str | None = option(
+        "-o", "--out", type=click.Path(file_okay=False),
+        help="Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.",
+    )
+    # fmt: on
+
+
 @click.command("design", epilog=EPILOG)
-@click.argument("source", required=False, type=click.Path())
-@click.option(
-    "--tissue", "guesses", multiple=True, metavar="NAME=VALUE[~PERCENT%]",
-    help="A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
-)  # fmt: skip
-@click.option(
-    "--machine", metavar="FILE|NAME", help="machine.toml, or a preset; without it the presets are named."
-)
-@click.option(
-    "--want", "wants", multiple=True, metavar="NAME=PERCENT%",
-    help="Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
-    "reaches, or 5 % of every relaxation time and viscosity.",
-)  # fmt: skip
-@click.option(
-    "--against", metavar="RECIPE", help="A protocol to compare with; a recipe as SOURCE is compared with."
-)
-@click.option(
-    "--max-depth", type=float, metavar="MM", help="Depth that the tissue bears; default what is known."
-)
-@click.option(
-    "--max-force", type=float, metavar="N", help="Force that the tissue bears; default the load cell's."
-)
-@click.option(
-    "--budget", default="8h", show_default=True, metavar="TIME", help="Machine time a specimen: 90min, 2h."
-)
-@click.option(
-    "--recovery", type=float, default=60.0, show_default=True, metavar="S", help="Rest between logs."
-)
-@click.option(
-    "--setup",
-    type=float,
-    default=600.0,
-    show_default=True,
-    metavar="S",
-    help="Changing and zeroing a specimen.",
-)
-@click.option(
-    "--specimens", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
-    help="Specimens to test: the whole time is said as well.",
-)  # fmt: skip
-@click.option(
-    "--repeats", type=click.IntRange(min=1), default=3, show_default=True, metavar="N",
-    help="Fewest repeats of each indentation.",
-)  # fmt: skip
-@click.option(
-    "--max-logs",
-    type=click.IntRange(min=1),
-    default=60,
-    show_default=True,
-    metavar="N",
-    help="Most logs a specimen.",
-)
-@click.option(
-    "--gain-sd", type=float, default=0.02, show_default=True, metavar="SD",
-    help="Scatter of the force from log to log (standard deviation of the ln gain).",
-)  # fmt: skip
-@click.option(
-    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-    help="total counts what is unknown of gains, skew, filter and frame.",
-)  # fmt: skip
-@click.option(
-    "--assurance", type=click.FloatRange(0.5, 1.0), default=0.9, show_default=True, metavar="SHARE",
-    help="Share of the tissues for which the precision must be reached.",
-)  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(min=1), default=16, show_default=True, metavar="N",
-    help="Tissues drawn from what is known.",
-)  # fmt: skip
-@click.option(
-    "-o", "--out", type=click.Path(file_okay=False),
-    help="Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.",
-)  # fmt: skip
-@output_options
-def command(**flags: Any) -> int:
+@takes(DesignFlags)
+def command(flags: DesignFlags) -> int:
     """Plan the protocol that reaches a wanted precision in the least machine time.
 
     SOURCE is a bundle (its draws are the tissues to plan for) or a recipe; or give guesses with --tissue. On
@@ -125,29 +131,30 @@ def command(**flags: Any) -> int:
     from tissueid.store.schema import check
 
     machine, tissues, asked, given = _prepared(flags)
-    out = None if flags["out"] is None else _folder(flags["out"])
-    with progress_bar(show=not flags["quiet"]) as progress:
+    out = None if flags.out is None else _folder(flags.out)
+    with progress_bar(show=not flags.quiet) as progress:
         started = datetime.now(UTC)
         plan = planned(machine, tissues, asked, progress)
         seconds = (datetime.now(UTC) - started).total_seconds()
-    written = design_document(plan, machine, tissues, asked, given=given, specimens=flags["specimens"])
-    document: dict[str, Any] = plain_json(written)
-    check(document, "design", where=_FILES[0])
+    written = design_document(plan, machine, tissues, asked, given=given, specimens=flags.specimens)
+    plain = plain_json(written)
+    check(plain, "design", where=_FILES[0])
+    document = typed(plain, Design)
     if out is not None:
-        _write(out, document, plan, machine, tissues, asked)
-    if flags["as_json"]:
-        echo_json(document)
-    elif not flags["quiet"]:
+        _write(out, plain, plan, machine, tissues, asked)
+    if flags.as_json:
+        echo_json(plain)
+    elif not flags.quiet:
         print_plan(document)
     work = f"{plan.paths:,} paths and {plan.protocols:,} protocols in {seconds:.1f} s"
-    note(f"looked at {work}" + ("" if out is None else f"; wrote {out}/{_FILES[1]}"), quiet=flags["quiet"])
+    note(f"looked at {work}" + ("" if out is None else f"; wrote {out}/{_FILES[1]}"), quiet=flags.quiet)
     if plan.best.reached:
         return 0
-    note(f"no protocol on {machine.name!r} reaches what is wanted within the budget", quiet=flags["quiet"])
+    note(f"no protocol on {machine.name!r} reaches what is wanted within the budget", quiet=flags.quiet)
     return EXIT_NONE
 
 
-def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against | None]:
+def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
     """Machine, tissues, wants and limits, and the protocol to compare with."""
     from dataclasses import replace
 
@@ -156,73 +163,75 @@ def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against |
     from tissueid.design.plan import against, matched_wants
 
     tissues, recipe = _tissues(flags)
-    machine = found_machine(flags["machine"])
-    if flags["against"] is not None:
-        recipe = given_recipe(flags["against"])
+    machine = found_machine(flags.machine)
+    if flags.against is not None:
+        recipe = given_recipe(flags.against)
     asked = _asked(flags, machine, tissues)
     if recipe is None:
         return machine, tissues, asked, None
     protocol = given_protocol(recipe)
-    if not flags["wants"]:
+    if not flags.wants:
         asked = replace(asked, wants=matched_wants(protocol, machine, tissues, asked))
     return machine, tissues, asked, against(recipe.name, protocol, machine, tissues, asked)
 
 
-def _tissues(flags: dict[str, Any]) -> tuple[Tissues, Recipe | None]:
+def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
     """Knowledge of the tissue, and the recipe it came from."""
     from tissueid.cli.calibrate_source import bundle_file
     from tissueid.design.given import given_recipe, of_bundle, of_recipe_tissue, plain_guesses
     from tissueid.design.tissues import parsed_guess
 
-    source, guesses = flags["source"], flags["guesses"]
+    source, guesses = flags.source, flags.guesses
     if (source is None) == (not guesses):
         both = "both SOURCE and --tissue are given" if guesses else "nothing is said of the tissue"
         msg = f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)"
         raise UsageError(msg)
     if guesses:
         found = [parsed_guess(text) for text in guesses]
-        return plain_guesses(found, depth_mm=_positive(flags, "max_depth"), count=flags["draws"]), None
+        return plain_guesses(found, depth_mm=_positive(flags.max_depth, "max-depth"), count=flags.draws), None
+    assert source is not None  # noqa: S101  (one of both was given)
     bundle = bundle_file(Path(source))
     if bundle is not None:
-        return of_bundle(bundle, count=flags["draws"]), None
+        return of_bundle(bundle, count=flags.draws), None
     recipe = given_recipe(source)
     return of_recipe_tissue(recipe), recipe
 
 
-def _asked(flags: dict[str, Any], machine: Machine, tissues: Tissues) -> Asked:
+def _asked(flags: DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
     from tissueid.design.tissues import parsed_want, usual_wants
 
     default = [f"{name}={DEFAULT_WANT}" for name in usual_wants(tissues.model)]
-    wants = tuple(parsed_want(text, tissues.model) for text in flags["wants"] or default)
+    wants = tuple(parsed_want(text, tissues.model) for text in flags.wants or default)
     if len({want.name for want in wants}) < len(wants):
-        msg = f"--want names a number twice: {', '.join(flags['wants'])}"
+        msg = f"--want names a number twice: {', '.join(flags.wants)}"
         raise UsageError(msg)
-    for name in ("recovery", "setup", "gain_sd"):
-        if not 0.0 <= flags[name] < float("inf"):
-            msg = f"--{name.replace('_', '-')} is {flags[name]}, must be 0 or above"
+    for name, value in (
+        ("recovery", flags.recovery), ("setup", flags.setup), ("gain-sd", flags.gain_sd)
+    ):  # fmt: skip
+        if not 0.0 <= value < float("inf"):
+            msg = f"--{name} is {value}, must be 0 or above"
             raise UsageError(msg)
-    force = _positive(flags, "max_force")
+    force = _positive(flags.max_force, "max-force")
     return Asked(
         wants=wants,
-        max_depth_mm=_positive(flags, "max_depth") or tissues.model.depth_mm,
+        max_depth_mm=_positive(flags.max_depth, "max-depth") or tissues.model.depth_mm,
         max_force_N=min(force or machine.max_force_N, machine.max_force_N),
-        budget_s=_time(flags["budget"]),
-        recovery_s=flags["recovery"],
-        setup_s=flags["setup"],
-        repeats=flags["repeats"],
-        max_logs=flags["max_logs"],
-        assurance=flags["assurance"],
-        gain_sd=flags["gain_sd"],
-        total=flags["interval"] == "total",
+        budget_s=_time(flags.budget),
+        recovery_s=flags.recovery,
+        setup_s=flags.setup,
+        repeats=flags.repeats,
+        max_logs=flags.max_logs,
+        assurance=flags.assurance,
+        gain_sd=flags.gain_sd,
+        total=flags.interval == "total",
     )
 
 
-def _positive(flags: dict[str, Any], name: str) -> float | None:
-    value: float | None = flags[name]
+def _positive(value: float | None, name: str) -> float | None:
     if value is not None and not 0.0 < value < float("inf"):
-        msg = f"--{name.replace('_', '-')} is {value}, must be above 0"
+        msg = f"--{name} is {value}, must be above 0"
         raise UsageError(msg)
     return value
 
@@ -257,9 +266,7 @@ def _folder(name: str) -> Path:
     return out
 
 
-def _write(
-    out: Path, document: dict[str, Any], plan: Plan, machine: Machine, tissues: Tissues, asked: Asked
-) -> None:
+def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> None:
     """All files of the plan, design.json last."""
     from tissueid.design.sheets import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
@@ -268,7 +275,7 @@ def _write(
     created = datetime.now(UTC).isoformat(timespec="seconds")
     title = f"Plan for {tissues.name}"
     texts = {
-        "design.html": render_design(document, created=created),
+        "design.html": render_design(typed(plain, Design), created=created),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }
@@ -277,4 +284,4 @@ def _write(
         texts["recipe.toml"] = recipe_text(plan.best, machine, tissues, asked, name="planned")
     for name, text in texts.items():
         write_file(out / name, text.encode("utf-8"))
-    write_file(out / _FILES[0], json_bytes(document))
+    write_file(out / _FILES[0], json_bytes(plain))

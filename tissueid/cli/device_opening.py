@@ -8,11 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from tissueid.cli.flags import OutputFlags, argument, option
 from tissueid.cli.output import note
 from tissueid.errors import DeviceError, UsageError
 
@@ -31,18 +33,53 @@ FIRMWARE_HELP = "Firmware of a Falcon that has none running. [default: $TISSUEID
 CALIBRATION_HELP = "Calibration of a Falcon. [default: falcon.toml in the user's configuration directory]"
 
 
-def device_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options that name a device and the way to it."""
-    for option in (
-        click.option("--firmware", type=click.Path(), metavar="FILE", help=FIRMWARE_HELP),
-        click.option("--port", metavar="PATH", help="Serial port or pseudo-terminal instead of USB."),
-        click.option("--calibration", type=click.Path(), metavar="FILE", help=CALIBRATION_HELP),
-    ):
-        function = option(function)
-    return function
+class WayLike(Protocol):
+    """Anything that names the way to a device."""
+
+    @property
+    def firmware(self) -> str | None:
+        """Firmware of a device that has none running."""
+
+    @property
+    def port(self) -> str | None:
+        """Serial port or pseudo-terminal."""
+
+    @property
+    def calibration(self) -> str | None:
+        """File of the calibration."""
 
 
-def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: bool = False) -> HapticDevice:
+@dataclass(frozen=True, kw_only=True)
+class WayFlags:
+    """Flags of the way to a device."""
+
+    # fmt: off
+    firmware: str | None = option("--firmware", type=click.Path(), metavar="FILE", help=FIRMWARE_HELP)
+    port: str | None = option("--port", metavar="PATH", help="Serial port or pseudo-terminal instead of USB.")
+    calibration: str | None = option(
+        "--calibration", type=click.Path(), metavar="FILE", help=CALIBRATION_HELP,
+    )
+    # fmt: on
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceFlags(WayFlags, OutputFlags):
+    """Flags of a command that takes one device."""
+
+    name: str = argument(default="auto")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovedFlags(WayFlags, OutputFlags):
+    """Flags of a command that moves the grip of one device by itself: not one that is merely there."""
+
+    name: str = argument(default="falcon")
+    yes: bool = option("--yes", is_flag=True, help="Do not ask: nobody holds the grip.")
+
+
+def made_device(
+    flags: DeviceFlags | MovedFlags, *, hands_off: bool = False, stand_in: bool = False
+) -> HapticDevice:
     """The device that was named, with its options; not opened.
 
     ``flags``: of the command line; ``hands_off``: for measurements of the free grip; ``stand_in``: whether
@@ -52,7 +89,7 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
     from tissueid.haptics.registry import choose_device, configured, device_class, owners_of
 
     asked = asked_device(flags, hands_off=hands_off)
-    name = flags["name"]
+    name = flags.name
     if name == "auto" and asked.port is not None:
         name = owners_of("port")[0]
     choice = choose_device(name)
@@ -60,23 +97,23 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
         msg = f"{choice.why.partition(': ')[2]}. Name one that needs no hardware: emulator or sim"
         raise DeviceError(msg)
     if name == "auto":
-        note(choice.why, quiet=flags["quiet"])
+        note(choice.why, quiet=flags.quiet)
     device = device_class(choice.name)(**configured(choice.name, asked))
-    device.tell = lambda sentence: note(sentence, quiet=flags["quiet"])
+    device.tell = lambda sentence: note(sentence, quiet=flags.quiet)
     return device
 
 
-def asked_device(flags: dict[str, Any], *, hands_off: bool = False) -> AskedDevice:
+def asked_device(flags: WayLike, *, hands_off: bool = False) -> AskedDevice:
     """Options of the way to a device, of those on the command line."""
     from tissueid.haptics.device import AskedDevice
 
-    file = flags["calibration"]
+    file = flags.calibration
     return AskedDevice(
-        port=flags["port"],
-        firmware=flags["firmware"],
+        port=flags.port,
+        firmware=flags.firmware,
         calibration=None if file is None else Path(file),
         hands_off=hands_off,
-        homing_timeout_s=flags.get("timeout"),
+        homing_timeout_s=getattr(flags, "timeout", None),
     )
 
 
@@ -99,11 +136,11 @@ def opened(device: HapticDevice) -> Iterator[HapticDevice]:
             signal.signal(number, handler)
 
 
-def ask_consent(device: HapticDevice, flags: dict[str, Any]) -> None:
+def ask_consent(device: HapticDevice, flags: MovedFlags) -> None:
     """Consent to a grip that moves by itself."""
     warning = HANDS_OFF.format(clamp=device.limits.clamp_N)
-    if flags["yes"]:
-        note(warning, quiet=flags["quiet"])
+    if flags.yes:
+        note(warning, quiet=flags.quiet)
         return
     if not sys.stdin.isatty():
         msg = f"{warning} Give --yes where nobody can be asked"
@@ -111,20 +148,20 @@ def ask_consent(device: HapticDevice, flags: dict[str, Any]) -> None:
     click.confirm(f"{warning} Go on?", abort=True, err=True)
 
 
-def hang_mass(flags: dict[str, Any]) -> Callable[[], None]:
+def hang_mass(mass_g: float, *, quiet: int) -> Callable[[], None]:
     """Ask for the mass to be hung; where nobody can answer, wait."""
 
     def ask() -> None:
         if sys.stdin.isatty():
-            click.prompt(f"Hang {flags['mass']:g} g on the grip, then press Enter", default="", err=True)
+            click.prompt(f"Hang {mass_g:g} g on the grip, then press Enter", default="", err=True)
         else:
-            note(f"hang {flags['mass']:g} g on the grip now: {HANG_S:g} s", quiet=flags["quiet"])
+            note(f"hang {mass_g:g} g on the grip now: {HANG_S:g} s", quiet=quiet)
             time.sleep(HANG_S)
 
     return ask
 
 
-def made_for_calibration(flags: dict[str, Any]) -> HapticDevice:
+def made_for_calibration(flags: DeviceFlags | MovedFlags) -> HapticDevice:
     """The device that was named, for a measurement of the free grip that its calibration keeps."""
     device = made_device(flags, hands_off=True)
     if "calibration" not in device.takes:
@@ -133,20 +170,20 @@ def made_for_calibration(flags: dict[str, Any]) -> HapticDevice:
     return device
 
 
-def check_savable(device: HapticDevice, flags: dict[str, Any], *, wanted: bool) -> None:
+def check_savable(device: HapticDevice, flags: DeviceFlags | MovedFlags, *, wanted: bool) -> None:
     """Refuse to keep the measurement of a device that has no calibration of its own, before it is made."""
     if wanted and not device.keeps(asked_device(flags).calibration):
         msg = f"--save keeps the calibration of a real device, and the device is {device.name}"
         raise UsageError(msg)
 
 
-def save(device: HapticDevice, flags: dict[str, Any], **changes: Any) -> None:
+def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
     """Put what was measured into the calibration file."""
     file = asked_device(flags).calibration
     if device.keeps(file):
-        note(f"kept in {device.keep(file, changes)}", quiet=flags["quiet"])
+        note(f"kept in {device.keep(file, changes)}", quiet=flags.quiet)
     else:
         note(
             f"not kept: the device {device.name} has no calibration; name a file with --calibration",
-            quiet=flags["quiet"],
+            quiet=flags.quiet,
         )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
-from tissueid.cli.output import echo, echo_json, note, output_options
+from tissueid.cli.flags import OutputFlags, option, takes
+from tissueid.cli.output import echo, echo_json, note
 
 EPILOG = """\b
 Examples:
@@ -18,10 +19,18 @@ EXIT_MISSING = 7
 _MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
 
 
+@dataclass(frozen=True, kw_only=True)
+class DoctorFlags(OutputFlags):
+    """Flags of ``tissueid doctor``."""
+
+    # fmt: off
+    warm: bool = option("--warm", is_flag=True, help="Compile everything now, so that no later run has to.")
+    # fmt: on
+
+
 @click.command("doctor", epilog=EPILOG)
-@click.option("--warm", is_flag=True, help="Compile everything now, so that no later run has to.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(DoctorFlags)
+def command(flags: DoctorFlags) -> int:
     """Say what this machine can do with tissueid, and what stands in its way.
 
     Versions, numba's cache, real-time rights of the servo, devices, the viewer's page and a browser; each
@@ -30,17 +39,17 @@ def command(**flags: Any) -> int:
     """
     from tissueid.doctor import examine, warm
 
-    if flags["warm"]:
-        warm(lambda words: note(words, quiet=flags["quiet"]))
+    if flags.warm:
+        warm(lambda words: note(words, quiet=flags.quiet))
     checks = []
     for check in examine():
         checks.append(check)
-        if flags["as_json"] or flags["quiet"]:
+        if flags.as_json or flags.quiet:
             continue
         echo(f"{_MARKS[check.state]:<8}{check.name:<13}{check.words}")
         if check.way_out:
             echo(f"{'':21}{check.way_out}")
     missing = [check.name for check in checks if check.state == "missing"]
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json({"checks": [check.as_json() for check in checks], "missing": missing})
     return EXIT_MISSING if missing else 0

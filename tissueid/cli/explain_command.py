@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from textwrap import wrap
-from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.output import echo, echo_json, echo_lines, output_options
+from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.output import echo, echo_json, echo_lines
 
 #: Columns, and where texts begin.
 WIDTH, MARGIN = 98, 16
@@ -33,10 +34,18 @@ def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) 
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExplainFlags(OutputFlags):
+    """Flags of ``tissueid explain``."""
+
+    # fmt: off
+    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...", shell_complete=_complete)
+    # fmt: on
+
+
 @click.command("explain", epilog=EPILOG)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_complete)
-@output_options
-def command(**flags: Any) -> int:
+@takes(ExplainFlags)
+def command(flags: ExplainFlags) -> int:
     """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
 
     NAME is the code of a flag, a parameter by its symbol or its name in identification.json, or an exit
@@ -44,12 +53,12 @@ def command(**flags: Any) -> int:
     """
     from tissueid.explanations import explain, explanations
 
-    entries = [explain(name) for name in flags["names"]] or list(explanations().values())
-    if flags["as_json"]:
+    entries = [explain(name) for name in flags.names] or list(explanations().values())
+    if flags.as_json:
         echo_json([entry.as_json() for entry in entries])
-    elif flags["names"] and not flags["quiet"]:
-        _print_each(flags["names"])
-    elif not flags["quiet"]:
+    elif flags.names and not flags.quiet:
+        _print_each(flags.names)
+    elif not flags.quiet:
         width = max(len(entry.name) for entry in entries)
         for entry in entries:
             echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")

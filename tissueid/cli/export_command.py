@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.output import echo_bytes, echo_json, note, output_options, write_output
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_bytes, echo_json, note, write_output
 from tissueid.errors import printable
 
 if TYPE_CHECKING:
@@ -34,23 +37,35 @@ TISSUES = ("c-header", "febio", "abaqus")
 LISTED = 6
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExportFlags(OutputFlags):
+    """Flags of ``tissueid export``."""
+
+    # fmt: off
+    out: str = argument(type=click.Path(exists=True))
+    form: str = option(
+        "--format", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
+        show_default=True,
+        help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted "
+            "number; "
+            "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue "
+            "as a C "
+            "header with its step, or as a Prony series for FEBio or Abaqus.",
+    )
+    specimen: str | None = option(
+        "--specimen", metavar="NAME", help="Which one, where a single tissue is written.",
+    )
+    depth: float | None = option(
+        "--depth", type=float, metavar="MM",
+        help="A Prony series holds about this depth. [default: half of the claimed depth]",
+    )
+    output: str | None = option("-o", "--output", type=click.Path(), help="File to write instead of stdout.")
+    # fmt: on
+
+
 @click.command("export", epilog=EPILOG)
-@click.argument("out", type=click.Path(exists=True))
-@click.option(
-    "--format", "form", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
-    show_default=True,
-    help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted number; "
-    "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue as a C "
-    "header with its step, or as a Prony series for FEBio or Abaqus.",
-)  # fmt: skip
-@click.option("--specimen", metavar="NAME", help="Which one, where a single tissue is written.")
-@click.option(
-    "--depth", type=float, metavar="MM",
-    help="A Prony series holds about this depth. [default: half of the claimed depth]",
-)  # fmt: skip
-@click.option("-o", "--output", type=click.Path(), help="File to write instead of stdout.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(ExportFlags)
+def command(flags: ExportFlags) -> int:
     """Write a finished fit in another form, from its output folder alone.
 
     OUT is the folder; for mat, c-header, febio and abaqus a bundle will do.
@@ -60,66 +75,69 @@ def command(**flags: Any) -> int:
     fit has several specimens, each gets a file: chains-SPECIMEN.nc.
     """
     from tissueid.store.files import json_bytes
-    from tissueid.store.results import read_results
+    from tissueid.store.results import read_plain, read_results
     from tissueid.store.tidy import csv_bytes, tidy_table
 
-    if flags["form"] in ("mat", *TISSUES):
+    if flags.form in ("mat", *TISSUES):
         return _write_tissues(flags)
-    document, _, posteriors = read_results(flags["out"])
-    if flags["form"] == "netcdf":
+    document, _, posteriors = read_results(flags.out)
+    if flags.form == "netcdf":
         return _write_netcdf(posteriors, flags)
-    as_json = flags["form"] == "json"
-    if as_json and flags["output"] is None:
-        echo_json(document)
+    as_json = flags.form == "json"
+    if as_json and flags.output is None:
+        echo_json(read_plain(flags.out))
         return 0
-    content = json_bytes(document) if as_json else csv_bytes(tidy_table(document, flags["form"]))
-    if flags["output"] is not None:
-        write_output(flags["output"], content)
-        note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    whole = json_bytes(read_plain(flags.out))
+    # the bytes of identification.json have one spelling, so this is the hash of the file
+    digest = hashlib.sha256(whole).hexdigest()
+    content = whole if as_json else csv_bytes(tidy_table(document, flags.form, digest=digest))
+    if flags.output is not None:
+        write_output(flags.output, content)
+        note(f"wrote {flags.output}", quiet=flags.quiet)
         return 0
     echo_bytes(content)
     return 0
 
 
-def _write_tissues(flags: dict[str, Any]) -> int:
+def _write_tissues(flags: ExportFlags) -> int:
     from tissueid.errors import UsageError
 
     bundles = _bundles(flags)
-    if flags["form"] == "mat":
+    if flags.form == "mat":
         from tissueid.export.matlab import mat_bytes
 
-        if flags["output"] is None:
+        if flags.output is None:
             msg = "a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat"
             raise UsageError(msg)
         content = mat_bytes(bundles)
     elif len(bundles) > 1:
-        msg = f"{flags['out']} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
+        msg = f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
             repr(bundle.specimen) for bundle in bundles[:LISTED]
         )
         raise UsageError(msg + (" ..." if len(bundles) > LISTED else ""))
     else:
         content = _tissue_bytes(bundles[0], flags)
-    if flags["output"] is None:
+    if flags.output is None:
         echo_bytes(content)
         return 0
-    write_output(flags["output"], content)
-    note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    write_output(flags.output, content)
+    note(f"wrote {flags.output}", quiet=flags.quiet)
     return 0
 
 
-def _tissue_bytes(bundle: Bundle, flags: dict[str, Any]) -> bytes:
-    if flags["form"] == "c-header":
+def _tissue_bytes(bundle: Bundle, flags: ExportFlags) -> bytes:
+    if flags.form == "c-header":
         from tissueid.export.c_header import c_header
 
         return c_header(bundle)
     from tissueid.export.prony import FEBIO_TERMS, abaqus_card, febio_card, linearised
 
-    if flags["form"] == "febio":
-        return febio_card(linearised(bundle, flags["depth"], most=FEBIO_TERMS))
-    return abaqus_card(linearised(bundle, flags["depth"]))
+    if flags.form == "febio":
+        return febio_card(linearised(bundle, flags.depth, most=FEBIO_TERMS))
+    return abaqus_card(linearised(bundle, flags.depth))
 
 
-def _bundles(flags: dict[str, Any]) -> list[Bundle]:
+def _bundles(flags: ExportFlags) -> list[Bundle]:
     """The bundle that was named, or those of a folder."""
     from pathlib import Path
 
@@ -128,34 +146,34 @@ def _bundles(flags: dict[str, Any]) -> list[Bundle]:
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
-    path = Path(flags["out"])
+    path = Path(flags.out)
     if path.is_file():
         return [load_bundle(path)]
-    names = bundle_names(one["specimen"] for one in read_results(str(path))[0]["specimens"])
-    wanted = flags["specimen"]
+    names = bundle_names(one.specimen for one in read_results(str(path))[0].specimens)
+    wanted = flags.specimen
     if wanted is not None and wanted not in names:
         msg = f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}"
         raise UsageError(msg)
     return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
 
 
-def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: dict[str, Any]) -> int:
+def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: ExportFlags) -> int:
     from pathlib import Path
 
     from tissueid.errors import UsageError
     from tissueid.exchange import netcdf_bytes
     from tissueid.store.files import file_names
 
-    if flags["output"] is None:
+    if flags.output is None:
         msg = "netcdf is no text for a terminal: name a file with -o, as -o chains.nc"
         raise UsageError(msg)
     if not posteriors:
-        msg = f"{flags['out']}: no posterior was sampled; run `tissueid fit` again without --sampler none"
+        msg = f"{flags.out}: no posterior was sampled; run `tissueid fit` again without --sampler none"
         raise UsageError(msg)
-    first = Path(flags["output"])
+    first = Path(flags.output)
     names = file_names((one.specimen for one in posteriors), first.stem, first.suffix)
     for one in posteriors:
         path = first if len(posteriors) == 1 else first.with_name(names[one.specimen])
         write_output(str(path), netcdf_bytes(one.to_arviz()))
-        note(f"wrote {path}", quiet=flags["quiet"])
+        note(f"wrote {path}", quiet=flags.quiet)
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +11,15 @@ import click
 from click.core import ParameterSource
 
 from tissueid.cli.fit_summary import print_summary
-from tissueid.cli.output import echo_json_text, note, output_options, progress_bar
-from tissueid.cli.quoting import quoting_options, quoting_values
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_json_text, note, progress_bar
+from tissueid.cli.quoting import QuotingFlags, quoting_values
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
+    ReadingFlags,
     inputs_in_order,
     read_options,
-    reading_options,
     refuse_same_folder,
     segment_options,
 )
@@ -57,71 +59,81 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
         raise UsageError(msg)
 
 
+@dataclass(frozen=True, kw_only=True)
+class FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
+    """Flags of ``tissueid fit``."""
+
+    # fmt: off
+    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    out: str = option(
+        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
+        help="Output folder.",
+    )
+    model: str | None = option(
+        "--model", metavar="NAME", show_default=KELVIN_VOIGT,
+        help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws "
+            "in "
+            "tissueid models; auto, or several with | between them, takes the one that predicts best.",
+    )
+    branches: str = option(
+        "--branches", type=_count("123"), default="auto", show_default=True,
+        help="Relaxation branches; auto chooses by held-out data.",
+    )
+    stiffness_degree: str = option(
+        "--stiffness-degree", type=_count("012"), default="auto", show_default=True,
+        help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
+    )
+    static: str = option(
+        "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
+        help="Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
+    )
+    noise: str = option(
+        "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
+        show_default=True, help="Noise of the force; auto takes what the residuals show.",
+    )
+    sampler: str = option(
+        "--sampler", type=click.Choice(["emcee", "none"]), default="emcee", show_default=True,
+        help="How the posterior is sampled; none gives standard errors only.",
+    )
+    draws: int = option(
+        "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
+        help="Effective posterior draws to go on for.",
+    )
+    require: tuple[str, ...] = option(
+        "--require", multiple=True, type=click.Choice(REQUIRED),
+        help="What must be identified for exit code 0. [default: viscosity and static]",
+    )
+    seed: int = option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
+    )
+    workers: int | None = option(
+        "--workers", type=click.IntRange(min=1), metavar="N",
+        help="Processes that compute specimens. [default: as many as processors, where the work is worth it]",
+    )
+    scheduler: str = option(
+        "--scheduler", metavar="ADDRESS", default="local", show_default=True,
+        help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
+    )
+    population: str = option(
+        "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
+        help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of "
+            "five.",
+    )
+    mix_states: bool = option(
+        "--mix-states", is_flag=True, help="Let a population pool thawed specimens with fresh ones.",
+    )
+    study: str | None = option(
+        "--study", type=click.Path(), metavar="FILE",
+        help="Study file. [default: study.toml of the folder that is fitted]",
+    )
+    no_study: bool = option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
+    # fmt: on
+
+
 @click.command("fit", epilog=EPILOG)
-@click.argument("paths", nargs=-1, required=True, type=click.Path())
-@click.option(
-    "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
-    help="Output folder.",
-)  # fmt: skip
-@click.option(
-    "--model", metavar="NAME", show_default=KELVIN_VOIGT,
-    help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws in "
-    "tissueid models; auto, or several with | between them, takes the one that predicts best.",
-)  # fmt: skip
 @click.option("--contact-law", hidden=True, expose_value=False, callback=_moved, help="Moved to --model.")
-@click.option(
-    "--branches", type=_count("123"), default="auto", show_default=True,
-    help="Relaxation branches; auto chooses by held-out data.",
-)  # fmt: skip
-@click.option(
-    "--stiffness-degree", type=_count("012"), default="auto", show_default=True,
-    help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
-)  # fmt: skip
-@click.option(
-    "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
-    help="Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
-)  # fmt: skip
-@click.option(
-    "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto", show_default=True,
-    help="Noise of the force; auto takes what the residuals show.",
-)  # fmt: skip
-@click.option(
-    "--sampler", type=click.Choice(["emcee", "none"]), default="emcee", show_default=True,
-    help="How the posterior is sampled; none gives standard errors only.",
-)  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
-    help="Effective posterior draws to go on for.",
-)  # fmt: skip
-@click.option(
-    "--require", multiple=True, type=click.Choice(REQUIRED),
-    help="What must be identified for exit code 0. [default: viscosity and static]",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
-)
-@click.option(
-    "--workers", type=click.IntRange(min=1), metavar="N",
-    help="Processes that compute specimens. [default: as many as processors, where the work is worth it]",
-)  # fmt: skip
-@click.option(
-    "--scheduler", metavar="ADDRESS", default="local", show_default=True,
-    help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
-)  # fmt: skip
-@click.option(
-    "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
-    help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
-)  # fmt: skip
-@click.option("--mix-states", is_flag=True, help="Let a population pool thawed specimens with fresh ones.")
-@click.option(
-    "--study", type=click.Path(), metavar="FILE",
-    help="Study file. [default: study.toml of the folder that is fitted]",
-)  # fmt: skip
-@click.option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
-@quoting_options
-@reading_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(FitFlags)
+def command(flags: FitFlags) -> int:
     """Identify the tissue behind recordings.
 
     PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
@@ -129,34 +141,35 @@ def command(**flags: Any) -> int:
     identification.json, one bundle a specimen, curves.h5, posteriors.h5 and report.html to the
     output folder, all at once or not at all.
     """
-    refuse_same_folder(flags["paths"], flags["out"])
+    refuse_same_folder(flags.paths, flags.out)
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
     from tissueid.study.pages import write_report
     from tissueid.study.recordings import locate_study
     from tissueid.study.request import Request
 
-    quiet: int = flags["quiet"]
+    quiet: int = flags.quiet
     reading = read_options(flags)
-    study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     if study is not None:
-        flags["model"] = flags["model"] or study.model
+        flags = replace(flags, model=flags.model or study.model)
+    flags = _checked_model(flags)
     options = _identify_options(flags)
     files = inputs_in_order(paths, study)
-    _refuse_foreign(Path(flags["out"]))
+    _refuse_foreign(Path(flags.out))
     by_pattern = PatternCheck(reading.specimen_by, study)
     request = Request(
         files,
         reading,
         study,
         options,
-        provenance={"reading": {key: flags[key] for key in READING}},
-        workers=flags["workers"],
-        scheduler=flags["scheduler"],
+        provenance={"reading": {key: getattr(flags, key) for key in READING}},
+        workers=flags.workers,
+        scheduler=flags.scheduler,
         read=by_pattern.add,
         all_read=by_pattern.say,
     )
-    with OutputSet(flags["out"]) as run:
+    with OutputSet(flags.out) as run:
         with progress_bar(show=not quiet) as progress:
             found = fit_cohort(request, run, progress)
             if found.fitted:
@@ -165,34 +178,34 @@ def command(**flags: Any) -> int:
         if found.fitted:
             run.commit()
             prune_specimens(run.out)
-        if flags["as_json"]:
+        if flags.as_json:
             echo_json_text(found.document.read_text(encoding="utf-8"))
         else:
-            print_summary(found, flags["out"], quiet=quiet, verbose=flags["verbose"])
+            print_summary(found, flags.out, quiet=quiet, verbose=flags.verbose)
     return exit_code({found.exit.code, _population(flags, study, found.fitted)})
 
 
-def _population(flags: dict[str, Any], study: Study | None, fitted: int) -> int:
+def _population(flags: FitFlags, study: Study | None, fitted: int) -> int:
     """Write the population of the specimens beside them where it is wanted; its exit code."""
-    wanted = flags["population"]
+    wanted = flags.population
     if wanted == "auto":
-        named = study is not None and fitted >= COHORT_FROM and flags["sampler"] != "none"
+        named = study is not None and fitted >= COHORT_FROM and flags.sampler != "none"
         wanted = "yes" if named else "no"
     if wanted == "no" or not fitted:
         return 0
     from tissueid.cli.population_lines import print_population
     from tissueid.study.cohort import PopulationRequest, write_population
 
-    quiet = flags["quiet"]
+    quiet = flags.quiet
     try:
         with progress_bar(show=not quiet) as progress:
-            asked = PopulationRequest(seed=flags["seed"], mix_states=flags["mix_states"])
-            written = write_population(Path(flags["out"]), asked, progress)
+            asked = PopulationRequest(seed=flags.seed, mix_states=flags.mix_states)
+            written = write_population(Path(flags.out), asked, progress)
     except (NotIdentifiedError, UsageError) as error:
         note(error.message, quiet=quiet)
-        return error.exit_status if flags["population"] == "yes" else 0
-    if not flags["as_json"]:
-        print_population(written, flags["out"], quiet=quiet)
+        return error.exit_status if flags.population == "yes" else 0
+    if not flags.as_json:
+        print_population(written, flags.out, quiet=quiet)
     return 0 if written.converged else NotIdentifiedError.exit_status
 
 
@@ -210,62 +223,63 @@ def _refuse_foreign(out: Path) -> None:
         raise UsageError(msg)
 
 
-def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
+def _posterior_options(flags: FitFlags) -> PosteriorOptions | None:
     from tissueid.inference.posterior import PosteriorOptions
 
-    if flags["sampler"] == "none":
+    if flags.sampler == "none":
         return None
     return PosteriorOptions(
-        sampler=flags["sampler"],
-        draws=flags["draws"],
-        seed=flags["seed"],
+        sampler=flags.sampler,
+        draws=flags.draws,
+        seed=flags.seed,
         workers=os.cpu_count() or 1,
     )
 
 
-def _checked_model(flags: dict[str, Any]) -> None:
+def _checked_model(flags: FitFlags) -> FitFlags:
     """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
 
     try:
-        laws = candidates(flags["model"] or KELVIN_VOIGT)
+        laws = candidates(flags.model or KELVIN_VOIGT)
     except ModelNameError as error:
         raise UsageError(str(error)) from None
     others = laws.paper is None or laws.choose
-    if others and flags.get("unloading"):
-        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags['model']!r}"
+    if others and flags.unloading:
+        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}"
         raise UsageError(msg)
     if laws.paper is not None and laws.paper.branches is None:
-        return
+        return flags
     context, asked = click.get_current_context(), []
     for key in ("branches", "stiffness_degree"):
         if context.get_parameter_source(key) in {ParameterSource.DEFAULT_MAP, ParameterSource.ENVIRONMENT}:
             # what is said here, or in the study, comes first
-            flags[key] = "auto"
-        elif flags[key] != "auto":
+            automatic: dict[str, Any] = {key: "auto"}
+            flags = replace(flags, **automatic)
+        elif getattr(flags, key) != "auto":
             asked.append(f"--{key.replace('_', '-')}")
     if asked:
-        msg = f"{' and '.join(asked)}: {flags['model']!r} says it already; leave one of them out"
+        msg = f"{' and '.join(asked)}: {flags.model!r} says it already; leave one of them out"
         raise UsageError(msg)
+    return flags
 
 
-def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
+def _identify_options(flags: FitFlags) -> IdentifyOptions:
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
-    required = tuple(name for name in flags["require"] if name != "none")
-    _checked_model(flags)
+    required = tuple(name for name in flags.require if name != "none")
     return IdentifyOptions(
         fit=FitOptions(
-            model=flags["model"] or KELVIN_VOIGT,
-            branches=None if flags["branches"] == "auto" else int(flags["branches"]),
-            stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
-            static=flags["static"],
-            noise=flags["noise"],
+            model=flags.model or KELVIN_VOIGT,
+            branches=None if flags.branches == "auto" else int(flags.branches),
+            stiffness_degree=None if flags.stiffness_degree == "auto" else int(flags.stiffness_degree),
+            static=flags.static,
+            noise=flags.noise,
             **quoting_values(flags),
         ),
         segment=segment_options(flags),
         posterior=_posterior_options(flags),
-        required=required if flags["require"] else DEFAULT_REQUIRED,
-        seed=flags["seed"],
+        required=required if flags.require else DEFAULT_REQUIRED,
+        seed=flags.seed,
     )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from tissueid.cli.output import echo, note
 from tissueid.digits import with_error
+from tissueid.documents import typed
+from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.report.specimen_lines import specimen_lines
 from tissueid.report.warning_lines import shared_codes, shared_lines
+from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
     from tissueid.study.assembly import Assembled
@@ -39,15 +41,15 @@ def _print(found: Assembled, out: str, *, verbose: int) -> None:
     if found.large:
         echo(f"{found.fitted} of {found.jobs} specimens fitted")
     elif found.fitted:
-        _print_specimens(json.loads(found.document.read_bytes())["specimens"], verbose=verbose)
+        _print_specimens(load_identification(found.document).specimens, verbose=verbose)
     for row in found.exclusions:
-        _print_exclusion(row)
+        _print_exclusion(typed(row, Exclusion))
     if found.fitted:
         echo()
         echo(f"Report: {out}/report.html")
 
 
-def _print_specimens(specimens: Sequence[Mapping[str, Any]], *, verbose: int) -> None:
+def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
     shared = () if verbose else shared_codes(specimens)
     brief = len(specimens) >= MANY and not verbose
     for specimen in specimens:
@@ -57,21 +59,21 @@ def _print_specimens(specimens: Sequence[Mapping[str, Any]], *, verbose: int) ->
         echo(f"all {len(specimens)} specimens")
         for line in shared_lines(specimens, shared):
             echo(f"  ! {line}", fg="yellow")
-    if not verbose and any(specimen["sampler"] is not None for specimen in specimens):
+    if not verbose and any(specimen.sampler is not None for specimen in specimens):
         echo("In brackets: 95 % intervals, with what is not known of the machine; -v prints both kinds.")
 
 
-def _print_exclusion(row: Mapping[str, Any]) -> None:
+def _print_exclusion(row: Exclusion) -> None:
     """A trial that was left out, why, and what the specimen's numbers would be with it."""
-    where = row["path"] if row["sheet"] is None else f"{row['path']} [{row['sheet']}]"
+    where = row.path if row.sheet is None else f"{row.path} [{row.sheet}]"
     echo()
-    echo(f"excluded  {where}: {row['because']}")
-    if row["note"]:
-        echo(f"  {row['note']}")
-    for one in row["with_it"]:
-        before = with_error(one["without"], one["without_stderr"])
-        after = with_error(one["with"], one["with_stderr"])
-        echo(f"  {one['symbol']:<6} with it {after} {one['unit']} (without: {before})")
+    echo(f"excluded  {where}: {row.because}")
+    if row.note:
+        echo(f"  {row.note}")
+    for one in row.with_it:
+        before = with_error(one.without, one.without_stderr)
+        after = with_error(one.with_it, one.with_stderr)
+        echo(f"  {one.symbol:<6} with it {after} {one.unit} (without: {before})")
 
 
 def print_reasons(found: Assembled, *, quiet: int) -> None:
@@ -91,7 +93,7 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
         note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)
 
 
-def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: int, brief: bool) -> None:
+def _print_specimen(fit: Specimen, shared: Sequence[str], *, verbose: int, brief: bool) -> None:
     echo()
     for line in specimen_lines(fit, shared, verbose=verbose, brief=brief):
         echo(line.text, fg=_COLOURS.get(line.kind), bold=line.kind in {"title", "alarm"})

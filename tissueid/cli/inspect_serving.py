@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissueid.cli.output import echo, note
 from tissueid.cli.reading import read_options
@@ -12,8 +13,11 @@ from tissueid.cli.reading import read_options
 #: Flags that ask for another output than the page.
 _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
 
+if TYPE_CHECKING:
+    from tissueid.cli.inspect_command import InspectFlags
 
-def serve(flags: dict[str, Any], inspected: Callable[[dict[str, Any]], Any]) -> int:
+
+def serve(flags: InspectFlags, inspected: Callable[[InspectFlags], Any]) -> int:
     """Serve until Ctrl-C what is inspected again after each correction.
 
     Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
@@ -23,28 +27,27 @@ def serve(flags: dict[str, Any], inspected: Callable[[dict[str, Any]], Any]) -> 
     from tissueid.study.correcting import CorrectedInspection
     from tissueid.viewer.page_server import PageServer
 
-    other = next((flag for name, flag in _OTHERS.items() if flags[name]), None)
+    other = next((flag for name, flag in _OTHERS.items() if getattr(flags, name)), None)
     if other is not None:
         msg = f"--serve writes study.toml and shows its page: leave {other} out"
         raise UsageError(msg)
     manifest = _manifest(flags)
 
     def inspect() -> Any:
-        named = {"study": str(manifest)} if manifest.exists() else {}
-        return inspected({**flags, **named})
+        return inspected(replace(flags, study=str(manifest)) if manifest.exists() else flags)
 
     shown = CorrectedInspection(manifest, inspect, read_options(flags))
     shown.page()
     try:
-        with PageServer(shown, flags["viewer_port"]) as server:
+        with PageServer(shown, flags.viewer_port) as server:
             # what was asked for is told however quiet: nobody guesses a token
             echo(f"page       {server.url}", err=True)
             folder = manifest.parent
             note(
                 f"corrections go into {manifest}; `tissueid fit {folder}` follows it; Ctrl-C ends",
-                quiet=flags["quiet"],
+                quiet=flags.quiet,
             )
-            if not flags["no_browser"]:
+            if not flags.no_browser:
                 open_browser(server.url)
             server.run()
     except KeyboardInterrupt:
@@ -52,13 +55,13 @@ def serve(flags: dict[str, Any], inspected: Callable[[dict[str, Any]], Any]) -> 
     return 0
 
 
-def _manifest(flags: dict[str, Any]) -> Path:
+def _manifest(flags: InspectFlags) -> Path:
     """The study file that is followed and written."""
     from tissueid.ingest.manifest import MANIFEST
     from tissueid.study.inspected import study_folder
 
-    if flags["study"] is not None:
-        named = Path(flags["study"])
+    if flags.study is not None:
+        named = Path(flags.study)
         return named / MANIFEST if named.is_dir() else named
-    stated = [Path(path) for path in flags["paths"] if path.casefold().endswith(".toml")]
-    return stated[0] if stated else study_folder(flags["paths"]) / MANIFEST
+    stated = [Path(path) for path in flags.paths if path.casefold().endswith(".toml")]
+    return stated[0] if stated else study_folder(flags.paths) / MANIFEST

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.output import echo_json, note
 
 EPILOG = """\b
 Examples:
@@ -15,10 +16,18 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class MigrateFlags(OutputFlags):
+    """Flags of ``tissueid migrate``."""
+
+    # fmt: off
+    targets: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path(exists=True))
+    # fmt: on
+
+
 @click.command("migrate", epilog=EPILOG)
-@click.argument("targets", nargs=-1, required=True, type=click.Path(exists=True))
-@output_options
-def command(**flags: Any) -> int:
+@takes(MigrateFlags)
+def command(flags: MigrateFlags) -> int:
     """Bring output folders or bundles that an earlier tissueid wrote to the version of this one.
 
     A file is replaced by its new version once that was read back whole. What is of this version already is
@@ -29,17 +38,17 @@ def command(**flags: Any) -> int:
     from tissueid.store.migrate import migrate_bundle, migrate_folder
 
     found = []
-    for target in map(Path, flags["targets"]):
+    for target in map(Path, flags.targets):
         if target.is_dir():
             found += migrate_folder(target)
         else:
             one = migrate_bundle(target)
             found += [] if one is None else [one]
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json([{"path": str(one.path), "from_version": one.version} for one in found])
         return 0
     for one in found:
-        note(f"{one.path}: migrated from version {one.version}", quiet=flags["quiet"])
+        note(f"{one.path}: migrated from version {one.version}", quiet=flags.quiet)
     if not found:
-        note("everything is of this version already", quiet=flags["quiet"])
+        note("everything is of this version already", quiet=flags.quiet)
     return 0

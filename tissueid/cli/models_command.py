@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
 
 import click
 
-from tissueid.cli.output import echo, echo_json, echo_lines, output_options
+from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.output import echo, echo_json, echo_lines
 from tissueid.errors import UsageError
 
 WIDTH, MARGIN = 98, 16
@@ -20,10 +22,18 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ModelsFlags(OutputFlags):
+    """Flags of ``tissueid models``."""
+
+    # fmt: off
+    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...")
+    # fmt: on
+
+
 @click.command("models", epilog=EPILOG)
-@click.argument("names", nargs=-1, metavar="[NAME]...")
-@output_options
-def command(**flags: Any) -> int:
+@takes(ModelsFlags)
+def command(flags: ModelsFlags) -> int:
     """List the laws that contact models are made of, for fit --model.
 
     A model is kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING; NAME is the word of one
@@ -32,17 +42,17 @@ def command(**flags: Any) -> int:
     from tissueid.model.grammar import described
 
     rows = described()
-    if flags["names"]:
+    if flags.names:
         known = {row["key"]: row for row in rows}
-        missing = [name for name in flags["names"] if name not in known]
+        missing = [name for name in flags.names if name not in known]
         if missing:
             msg = f"no law {missing[0]!r}; there are {', '.join(known)}"
             raise UsageError(msg)
-        rows = [known[name] for name in flags["names"]]
-    if flags["as_json"]:
+        rows = [known[name] for name in flags.names]
+    if flags.as_json:
         echo_json(rows)
-    elif not flags["quiet"]:
-        (_each if flags["names"] else _table)(rows)
+    elif not flags.quiet:
+        (_each if flags.names else _table)(rows)
     return 0
 
 
@@ -62,7 +72,7 @@ def _each(rows: list[dict[str, Any]]) -> None:
         if position:
             echo()
         echo(f"{row['key']} ({row['kind']}): {row['equation']}")
-        names = ", ".join(f"{one['symbol']} [{one['unit']}]" for one in row["parameters"])
+        names = ", ".join(f"{one.symbol} [{one.unit}]" for one in row["parameters"])
         for label, text in (
             ("parameters", names or "none of its own"),
             ("for", row["purpose"]),

@@ -31,17 +31,6 @@ _STEERING = re.compile("[\x7f-\x9f\u2028\u2029\u200e\u200f\u061c\u202a-\u202e\u2
 _TYPED_MINUS = re.compile(r"−(?=[\d.])")
 
 
-def output_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--json``, ``-v`` and ``-q`` to a sub-command."""
-    function = click.option("--json", "as_json", is_flag=True, help="Print one JSON document to stdout.")(
-        function
-    )
-    function = click.option("-v", "--verbose", count=True, help="Say more; a bug shows its traceback.")(
-        function
-    )
-    return click.option("-q", "--quiet", count=True, help="Print errors only.")(function)
-
-
 def terminal_line(text: str) -> str:
     r"""One line for a terminal: no control character, escape or bidi mark of a file or a label is left raw.
 

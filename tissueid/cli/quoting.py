@@ -2,43 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.flags import option
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.measured.geometry import Geometry
 
-_OPTIONS = (
-    click.option(
-        "--unloading", is_flag=True,
-        help="Fit retracts and cycles as well, with the law of contact loss.",
-    ),
-    click.option(
+
+@dataclass(frozen=True, kw_only=True)
+class QuotingFlags:
+    """Flags that say which numbers are quoted beside those of the model."""
+
+    # fmt: off
+    unloading: bool = option(
+        "--unloading", is_flag=True, help="Fit retracts and cycles as well, with the law of contact loss.",
+    )
+    frequencies: str | None = option(
         "--frequencies", metavar="LIST",
         help="Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
-    ),
-    click.option("--depths", metavar="LIST", help="Depths [mm] at which each loop's stiffness is given."),
-    click.option(
+    )
+    depths: str | None = option(
+        "--depths", metavar="LIST", help="Depths [mm] at which each loop's stiffness is given.",
+    )
+    tip: str | None = option(
         "--tip", metavar="SHAPE:SIZE",
         help="Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].",
-    ),
-    click.option("--thickness", type=float, metavar="MM", help="Thickness of the layer under --tip."),
-    click.option(
+    )
+    thickness: float | None = option(
+        "--thickness", type=float, metavar="MM", help="Thickness of the layer under --tip.",
+    )
+    poisson: float = option(
         "--poisson", type=click.FloatRange(0.0, 0.5), default=0.5, show_default=True,
         help="Poisson's ratio behind the moduli.",
-    ),
-)  # fmt: skip
-
-
-def quoting_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options to a command."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+    )
+    # fmt: on
 
 
 def _numbers(text: str | None, option: str) -> tuple[float, ...]:
@@ -55,35 +57,35 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
     return values
 
 
-def _geometry(flags: dict[str, Any]) -> Geometry | None:
+def _geometry(flags: QuotingFlags) -> Geometry | None:
     """Tip and thickness as typed."""
     from tissueid.measured.geometry import Geometry
     from tissueid.model.moduli import Indenter
 
-    if flags["tip"] is None:
-        if flags["thickness"] is not None:
+    if flags.tip is None:
+        if flags.thickness is not None:
             msg = "--thickness needs --tip; a study.toml may hold both, a thickness for each specimen"
             raise UsageError(msg)
         return None
-    shape, _, size = flags["tip"].partition(":")
+    shape, _, size = flags.tip.partition(":")
     try:
         number = float(size)
         tip = Indenter(shape, half_angle_deg=number) if shape == "cone" else Indenter(shape, number)
-        return Geometry(tip, flags["thickness"], flags["poisson"])
+        return Geometry(tip, flags.thickness, flags.poisson)
     except ValueError as error:
-        msg = f"--tip {flags['tip']}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
+        msg = f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
         raise UsageError(msg) from error
 
 
-def quoting_values(flags: dict[str, Any]) -> dict[str, Any]:
+def quoting_values(flags: QuotingFlags) -> dict[str, Any]:
     """The fields of ``FitOptions`` that these options fill.
 
     Raises UsageError: a list or a tip that can't be understood.
     """
     return {
-        "unloading": flags["unloading"],
-        "frequencies_Hz": _numbers(flags["frequencies"], "--frequencies"),
-        "depths_mm": _numbers(flags["depths"], "--depths"),
+        "unloading": flags.unloading,
+        "frequencies_Hz": _numbers(flags.frequencies, "--frequencies"),
+        "depths_mm": _numbers(flags.depths, "--depths"),
         "geometry": _geometry(flags),
-        "poisson": flags["poisson"],
+        "poisson": flags.poisson,
     }

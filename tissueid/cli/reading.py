@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from tissueid.cli.completing import readers
+from tissueid.cli.flags import option
 from tissueid.cli.output import echo
 from tissueid.errors import UsageError
 
@@ -36,85 +37,62 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 DECIMALS = {"point": ".", "comma": ","}
 
 
-def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the reading options to a sub-command."""
-    options = (
-        click.option(
-            "--columns",
-            metavar="MAP",
-            help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
-        ),
-        click.option(
-            "--units",
-            metavar="MAP",
-            help='Units, where the file has none or wrong ones: "displacement=um".',
-        ),
-        click.option(
-            "--axes",
-            metavar="MAP",
-            help='Normalised channels: "displacement=strain,force=stress".',
-        ),
-        click.option(
-            "--specimen-by",
-            metavar="PATTERN",
-            help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
-        ),
-        click.option(
-            "--recipe",
-            metavar="KEY",
-            shell_complete=readers,
-            help="Reader to use, not the detected one; a KEY that is none lists them.",
-        ),
-        click.option(
-            "--sheet",
-            metavar="NAME",
-            help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one"
-            " file.",
-        ),
-        click.option(
-            "--delimiter",
-            type=click.Choice(list(DELIMITERS)),
-            help="What parts the cells, where the text leaves it open.",
-        ),
-        click.option(
-            "--decimal",
-            type=click.Choice(list(DECIMALS)),
-            help="Decimal mark, where the numbers leave it open.",
-        ),
-        click.option(
-            "--compression",
-            type=click.Choice(["positive", "negative"]),
-            help="Which direction of displacement is compression, where the guess is wrong.",
-        ),
-        click.option(
-            "--contact",
-            type=float,
-            metavar="MM",
-            help="Displacement at contact as recorded [mm], where the detected one is wrong.",
-        ),
-        click.option(
-            "--hold-from",
-            type=float,
-            metavar="S",
-            help="Time at which the hold begins as recorded [s], where the detected one is wrong.",
-        ),
-        click.option(
-            "--hold-to",
-            type=float,
-            metavar="S",
-            help="Time at which the hold ends as recorded [s]; what follows doesn't count.",
-        ),
-        click.option("--no-rupture", is_flag=True, help="No fall of force is a rupture."),
-        click.option(
-            "--exclude",
-            multiple=True,
-            metavar="PATTERN",
-            help="Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).",
-        ),
+@dataclass(frozen=True, kw_only=True)
+class ReadingFlags:
+    """Flags that say how recordings are read and cut."""
+
+    # fmt: off
+    columns: str | None = option(
+        "--columns", metavar="MAP", help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
     )
-    for option in reversed(options):
-        function = option(function)
-    return function
+    units: str | None = option(
+        "--units", metavar="MAP", help='Units, where the file has none or wrong ones: "displacement=um".',
+    )
+    axes: str | None = option(
+        "--axes", metavar="MAP", help='Normalised channels: "displacement=strain,force=stress".',
+    )
+    specimen_by: str | None = option(
+        "--specimen-by", metavar="PATTERN",
+        help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
+    )
+    recipe: str | None = option(
+        "--recipe", metavar="KEY", shell_complete=readers,
+        help="Reader to use, not the detected one; a KEY that is none lists them.",
+    )
+    sheet: str | None = option(
+        "--sheet", metavar="NAME",
+        help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one"
+            " file.",
+    )
+    delimiter: str | None = option(
+        "--delimiter", type=click.Choice(list(DELIMITERS)),
+        help="What parts the cells, where the text leaves it open.",
+    )
+    decimal: str | None = option(
+        "--decimal", type=click.Choice(list(DECIMALS)), help="Decimal mark, where the numbers leave it open.",
+    )
+    compression: str | None = option(
+        "--compression", type=click.Choice(["positive", "negative"]),
+        help="Which direction of displacement is compression, where the guess is wrong.",
+    )
+    contact: float | None = option(
+        "--contact", type=float, metavar="MM",
+        help="Displacement at contact as recorded [mm], where the detected one is wrong.",
+    )
+    hold_from: float | None = option(
+        "--hold-from", type=float, metavar="S",
+        help="Time at which the hold begins as recorded [s], where the detected one is wrong.",
+    )
+    hold_to: float | None = option(
+        "--hold-to", type=float, metavar="S",
+        help="Time at which the hold ends as recorded [s]; what follows doesn't count.",
+    )
+    no_rupture: bool = option("--no-rupture", is_flag=True, help="No fall of force is a rupture.")
+    exclude: tuple[str, ...] = option(
+        "--exclude", multiple=True, metavar="PATTERN",
+        help="Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).",
+    )
+    # fmt: on
 
 
 def _pairs(text: str | None, flag: str) -> dict[str, str]:
@@ -133,28 +111,33 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
     return pairs
 
 
-def read_options(flags: Mapping[str, Any]) -> ReadOptions:
-    """Reading options from the flags of :func:`reading_options`; a flag that is absent is not given."""
+def read_options(flags: ReadingFlags) -> ReadOptions:
+    """Options of reading, from flags."""
+    return recorded_options({name: getattr(flags, name) for name in READING})
+
+
+def recorded_options(said: Mapping[str, str | None]) -> ReadOptions:
+    """Options of reading as a run recorded them, by the names of its flags."""
     from tissueid.ingest import ReadOptions
 
-    said = {name: flags.get(name) for name in READING}
+    delimiter, decimal = said.get("delimiter"), said.get("decimal")
     return ReadOptions(
-        columns=_pairs(said["columns"], "--columns"),
-        units=_pairs(said["units"], "--units"),
-        axes=_pairs(said["axes"], "--axes"),
-        specimen_by=said["specimen_by"],
-        recipe=said["recipe"],
-        sheet=said["sheet"],
-        delimiter=None if said["delimiter"] is None else DELIMITERS[said["delimiter"]],
-        decimal=None if said["decimal"] is None else DECIMALS[said["decimal"]],
+        columns=_pairs(said.get("columns"), "--columns"),
+        units=_pairs(said.get("units"), "--units"),
+        axes=_pairs(said.get("axes"), "--axes"),
+        specimen_by=said.get("specimen_by"),
+        recipe=said.get("recipe"),
+        sheet=said.get("sheet"),
+        delimiter=None if delimiter is None else DELIMITERS[delimiter],
+        decimal=None if decimal is None else DECIMALS[decimal],
     )
 
 
-def segment_options(flags: Mapping[str, Any]) -> SegmentOptions:
-    """Segmentation options from the flags of :func:`reading_options`."""
+def segment_options(flags: ReadingFlags) -> SegmentOptions:
+    """Options of segmentation, from flags."""
     from tissueid.segment import SegmentOptions
 
-    contact, start, end = flags["contact"], flags["hold_from"], flags["hold_to"]
+    contact, start, end = flags.contact, flags.hold_from, flags.hold_to
     if contact is not None and not abs(contact) <= LONGEST_TRAVEL_MM:
         msg = f"--contact is {contact}; give a displacement in mm as recorded"
         raise UsageError(msg)
@@ -162,12 +145,12 @@ def segment_options(flags: Mapping[str, Any]) -> SegmentOptions:
         msg = f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded"
         raise UsageError(msg)
     return SegmentOptions(
-        compression_sign={None: None, "positive": 1, "negative": -1}[flags["compression"]],
+        compression_sign={None: None, "positive": 1, "negative": -1}[flags.compression],
         contact_displacement_mm=contact,
         hold_from_s=start,
         end_s=end,
-        rupture=not flags["no_rupture"],
-        exclude=tuple(flags["exclude"]),
+        rupture=not flags.no_rupture,
+        exclude=tuple(flags.exclude),
     )
 
 

@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import draw, note
+from tissueid.documents import typed
+from tissueid.documents.session import Summary
 from tissueid.errors import UsageError
+from tissueid.store.files import plain_json
 
 if TYPE_CHECKING:
     from tissueid.rendering.session import Outcome, Wish
@@ -102,33 +105,33 @@ def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
 
 def summary_lines(outcome: Outcome) -> list[str]:
     """The session in a few lines."""
-    summary = outcome.summary
-    period = summary["period_us"]
+    summary = typed(plain_json(outcome.summary), Summary)
+    period = summary.period_us
     ended = (
-        f"{outcome.message}; {summary['seconds']:.1f} s, {summary['ticks']} ticks, "
-        f"{summary['skipped_ticks']} skipped, {summary['lost_records']} records lost"
+        f"{outcome.message}; {summary.seconds:.1f} s, {summary.ticks} ticks, "
+        f"{summary.skipped_ticks} skipped, {summary.lost_records} records lost"
     )
     peak = (
-        f"{summary['peak_device_force_N']:.3g} N at the device, {summary['peak_tissue_force_N']:.4g} N of "
-        f"tissue, {summary['deepest_mm']:.3g} mm deep; {1e3 * summary['energy_J']:.3g} mJ taken from the hand"
+        f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of "
+        f"tissue, {summary.deepest_mm:.3g} mm deep; {1e3 * summary.energy_J:.3g} mJ taken from the hand"
     )
     timing = (
-        f"{summary['scheduling']}; period error median {period['median']:.0f}, p99 {period['p99']:.0f}, "
-        f"p99.9 {period['p99_9']:.0f}, max {period['max']:.0f} us"
-        + ("; TIMING DEGRADED" if summary["timing_degraded"] else "")
+        f"{summary.scheduling}; period error median {period.median:.0f}, p99 {period.p99:.0f}, "
+        f"p99.9 {period.p99_9:.0f}, max {period.max:.0f} us"
+        + ("; TIMING DEGRADED" if summary.timing_degraded else "")
     )
     text = [f"ended      {ended}", f"peak       {peak}", f"timing     {timing}"]
     lit = [
         f"{lamp.replace('_', ' ')} {100.0 * share:.2g} %"
-        for lamp, share in summary["shares"].items()
+        for lamp, share in summary.shares.items()
         if share >= SMALLEST_SHARE
     ]
     if lit:
         text.append(f"lamps      of the ticks: {', '.join(lit)}")
-    if summary["timing_degraded"]:
+    if summary.timing_degraded:
         text += [f"remedy     {remedy}" for remedy in outcome.remedies]
     if outcome.log is not None:
         text.append(f"log        {outcome.log}")
-    if summary["recording_stopped"] is not None:
-        text.append(f"RECORDING STOPPED before the end: {summary['recording_stopped']}")
+    if summary.recording_stopped is not None:
+        text.append(f"RECORDING STOPPED before the end: {summary.recording_stopped}")
     return text

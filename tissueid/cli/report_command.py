@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_json, note, write_output
 
 EPILOG = """\b
 Examples:
@@ -16,21 +17,31 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReportFlags(OutputFlags):
+    """Flags of ``tissueid report``."""
+
+    # fmt: off
+    out: str = argument(type=click.Path(exists=True))
+    output: str | None = option(
+        "-o", "--output", type=click.Path(), help="File to write instead of OUT/report.html.",
+    )
+    # fmt: on
+
+
 @click.command("report", epilog=EPILOG)
-@click.argument("out", type=click.Path(exists=True))
-@click.option("-o", "--output", type=click.Path(), help="File to write instead of OUT/report.html.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(ReportFlags)
+def command(flags: ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
     from pathlib import Path
 
     from tissueid.errors import BundleError
     from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
-    from tissueid.store.results import read_results
+    from tissueid.store.results import read_plain, read_results
     from tissueid.study.pages import report_page, write_report
 
-    target, out = flags["output"], Path(flags["out"])
+    target, out = flags.output, Path(flags.out)
     committed = current_run(out)
     large = committed is not None and CURVES not in committed.files
     if target is None and large:
@@ -38,15 +49,15 @@ def command(**flags: Any) -> int:
             run.carry_over()
             write_report(run)
             run.commit()
-        target = out / REPORT
-        page = target.read_bytes()
+        target = str(out / REPORT)
+        page = (out / REPORT).read_bytes()
     else:
         if large:
             msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
             raise BundleError(msg)
-        document, curves, posteriors = read_results(out)
+        _, curves, posteriors = read_results(out)
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        page = report_page(document, curves, posteriors, created=created).encode("utf-8")
+        page = report_page(read_plain(out), curves, posteriors, created=created).encode("utf-8")
         if target is not None:
             write_output(target, page)
         else:
@@ -55,8 +66,8 @@ def command(**flags: Any) -> int:
                 run.write(REPORT, page)
                 run.commit()
             target = str(out / REPORT)
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json({"report": str(target), "bytes": len(page)})
     else:
-        note(f"wrote {target}", quiet=flags["quiet"])
+        note(f"wrote {target}", quiet=flags.quiet)
     return 0

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import click
 
-from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.documents import typed
+from tissueid.documents.reproduction import Reproduction
 from tissueid.errors import UsageError
 
 EPILOG = """\b
@@ -22,19 +25,29 @@ Examples:
 FILES = ("reproduction.json", "reproduction.html")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReproduceFlags(OutputFlags):
+    """Flags of ``tissueid reproduce``."""
+
+    # fmt: off
+    paper: str = argument(type=click.Choice(["sadeghnejad", "pires", "all"]))
+    out: str = option(
+        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-reproduction", show_default=True,
+        help="Folder for reproduction.json and reproduction.html.",
+    )
+    settings: tuple[str, ...] = option(
+        "--set", multiple=True, metavar="NAME=CHOICE",
+        help="Read a lost equation otherwise; the page lists names and choices.",
+    )
+    seed: int | None = option(
+        "--seed", type=click.IntRange(min=0), help="Seed of everything random. [default: fixed]",
+    )
+    # fmt: on
+
+
 @click.command("reproduce", epilog=EPILOG)
-@click.argument("paper", type=click.Choice(["sadeghnejad", "pires", "all"]))
-@click.option(
-    "-o", "--out", type=click.Path(file_okay=False), default="tissueid-reproduction", show_default=True,
-    help="Folder for reproduction.json and reproduction.html.",
-)  # fmt: skip
-@click.option(
-    "--set", "settings", multiple=True, metavar="NAME=CHOICE",
-    help="Read a lost equation otherwise; the page lists names and choices.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of everything random. [default: fixed]")
-@output_options
-def command(**flags: Any) -> int:
+@takes(ReproduceFlags)
+def command(flags: ReproduceFlags) -> int:
     """Recompute tables and figures of the two papers this project starts from.
 
     PAPER is sadeghnejad (sinus surgery: model, identification, adaptive controller), pires (hip resurfacing:
@@ -51,21 +64,22 @@ def command(**flags: Any) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags["quiet"]
-    readings = readings_from(flags["settings"])
-    out = _folder(flags["out"])
-    papers = PAPERS if flags["paper"] == "all" else (flags["paper"],)
+    quiet: int = flags.quiet
+    readings = readings_from(flags.settings)
+    out = _folder(flags.out)
+    papers = PAPERS if flags.paper == "all" else (flags.paper,)
     with progress_bar(show=not quiet) as progress:
         effort = Effort(progress=lambda message: progress(message, 0, 0))
-        if flags["seed"] is not None:
-            effort = replace(effort, seed=flags["seed"])
-        document: dict[str, Any] = plain_json(reproduction(papers, readings, effort))
-    check_schema(document, "reproduction", where=FILES[0])
+        if flags.seed is not None:
+            effort = replace(effort, seed=flags.seed)
+        written = plain_json(reproduction(papers, readings, effort))
+    check_schema(written, "reproduction", where=FILES[0])
+    document = typed(written, Reproduction)
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    write_file(out / FILES[0], json_bytes(document))
+    write_file(out / FILES[0], json_bytes(written))
     write_file(out / FILES[1], render_reproduction(document, created=created).encode("utf-8"))
-    if flags["as_json"]:
-        echo_json(document)
+    if flags.as_json:
+        echo_json(written)
     elif not quiet:
         _print(document)
     note(f"{out / FILES[1]}", quiet=quiet)
@@ -82,20 +96,20 @@ def _folder(name: str) -> Path:
     return out
 
 
-def _print(document: dict[str, Any]) -> None:
-    for item in document["items"]:
-        agrees = {None: "", True: "agrees", False: "differs"}[item["agrees"]]
+def _print(document: Reproduction) -> None:
+    for item in document.items:
+        agrees = {None: "", True: "agrees", False: "differs"}[item.agrees]
         echo(
-            f"{item['item']:<32} {_value(item['published']):>16} {_value(item['recomputed']):>18}  "
-            f"{agrees:<8} {item['kind']}",
+            f"{item.item:<32} {_value(item.published):>16} {_value(item.recomputed):>18}  "
+            f"{agrees:<8} {item.kind}",
         )
-    counts = Counter(item["kind"] for item in document["items"])
+    counts = Counter(item.kind for item in document.items)
     echo("  ".join(f"{kind}: {count}" for kind, count in counts.items()))
 
 
-def _value(value: float | list[float] | None) -> str:
+def _value(value: float | tuple[float, ...] | None) -> str:
     if value is None:
         return "-"
-    if isinstance(value, list):
+    if isinstance(value, tuple):
         return " to ".join(f"{one:.4g}" for one in value)
     return f"{value:.5g}"

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo, echo_json, echo_lines, note, output_options, progress_bar
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, echo_lines, note, progress_bar
 from tissueid.cli.reading import (
+    ReadingFlags,
     read_all,
     read_in_order,
     read_options,
-    reading_options,
     refuse_same_folder,
     segment_options,
 )
+from tissueid.documents import typed
+from tissueid.documents.rupture import Rupture, Speed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
@@ -35,22 +37,33 @@ EXIT_INCOMPLETE = 7
 S_PER_MIN = 60.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class RuptureFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid rupture``."""
+
+    # fmt: off
+    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    out: str = option(
+        "-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.",
+    )
+    criterion: str = option(
+        "--criterion", type=click.Choice(ASKED), default="none", show_default=True,
+        help="What the bundles rupture by; auto takes what the evidence decides for, or none.",
+    )
+    weight: float = option(
+        "--weight", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
+        help="w of the weighted force F_s + w F_d.",
+    )
+    study: str | None = option(
+        "--study", type=click.Path(), metavar="FILE", help="Study file, where not the folder's own.",
+    )
+    no_study: bool = option("--no-study", is_flag=True, help="Without the folder's study.toml.")
+    # fmt: on
+
+
 @click.command("rupture", epilog=EPILOG)
-@click.argument("paths", nargs=-1, required=True, type=click.Path())
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.")
-@click.option(
-    "--criterion", type=click.Choice(ASKED), default="none", show_default=True,
-    help="What the bundles rupture by; auto takes what the evidence decides for, or none.",
-)  # fmt: skip
-@click.option(
-    "--weight", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-    help="w of the weighted force F_s + w F_d.",
-)  # fmt: skip
-@click.option("--study", type=click.Path(), metavar="FILE", help="Study file, where not the folder's own.")
-@click.option("--no-study", is_flag=True, help="Without the folder's study.toml.")
-@reading_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(RuptureFlags)
+def command(flags: RuptureFlags) -> int:
     """Study tests to rupture: force, depth and work at failure, against speed, and what broke the tissue.
 
     PATHS are recordings, folders of them, or a study.toml; tests that did not rupture belong to it. Compares
@@ -60,27 +73,28 @@ def command(**flags: Any) -> int:
     """
     from tissueid.rupture.document import write_rupture
 
-    quiet = flags["quiet"]
-    refuse_same_folder(flags["paths"], flags["out"])
+    quiet = flags.quiet
+    refuse_same_folder(flags.paths, flags.out)
     with progress_bar(show=not quiet) as progress:
-        document = write_rupture(Path(flags["out"]), lambda: _run(flags, progress))
-    if flags["as_json"]:
-        echo_json(document)
+        written = write_rupture(Path(flags.out), lambda: _run(flags, progress))
+    document = typed(written, Rupture)
+    if flags.as_json:
+        echo_json(written)
     elif not quiet:
         echo_lines(_lines(document))
-    for row in document["left_out"]:
-        echo(f"left out  {row['path']}: {row['reason']}", fg="red", err=True)
-    note(f"wrote rupture.json, rupture.html and the bundles to {flags['out']}", quiet=quiet)
-    return EXIT_INCOMPLETE if document["left_out"] else 0
+    for row in document.left_out:
+        echo(f"left out  {row.path}: {row.reason}", fg="red", err=True)
+    note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=quiet)
+    return EXIT_INCOMPLETE if document.left_out else 0
 
 
-def _run(flags: dict[str, Any], progress: Any) -> RuptureRun:
+def _run(flags: RuptureFlags, progress: Any) -> RuptureRun:
     from tissueid.pipeline import IdentifyOptions
     from tissueid.rupture.run import run_rupture
     from tissueid.study.recordings import locate_study, read_decided_one
 
     reading = read_options(flags)
-    study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     refused: list[Refusal] = []
     return run_rupture(
         read_all(read_in_order(paths, reading, study), refused),
@@ -88,33 +102,33 @@ def _run(flags: dict[str, Any], progress: Any) -> RuptureRun:
         options=IdentifyOptions(segment=segment_options(flags)),
         reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
         refused=refused,
-        asked=flags["criterion"],
-        weight=flags["weight"],
+        asked=flags.criterion,
+        weight=flags.weight,
         progress=progress,
     )
 
 
-def _lines(document: Mapping[str, Any]) -> list[str]:
+def _lines(document: Rupture) -> list[str]:
     """The study in a few lines."""
 
-    def mean(row: Mapping[str, Any], name: str) -> str:
-        value, sd = row["mean"][name], row["sd"][name]
+    def mean(row: Speed, name: str) -> str:
+        value, sd = getattr(row.mean, name), getattr(row.sd, name)
         if value is None:
             return "-"
         return f"{value:.4g}" if sd is None else f"{value:.4g} ± {sd:.2g}"
 
     lines = [f"{'mm/min':>8}{'ruptured':>10}{'force [N]':>18}{'depth [mm]':>16}{'work [N mm]':>18}"]
     lines += [
-        f"{S_PER_MIN * row['speed_mm_s']:>8.4g}{row['ruptured']:>6}/{row['ruptured'] + row['censored']:<3}"
+        f"{S_PER_MIN * row.speed_mm_s:>8.4g}{row.ruptured:>6}/{row.ruptured + row.censored:<3}"
         f"{mean(row, 'force_N'):>18}{mean(row, 'depth_mm'):>16}{mean(row, 'work_N_mm'):>18}"
-        for row in document["speeds"]
+        for row in document.speeds
     ]
     lines += [
-        f"{row['criterion']:<15} {row['median']:.4g} {row['unit']} ({row['ci95'][0]:.4g} to "
-        f"{row['ci95'][1]:.4g}), ln evidence {row['ln_evidence']:.1f}"
-        for row in document["criteria"]
+        f"{row.criterion:<15} {row.median:.4g} {row.unit} ({row.ci95[0]:.4g} to "
+        f"{row.ci95[1]:.4g}), ln evidence {row.ln_evidence:.1f}"
+        for row in document.criteria
     ]
-    decision = document["decision"]
-    kind = f": {decision['kind']}" if decision["kind"] else ""
-    lines.append(f"{decision['answer']}{kind} ({decision['reason']}); in the bundles: {document['taken']}")
-    return [*lines, *document["sentences"]]
+    decision = document.decision
+    kind = f": {decision.kind}" if decision.kind else ""
+    lines.append(f"{decision.answer}{kind} ({decision.reason}); in the bundles: {document.taken}")
+    return [*lines, *document.sentences]

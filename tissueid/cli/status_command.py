@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, echo_lines, output_options
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_json, echo_lines
+from tissueid.documents import typed
+from tissueid.documents.status import Status
 
 EPILOG = """\b
 Examples:
@@ -28,11 +30,19 @@ STATES = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class StatusFlags(OutputFlags):
+    """Flags of ``tissueid status``."""
+
+    # fmt: off
+    out: str = argument(type=click.Path(exists=True, file_okay=False))
+    watch: bool = option("--watch", is_flag=True, help="Look again every two seconds until the run ends.")
+    # fmt: on
+
+
 @click.command("status", epilog=EPILOG)
-@click.argument("out", type=click.Path(exists=True, file_okay=False))
-@click.option("--watch", is_flag=True, help="Look again every two seconds until the run ends.")
-@output_options
-def command(**flags: Any) -> int:
+@takes(StatusFlags)
+def command(flags: StatusFlags) -> int:
     """Say how far the fit of a folder is: specimens done, rate, time left, failures.
 
     Reads the index of the folder, at any time and without disturbing a run that writes it.  Exit code 7
@@ -41,38 +51,36 @@ def command(**flags: Any) -> int:
     from tissueid.store.status import read_status
 
     while True:
-        status = read_status(Path(flags["out"]))
-        if flags["as_json"]:
-            echo_json(status)
-        elif not flags["quiet"]:
+        read = read_status(Path(flags.out))
+        status = typed(read, Status)
+        if flags.as_json:
+            echo_json(read)
+        elif not flags.quiet:
             echo_lines(_lines(status))
-        if not flags["watch"] or status["state"] != "running":
-            return 7 if status["specimens"]["failed"] or status["files"]["refused"] else 0
+        if not flags.watch or status.state != "running":
+            return 7 if status.specimens.failed or status.files.refused else 0
         time.sleep(WATCH_S)
 
 
-def _lines(status: Mapping[str, Any]) -> list[str]:
+def _lines(status: Status) -> list[str]:
     """The status in words."""
-    specimens, files = status["specimens"], status["files"]
-    said = STATES[status["state"]]
-    if status["writer"] is not None:
-        said += f" by process {status['writer']['pid']} on {status['writer']['host']}"
-    lines = [said if status["reason"] is None else f"{said}: {status['reason']}"]
-    if files["looked_into"] < files["total"]:
-        lines.append(f"files      {files['looked_into']} of {files['total']} looked into")
-    known = f", {specimens['known_before']} of them known before" if specimens["known_before"] else ""
-    lines.append(f"specimens  {specimens['done']} of {specimens['total']} done{known}")
-    if status["specimens_per_minute"] is not None:
-        left = status["left_s"]
+    specimens, files = status.specimens, status.files
+    said = STATES[status.state]
+    if status.writer is not None:
+        said += f" by process {status.writer.pid} on {status.writer.host}"
+    lines = [said if status.reason is None else f"{said}: {status.reason}"]
+    if files.looked_into < files.total:
+        lines.append(f"files      {files.looked_into} of {files.total} looked into")
+    known = f", {specimens.known_before} of them known before" if specimens.known_before else ""
+    lines.append(f"specimens  {specimens.done} of {specimens.total} done{known}")
+    if status.specimens_per_minute is not None:
+        left = status.left_s
         ending = "" if left is None else f", {_time(left)} left"
-        lines.append(f"rate       {status['specimens_per_minute']:.3g} a minute{ending}")
-    lines += [
-        f"running    {row['specimen']} for {_time(row['seconds'])} ({row['worker']})"
-        for row in status["running"]
-    ]
-    lines += [f"failed     {row['specimen']}: {row['reason']}" for row in status["failures"]]
-    lines += [f"refused    {said}" for said in status["refusals"]]
-    more = files["refused"] - len(status["refusals"])
+        lines.append(f"rate       {status.specimens_per_minute:.3g} a minute{ending}")
+    lines += [f"running    {row.specimen} for {_time(row.seconds)} ({row.worker})" for row in status.running]
+    lines += [f"failed     {row.specimen}: {row.reason}" for row in status.failures]
+    lines += [f"refused    {said}" for said in status.refusals]
+    more = files.refused - len(status.refusals)
     return lines if not more else [*lines, f"refused    {more} more: identification.json has them all"]
 
 

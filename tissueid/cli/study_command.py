@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.output import echo, echo_json, note, output_options
-from tissueid.cli.reading import read_in_order, read_options, reading_options
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,16 +44,16 @@ def command() -> None:
 
 
 def _sub(name: str, epilog: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A sub-command with the options of output and its examples."""
+    """A sub-command with its examples."""
 
     def decorate(function: Callable[..., int]) -> click.Command:
-        return command.command(name, epilog=f"\b\nExamples:\n{epilog}")(output_options(function))
+        return command.command(name, epilog=f"\b\nExamples:\n{epilog}")(function)
 
     return decorate
 
 
 def _read_all(
-    paths: tuple[str, ...], flags: dict[str, Any], study: Study | None
+    paths: tuple[str, ...], flags: ReadingFlags, study: Study | None
 ) -> tuple[list[Trial], list[Refusal]]:
     from tissueid.cli.reading import read_all
 
@@ -60,22 +62,30 @@ def _read_all(
     return list(read_all(read_in_order(paths, reading, study), refused)), refused
 
 
+@dataclass(frozen=True, kw_only=True)
+class InitFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid init``."""
+
+    # fmt: off
+    folder: str = argument(type=click.Path(exists=True, file_okay=False))
+    force: bool = option("--force", is_flag=True, help="Write over a study.toml that is there.")
+    # fmt: on
+
+
 @_sub("init", "  tissueid study init lab_data/\n  tissueid study init lab_data/ --force\n")
-@click.argument("folder", type=click.Path(exists=True, file_okay=False))
-@click.option("--force", is_flag=True, help="Write over a study.toml that is there.")
-@reading_options
-def init(**flags: Any) -> int:
+@takes(InitFlags)
+def init(flags: InitFlags) -> int:
     """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
     from tissueid.ingest.manifest import MANIFEST
     from tissueid.store.files import write_file
     from tissueid.study.draft import draft_study
 
-    folder = Path(flags["folder"])
+    folder = Path(flags.folder)
     target = folder / MANIFEST
-    if target.exists() and not flags["force"]:
+    if target.exists() and not flags.force:
         msg = f"{target} is there already: edit it, or write over it with --force"
         raise UsageError(msg)
-    trials, refused = _read_all((flags["folder"],), flags, None)
+    trials, refused = _read_all((flags.folder,), flags, None)
     if not trials:
         msg = f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})"
         raise UsageError(msg)
@@ -85,19 +95,26 @@ def init(**flags: Any) -> int:
     except OSError as error:
         msg = f"{target}: can't be written ({error.strerror}); check the rights of the folder"
         raise UsageError(msg) from error
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json({"path": str(target), "trials": len(trials), "refused": [one.as_json() for one in refused]})
     for one in refused:
         echo(f"refused ({one.code})  {one}", fg="red", err=True)
-    note(
-        f"wrote {target}: {len(trials)} trials; fill it in, then `tissueid study check`", quiet=flags["quiet"]
-    )
+    note(f"wrote {target}: {len(trials)} trials; fill it in, then `tissueid study check`", quiet=flags.quiet)
     return EXIT_INCOMPLETE if refused else 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckFlags(OutputFlags):
+    """Flags of ``tissueid check``."""
+
+    # fmt: off
+    study: str = argument(type=click.Path(exists=True))
+    # fmt: on
+
+
 @_sub("check", "  tissueid study check lab_data/\n  tissueid study check lab_data/study.toml --json\n")
-@click.argument("study", type=click.Path(exists=True))
-def check(**flags: Any) -> int:
+@takes(CheckFlags)
+def check(flags: CheckFlags) -> int:
     """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
 
     Exit code 0 where nothing essential is missing, 7 where something is or a named file is not there, 3
@@ -106,14 +123,14 @@ def check(**flags: Any) -> int:
     from tissueid.ingest.manifest import read_study, unmatched_files
     from tissueid.study.completeness import completeness
 
-    study = read_study(flags["study"])
+    study = read_study(flags.study)
     found = completeness(study, unmatched_files(study))
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json(found.as_json(study.path))
-    elif not flags["quiet"]:
+    elif not flags.quiet:
         echo(f"{study.path}: grade {found.grade}, {100 * found.share:.0f} % of what is asked for is stated")
         essential = sum(one.item.weight == 3 for one in found.missing)
-        shown = found.missing if flags["verbose"] else found.missing[: essential + FEW_MISSING]
+        shown = found.missing if flags.verbose else found.missing[: essential + FEW_MISSING]
         for one in shown:
             where = (
                 f" (of {', '.join(one.where[:3])}{', ...' if len(one.where) > 3 else ''})"
@@ -132,45 +149,88 @@ def check(**flags: Any) -> int:
     return 0 if found.usable else EXIT_INCOMPLETE
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExcludeFlags(OutputFlags):
+    """Flags of ``tissueid exclude``."""
+
+    # fmt: off
+    trial: str = argument()
+    because: str = option(
+        "--because", required=True, metavar="TEXT", help="Why; shown wherever the trial is missed.",
+    )
+    study: str | None = option(
+        "--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]",
+    )
+    # fmt: on
+
+
 @_sub(
     "exclude",
     '  tissueid study exclude lab_data/run_7.csv --because "the tool slipped"\n'
     '  tissueid study exclude "meat.xlsx::Sheet 3" --because "thawed" --study lab_data/\n',
 )
-@click.argument("trial")
-@click.option("--because", required=True, metavar="TEXT", help="Why; shown wherever the trial is missed.")
-@click.option("--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]")
-def exclude(**flags: Any) -> int:
+@takes(ExcludeFlags)
+def exclude(flags: ExcludeFlags) -> int:
     """Take a recording out of the fit, with the reason; the report shows the numbers with and without it.
 
     TRIAL is a file, or file::sheet for one sheet of a workbook.
     """
     from tissueid.study.exclusions import exclude, find_manifest
 
-    manifest = find_manifest(flags["trial"], flags["study"])
-    named, replaced = exclude(flags["trial"], flags["because"], manifest=manifest)
-    if replaced not in {None, flags["because"]}:
+    manifest = find_manifest(flags.trial, flags.study)
+    named, replaced = exclude(flags.trial, flags.because, manifest=manifest)
+    if replaced not in {None, flags.because}:
         echo(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
-    return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags['because']}")
+    return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IncludeFlags(OutputFlags):
+    """Flags of ``tissueid include``."""
+
+    # fmt: off
+    trial: str = argument()
+    study: str | None = option(
+        "--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]",
+    )
+    # fmt: on
 
 
 @_sub("include", "  tissueid study include lab_data/run_7.csv\n")
-@click.argument("trial")
-@click.option("--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]")
-def include(**flags: Any) -> int:
+@takes(IncludeFlags)
+def include(flags: IncludeFlags) -> int:
     """Take a recording back into the fit."""
     from tissueid.study.exclusions import find_manifest, include
 
-    manifest = find_manifest(flags["trial"], flags["study"])
-    named = include(flags["trial"], manifest=manifest)
+    manifest = find_manifest(flags.trial, flags.study)
+    named = include(flags.trial, manifest=manifest)
     return _changed(manifest, named, flags, f"{named} is fitted again, says {manifest}")
 
 
-def _changed(manifest: Path, named: str, flags: dict[str, Any], message: str) -> int:
-    if flags["as_json"]:
+def _changed(manifest: Path, named: str, flags: OutputFlags, message: str) -> int:
+    if flags.as_json:
         echo_json({"study": str(manifest), "trial": named})
-    note(message, quiet=flags["quiet"])
+    note(message, quiet=flags.quiet)
     return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid export``."""
+
+    # fmt: off
+    study: str = argument(type=click.Path(exists=True))
+    crate: str = option(
+        "--crate", required=True, type=click.Path(file_okay=False), metavar="OUT",
+        help="Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
+    )
+    anonymise: bool = option(
+        "--anonymise", is_flag=True,
+        help="Without names of people, places and animals, dates and ethics number; recordings without "
+            "headers.",
+    )
+    date: str | None = option("--date", help="Day of publication, YYYY-MM-DD. [default: today]")
+    # fmt: on
 
 
 @_sub(
@@ -178,18 +238,8 @@ def _changed(manifest: Path, named: str, flags: dict[str, Any], message: str) ->
     "  tissueid study export lab_data/ --crate crate/\n"
     "  tissueid study export lab_data/ --crate crate/ --anonymise\n",
 )
-@click.argument("study", type=click.Path(exists=True))
-@click.option(
-    "--crate", required=True, type=click.Path(file_okay=False), metavar="OUT",
-    help="Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
-)  # fmt: skip
-@click.option(
-    "--anonymise", is_flag=True,
-    help="Without names of people, places and animals, dates and ethics number; recordings without headers.",
-)  # fmt: skip
-@click.option("--date", help="Day of publication, YYYY-MM-DD. [default: today]")
-@reading_options
-def export(**flags: Any) -> int:
+@takes(ExportFlags)
+def export(flags: ExportFlags) -> int:
     """Publish a study: recordings, study file and metadata in one folder."""
     from dataclasses import replace
     from datetime import UTC, date, datetime
@@ -198,33 +248,33 @@ def export(**flags: Any) -> int:
     from tissueid.study.crate import Anonymiser, crate_files, crate_metadata, read_salt, write_crate
     from tissueid.study.recordings import locate_study
 
-    study, paths = locate_study((flags["study"],))
+    study, paths = locate_study((flags.study,))
     if study is None:
-        msg = f"{flags['study']}: there is no study.toml; `tissueid study init` writes one"
+        msg = f"{flags.study}: there is no study.toml; `tissueid study init` writes one"
         raise UsageError(msg)
     try:
-        day = date.fromisoformat(flags["date"]) if flags["date"] else datetime.now(UTC).date()
+        day = date.fromisoformat(flags.date) if flags.date else datetime.now(UTC).date()
     except ValueError as error:
-        msg = f"--date is {flags['date']!r}: write a day as 2024-05-31"
+        msg = f"--date is {flags.date!r}: write a day as 2024-05-31"
         raise UsageError(msg) from error
     trials, refused = _read_all(paths, flags, study)
     names = display_names([(trial.specimen, trial.source) for trial in trials])
     trials = [replace(trial, specimen=names[trial.specimen]) for trial in trials]
     anonymiser = None
-    if flags["anonymise"]:
+    if flags.anonymise:
         folder = Path(study.path).parent
         anonymiser = Anonymiser(study, {trial.specimen for trial in trials}, read_salt(folder))
     files = crate_files(study, trials, anonymiser)
     metadata = crate_metadata(study, files, published=day.isoformat(), anonymiser=anonymiser)
-    write_crate(Path(flags["crate"]), files, metadata)
-    if flags["as_json"]:
+    write_crate(Path(flags.crate), files, metadata)
+    if flags.as_json:
         echo_json(metadata)
     for one in refused:
         echo(f"left out ({one.code})  {one}", fg="red", err=True)
-    note(f"wrote {len(files)} files and their metadata to {flags['crate']}", quiet=flags["quiet"])
+    note(f"wrote {len(files)} files and their metadata to {flags.crate}", quiet=flags.quiet)
     if anonymiser is not None:
         note(
             "read the reasons and the machine's name once more: free text can name people",
-            quiet=flags["quiet"],
+            quiet=flags.quiet,
         )
     return EXIT_INCOMPLETE if refused else 0

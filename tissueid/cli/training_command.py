@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, echo_lines, note, output_options, write_output
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import echo_json, echo_lines, note, write_output
+from tissueid.documents import typed
+from tissueid.documents.training import Attempt as AttemptDocument
+from tissueid.documents.training import Training
 
 if TYPE_CHECKING:
     from tissueid.training.measures import Attempt
@@ -25,14 +29,26 @@ Examples:
 LEARNED = {"end_error_mm": "end error", "angle_deg": "angle", "seconds": "time"}
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrainingFlags(OutputFlags):
+    """Flags of ``tissueid training``."""
+
+    # fmt: off
+    logs: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path(exists=True))
+    cone_entry: float = option(
+        "--cone-entry", type=click.FloatRange(min=0.0, min_open=True), default=40.0, show_default=True,
+        metavar="MM", help="Height above the bone at which an attempt begins.",
+    )
+    html: str | None = option(
+        "--html", type=click.Path(dir_okay=False), metavar="FILE",
+        help="Write a page of attempts, their ways, and how practice changed them.",
+    )
+    # fmt: on
+
+
 @click.command("training", epilog=EPILOG)
-@click.argument("logs", nargs=-1, required=True, type=click.Path(exists=True))
-@click.option("--cone-entry", type=click.FloatRange(min=0.0, min_open=True), default=40.0, show_default=True,
-              metavar="MM", help="Height above the bone at which an attempt begins.")  # fmt: skip
-@click.option("--html", type=click.Path(dir_okay=False), metavar="FILE",
-              help="Write a page of attempts, their ways, and how practice changed them.")  # fmt: skip
-@output_options
-def command(**flags: Any) -> int:
+@takes(TrainingFlags)
+def command(flags: TrainingFlags) -> int:
     """Measure guided sessions: error, angle of the track, time, path, force, smoothness, learning.
 
     LOGS are logs of `tissueid render --scene hip-resurfacing`, or folders of them. A Falcon knows no
@@ -41,25 +57,26 @@ def command(**flags: Any) -> int:
     """
     from tissueid.errors import UsageError, exit_code
 
-    document, tracks = _measured(flags)
-    if not document["attempts"] and not document["refused"]:
+    written, tracks = _measured(flags)
+    document = typed(written, Training)
+    if not document.attempts and not document.refused:
         msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
         raise UsageError(msg)
-    if flags["html"] is not None:
+    if flags.html is not None:
         from tissueid.report.training_page import render_training
 
-        write_output(flags["html"], render_training(document, tracks).encode())
-        note(f"wrote {flags['html']}", quiet=flags["quiet"])
-    if flags["as_json"]:
-        echo_json(document)
-    elif not flags["quiet"]:
+        write_output(flags.html, render_training(document, tracks).encode())
+        note(f"wrote {flags.html}", quiet=flags.quiet)
+    if flags.as_json:
+        echo_json(written)
+    elif not flags.quiet:
         echo_lines(_lines(document))
-    for one in document["refused"]:
-        note(f"{one['file']}: {one['reason']}")
-    return exit_code({7} if document["refused"] else set())
+    for one in document.refused:
+        note(f"{one.file}: {one.reason}")
+    return exit_code({7} if document.refused else set())
 
 
-def _measured(flags: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _measured(flags: TrainingFlags) -> tuple[dict[str, Any], dict[str, Any]]:
     """The document, and the ways of attempts where a page is wanted."""
     from tissueid.errors import BundleError
     from tissueid.store.session_log import read_session_log
@@ -68,24 +85,24 @@ def _measured(flags: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
     rows: list[dict[str, Any]] = []
     refused: list[dict[str, str]] = []
     tracks: dict[str, Any] = {}
-    for path in _files(flags["logs"]):
+    for path in _files(flags.logs):
         try:
             log = read_session_log(path)
-            attempt = measured(log.head, log.records, cone_entry_mm=flags["cone_entry"])
+            attempt = measured(log.head, log.records, cone_entry_mm=flags.cone_entry)
         except (BundleError, ValueError) as error:
             refused.append({"file": str(path), "reason": getattr(error, "message", str(error))})
             continue
-        if flags["html"] is not None:
-            way = track(log.head, log.records, cone_entry_mm=flags["cone_entry"])
+        if flags.html is not None:
+            way = track(log.head, log.records, cone_entry_mm=flags.cone_entry)
             tracks[str(path)] = [one.tolist() for one in way]
-        head = {key: log.head.get(key) for key in ("pseudonym", "started")}
+        head = {key: log.head[key] for key in ("pseudonym", "started")}
         rows.append({"file": str(path)} | head | _without_nan(attempt))
     rows.sort(key=lambda row: (row["pseudonym"] or "", row["started"], row["file"]))
     document = {
         "schema": "tissueid/training/1",
-        "cone_entry_mm": flags["cone_entry"],
+        "cone_entry_mm": flags.cone_entry,
         "attempts": rows,
-        "learning": _learning(rows),
+        "learning": _learning([typed(row, AttemptDocument) for row in rows]),
         "refused": refused,
     }
     return document, tracks
@@ -103,36 +120,37 @@ def _without_nan(attempt: Attempt) -> dict[str, Any]:
     }
 
 
-def _learning(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _learning(rows: Sequence[AttemptDocument]) -> list[dict[str, Any]]:
     """A curve for each person and measure, where there are attempts enough."""
     from tissueid.training.measures import learning_curve
 
     found = []
-    for who in dict.fromkeys(row["pseudonym"] for row in rows):
-        own = [row for row in rows if row["pseudonym"] == who]
+    for who in dict.fromkeys(row.pseudonym for row in rows):
+        own = [row for row in rows if row.pseudonym == who]
         for measure in LEARNED:
-            curve = learning_curve([math.nan if row[measure] is None else row[measure] for row in own])
+            values = [getattr(row, measure) for row in own]
+            curve = learning_curve([math.nan if value is None else value for value in values])
             if curve is not None:
                 found.append({"pseudonym": who, "measure": measure, **asdict(curve)})
     return found
 
 
-def _lines(document: Mapping[str, Any]) -> list[str]:
+def _lines(document: Training) -> list[str]:
     head = (
         f"{'who':<8}{'started':<21}{'end error':>10}{'angle':>16}{'time':>9}{'path':>7}{'peak':>8}{'jerk':>7}"
     )
     lines = [head]
-    for row in document["attempts"]:
-        jerk = "-" if row["log_jerk"] is None else f"{row['log_jerk']:.1f}"
+    for row in document.attempts:
+        jerk = "-" if row.log_jerk is None else f"{row.log_jerk:.1f}"
         lines.append(
-            f"{row['pseudonym'] or '-':<8}{row['started'][:19]:<21}{row['end_error_mm']:>7.2f} mm"
-            f"{row['angle_deg']:>7.2f} \u00b1 {row['angle_se_deg']:.2f} deg{row['seconds']:>7.1f} s"
-            f"{row['path_over_chord']:>7.2f}{row['peak_force_N']:>6.2f} N{jerk:>7}"
-            + ("" if row["complete"] else "  not through")
+            f"{row.pseudonym or '-':<8}{row.started[:19]:<21}{row.end_error_mm:>7.2f} mm"
+            f"{row.angle_deg:>7.2f} \u00b1 {row.angle_se_deg:.2f} deg{row.seconds:>7.1f} s"
+            f"{row.path_over_chord:>7.2f}{row.peak_force_N:>6.2f} N{jerk:>7}"
+            + ("" if row.complete else "  not through")
         )
     return lines + [
-        f"{curve['pseudonym'] or 'all'}: {LEARNED[curve['measure']]} goes with attempt^"
-        f"{curve['exponent']:.2f} \u00b1 {curve['exponent_se']:.2f} from {curve['first']:.3g} at the first "
-        f"of {curve['attempts']}"
-        for curve in document["learning"]
+        f"{curve.pseudonym or 'all'}: {LEARNED[curve.measure]} goes with attempt^"
+        f"{curve.exponent:.2f} \u00b1 {curve.exponent_se:.2f} from {curve.first:.3g} at the first "
+        f"of {curve.attempts}"
+        for curve in document.learning
     ]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 
 if TYPE_CHECKING:
+    from tissueid.cli.render_command import RenderFlags
     from tissueid.store.bundle_content import Bundle
     from tissueid.twin.program import Program
     from tissueid.twin.twin import Row, Twin
@@ -21,7 +22,7 @@ _FOREIGN = (
 HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 
 
-def twin(flags: dict[str, Any]) -> int:
+def twin(flags: RenderFlags) -> int:
     """Run the twin of a bundle, write it, print it."""
     from tissueid.contrast.decision import LIMITS
     from tissueid.errors import UsageError
@@ -31,46 +32,46 @@ def twin(flags: dict[str, Any]) -> int:
     from tissueid.store.files import json_bytes
     from tissueid.twin.twin import run_twin, twin_drawing
 
-    said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if flags[key] is not None]
-    if said or flags["bundle"] is None:
+    said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
+    if said or flags.bundle is None:
         words = f"leave out {', '.join(said)}" if said else "name a BUNDLE"
         msg = f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}"
         raise UsageError(msg)
-    bundle = load_bundle(flags["bundle"])
+    bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
     program = _program(flags, bundle)
-    out: Path = flags["out"]
+    out: Path = flags.out
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         msg = f"{out}: can't be made ({error.strerror}); choose another place with --out"
         raise UsageError(msg) from error
-    with progress_bar(show=not flags["quiet"]) as progress:
-        found = run_twin(bundle, flags["bundle"], program, out, progress)
+    with progress_bar(show=not flags.quiet) as progress:
+        found = run_twin(bundle, flags.bundle, program, out, progress)
     write_output(str(out / "twin.json"), json_bytes(found.as_json()))
     write_output(str(out / "twin.svg"), svg_file(twin_drawing(found)))
     write_output(
         str(out / "twin.html"), render_twin(found, f"{LIMITS[0].source}, doi {LIMITS[0].doi}").encode()
     )
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json(found.as_json())
-    elif not flags["quiet"]:
+    elif not flags.quiet:
         for line in twin_lines(found):
             echo(line)
-    note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags["quiet"])
+    note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags.quiet)
     return 0
 
 
-def _program(flags: dict[str, Any], bundle: Bundle) -> Program:
+def _program(flags: RenderFlags, bundle: Bundle) -> Program:
     """A recording's travel, a script, or pushes over the identified speeds."""
     from tissueid.ingest import read_trials
     from tissueid.rendering.session_plan import read_script
     from tissueid.twin.program import program_of_recording, program_of_script
 
-    if flags["against"] is not None:
-        return program_of_recording(read_trials(flags["against"])[0], bundle.depth_mm)
-    if flags["script"] is not None:
-        return program_of_script(read_script(flags["script"]))
+    if flags.against is not None:
+        return program_of_recording(read_trials(flags.against)[0], bundle.depth_mm)
+    if flags.script is not None:
+        return program_of_script(read_script(flags.script))
     depth, (slow, fast) = 0.9 * bundle.depth_mm, bundle.speeds_mm_s
     slow = max(slow, SLOWEST_MM_S, depth / FALL_BACK_S)
     strokes = [f"indent {depth:.3g} mm at {60.0 * fast:.4g} mm/min; hold {HOLD_S:g} s"]

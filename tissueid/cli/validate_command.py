@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
-from tissueid.cli.output import echo, echo_json, output_options
+from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.output import echo, echo_json
 
 EPILOG = """\b
 Examples:
@@ -15,10 +16,18 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ValidateFlags(OutputFlags):
+    """Flags of ``tissueid validate``."""
+
+    # fmt: off
+    targets: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    # fmt: on
+
+
 @click.command("validate", epilog=EPILOG)
-@click.argument("targets", nargs=-1, required=True, type=click.Path())
-@output_options
-def command(**flags: Any) -> int:
+@takes(ValidateFlags)
+def command(flags: ValidateFlags) -> int:
     """Check output folders or single bundles: whole, of one run, readable, passive.
 
     An interrupted refresh is finished first. Exit code 6 where something is wrong.
@@ -30,7 +39,7 @@ def command(**flags: Any) -> int:
     from tissueid.store.results import validate_outputs
 
     results = []
-    for target in flags["targets"]:
+    for target in flags.targets:
         if not Path(target).exists():
             msg = f"{target}: no such file or folder"
             raise UsageError(msg)
@@ -43,11 +52,11 @@ def command(**flags: Any) -> int:
         except BundleError as error:
             problem = error.message
         results.append({"path": str(target), "valid": problem is None, "problem": problem})
-    if flags["as_json"]:
+    if flags.as_json:
         echo_json(results)
     else:
         for one in results:
-            if one["valid"] and not flags["quiet"]:
+            if one["valid"] and not flags.quiet:
                 echo(f"{one['path']}: valid")
             elif not one["valid"]:
                 echo(f"tissueid: {one['problem']}", err=True)

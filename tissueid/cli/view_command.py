@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from tissueid.cli.output import echo, note, output_options
-from tissueid.cli.viewer_serving import open_browser, served, viewer_options
+from tissueid.cli.flags import argument, option, takes
+from tissueid.cli.output import echo, note
+from tissueid.cli.viewer_serving import ViewerFlags, open_browser, served
 
 EPILOG = """\b
 Examples:
@@ -17,17 +18,26 @@ Examples:
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class ViewFlags(ViewerFlags):
+    """Flags of ``tissueid view``."""
+
+    # fmt: off
+    what: str = argument(metavar="LOG|HOST:PORT")
+    token: str | None = option(
+        "--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.",
+    )
+    # fmt: on
+
+
 @click.command("view", epilog=EPILOG)
-@click.argument("what", metavar="LOG|HOST:PORT")
-@click.option("--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.")
-@viewer_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(ViewFlags)
+def command(flags: ViewFlags) -> int:
     """Look at a recorded LOG, or at the session that HOST:PORT serves.
 
     A log is played as it was felt; the session elsewhere must have been started with --viewer and --host.
     """
-    what = str(flags["what"])
+    what = str(flags.what)
     if Path(what).exists() or not _is_address(what):
         return _play(flags, Path(what))
     return _open_elsewhere(flags, what)
@@ -38,7 +48,7 @@ def _is_address(text: str) -> bool:
     return bool(colon) and port.isascii() and port.isdigit()
 
 
-def _play(flags: dict[str, Any], path: Path) -> int:
+def _play(flags: ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
     from tissueid.errors import DeviceError
     from tissueid.viewer.showing import check_log, show_log
@@ -47,7 +57,7 @@ def _play(flags: dict[str, Any], path: Path) -> int:
     try:
         with served(flags) as viewer:
             show_log(viewer, log, path)
-            note("Ctrl-C: end", quiet=flags["quiet"])
+            note("Ctrl-C: end", quiet=flags.quiet)
             viewer.wait()
     except KeyboardInterrupt:
         return 0
@@ -56,12 +66,12 @@ def _play(flags: dict[str, Any], path: Path) -> int:
     raise DeviceError(msg)
 
 
-def _open_elsewhere(flags: dict[str, Any], what: str) -> int:
+def _open_elsewhere(flags: ViewFlags, what: str) -> int:
     """Open the page of a session that is served already, once it answers."""
     from tissueid.viewer.serving import reach
 
-    url = reach(what, flags["token"])
+    url = reach(what, flags.token)
     echo(f"viewer     {url}", err=True)
-    if not flags["no_browser"]:
+    if not flags.no_browser:
         open_browser(url)
     return 0

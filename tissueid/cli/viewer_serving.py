@@ -6,11 +6,13 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.flags import OutputFlags, option
 from tissueid.cli.output import echo, note
 
 if TYPE_CHECKING:
@@ -22,32 +24,36 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-def viewer_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of a viewer's address and audience."""
-    for option in reversed(
-        (
-            click.option("--no-browser", is_flag=True, help="Print the viewer's address, open nothing."),
-            click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
-                         help="Serve the viewer to other machines, with a token in its address."),
-            click.option("--viewer-port", type=click.IntRange(1, 65535), metavar="N",
-                         help="Of the viewer. [default: 8765, or a free one]"),
-            click.option("--certificate", type=_FILE, metavar="FILE", help="Serve the viewer by TLS ..."),
-            click.option("--certificate-key", type=_FILE, metavar="FILE", help="... with this key."),
-        )
-    ):  # fmt: skip
-        function = option(function)
-    return function
+@dataclass(frozen=True, kw_only=True)
+class ViewerFlags(OutputFlags):
+    """Flags of a viewer's address and audience."""
+
+    # fmt: off
+    no_browser: bool = option("--no-browser", is_flag=True, help="Print the viewer's address, open nothing.")
+    host: str = option(
+        "--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
+        help="Serve the viewer to other machines, with a token in its address.",
+    )
+    viewer_port: int | None = option(
+        "--viewer-port", type=click.IntRange(1, 65535), metavar="N",
+        help="Of the viewer. [default: 8765, or a free one]",
+    )
+    certificate: Path | None = option(
+        "--certificate", type=_FILE, metavar="FILE", help="Serve the viewer by TLS ...",
+    )
+    certificate_key: Path | None = option(
+        "--certificate-key", type=_FILE, metavar="FILE", help="... with this key.",
+    )
+    # fmt: on
 
 
 @contextmanager
-def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
+def served(flags: ViewerFlags) -> Iterator[ServedViewer]:
     """A viewer that is served from now on; its address is printed."""
     from tissueid.viewer.bundling import BUNDLE
     from tissueid.viewer.serving import ServedViewer, ViewerOptions
 
-    options = ViewerOptions(
-        flags["host"], flags["viewer_port"], flags["certificate"], flags["certificate_key"]
-    )
+    options = ViewerOptions(flags.host, flags.viewer_port, flags.certificate, flags.certificate_key)
     with ServedViewer(options) as viewer:
         # what was asked for is told however quiet: nobody guesses a token
         echo(f"viewer     {viewer.url}", err=True)
@@ -55,11 +61,11 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
             note(
                 "the picture goes over the network unencrypted: --certificate and --certificate-key "
                 "encrypt it",
-                quiet=flags["quiet"],
+                quiet=flags.quiet,
             )
         if not (BUNDLE / "index.html").is_file():
             note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
-        elif not flags["no_browser"]:
+        elif not flags.no_browser:
             open_browser(viewer.url)
         yield viewer
 

@@ -6,16 +6,19 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import draw, echo, echo_json_text, note, output_options
-from tissueid.cli.reading import read_options, reading_options, segment_options
+from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.output import draw, echo, echo_json_text, note
+from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
+from tissueid.documents import typed
+from tissueid.documents.watch import Parameter, Watch
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -39,36 +42,47 @@ SHORTEST_INTERVAL_S = 0.05
 LOOKS = 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class WatchFlags(ReadingFlags, OutputFlags):
+    """Flags of ``tissueid watch``."""
+
+    # fmt: off
+    folder: str = argument(type=click.Path())
+    out: str | None = option(
+        "-o", "--out", type=click.Path(file_okay=False),
+        help="Folder for watch.jsonl, from which a later watch goes on.",
+    )
+    interval: float = option(
+        "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=0.5, show_default=True,
+        metavar="S", help="Seconds between two looks; a file is judged when two looks find it the same.",
+    )
+    once: bool = option("--once", is_flag=True, help="Judge what is there, and end.")
+    new_only: bool = option(
+        "--new-only", is_flag=True, help="Pass over the recordings that are there at the start.",
+    )
+    same_specimen: bool = option(
+        "--same-specimen", is_flag=True, help="All recordings of the folder are of one specimen.",
+    )
+    fit: bool = option(
+        "--fit/--no-fit", default=False,
+        help="Fit each test alone as well, after its line; with --json the line comes again. [default: "
+            "no-fit]",
+    )
+    bell: bool = option(
+        "--bell", is_flag=True,
+        help="Ring the terminal's bell after each test, twice where it must be repeated.",
+    )
+    study: str | None = option(
+        "--study", type=click.Path(), metavar="FILE",
+        help="Study file whose decisions are followed. [default: study.toml of the folder]",
+    )
+    no_study: bool = option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
+    # fmt: on
+
+
 @click.command("watch", epilog=EPILOG)
-@click.argument("folder", type=click.Path())
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(file_okay=False),
-    help="Folder for watch.jsonl, from which a later watch goes on.",
-)
-@click.option(
-    "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=0.5, show_default=True, metavar="S",
-    help="Seconds between two looks; a file is judged when two looks find it the same.",
-)  # fmt: skip
-@click.option("--once", is_flag=True, help="Judge what is there, and end.")
-@click.option("--new-only", is_flag=True, help="Pass over the recordings that are there at the start.")
-@click.option("--same-specimen", is_flag=True, help="All recordings of the folder are of one specimen.")
-@click.option(
-    "--fit/--no-fit", default=False,
-    help="Fit each test alone as well, after its line; with --json the line comes again. [default: no-fit]",
-)  # fmt: skip
-@click.option(
-    "--bell", is_flag=True, help="Ring the terminal's bell after each test, twice where it must be repeated."
-)
-@click.option(
-    "--study", type=click.Path(), metavar="FILE",
-    help="Study file whose decisions are followed. [default: study.toml of the folder]",
-)  # fmt: skip
-@click.option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
-@reading_options
-@output_options
-def command(**flags: Any) -> int:
+@takes(WatchFlags)
+def command(flags: WatchFlags) -> int:
     """Watch a folder beside the machine, and give a verdict after each test.
 
     A recording has its line within three seconds of being whole: what was measured, and keep it, look or push
@@ -76,47 +90,47 @@ def command(**flags: Any) -> int:
     each is one line. Ctrl-C ends with a summary.
     """
     session = _session(flags)
-    looks = range(LOOKS) if flags["once"] else iter(int, 1)
+    looks = range(LOOKS) if flags.once else iter(int, 1)
     try:
         for number, _ in enumerate(looks):
             if number:
-                time.sleep(flags["interval"])
+                time.sleep(flags.interval)
             for happening in session.step():
                 _tell(happening, flags)
-            if number == LOOKS - 1 and flags["once"] is False:
-                note("waiting for the next test; Ctrl-C ends", quiet=flags["quiet"])
+            if number == LOOKS - 1 and flags.once is False:
+                note("waiting for the next test; Ctrl-C ends", quiet=flags.quiet)
     except KeyboardInterrupt:
-        note("", quiet=flags["quiet"])
-    if not flags["as_json"] and not flags["quiet"]:
+        note("", quiet=flags.quiet)
+    if not flags.as_json and not flags.quiet:
         _summary(session)
-    return _exit_code(session) if flags["once"] else 0
+    return _exit_code(session) if flags.once else 0
 
 
-def _session(flags: dict[str, Any]) -> WatchSession:
+def _session(flags: WatchFlags) -> WatchSession:
     # readers load it at their first table, which would be waited for with a specimen on the machine
     import_module("pandas")
     from tissueid.study.recordings import locate_study
     from tissueid.watch import FolderWatch, judge
     from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log
 
-    folder = Path(flags["folder"])
+    folder = Path(flags.folder)
     if not folder.is_dir():
         msg = f"{folder}: there is no such folder to watch"
         raise UsageError(msg)
     reading = read_options(flags)
     segmenting = segment_options(flags)
     log = None
-    if flags["out"] is not None:
-        log = Path(flags["out"]) / LOG
+    if flags.out is not None:
+        log = Path(flags.out) / LOG
         try:
             log.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             msg = f"{log.parent}: can't be made a folder ({error.strerror}); choose another"
             raise UsageError(msg) from error
-    study, _ = locate_study([flags["folder"]], named=flags["study"], ignore=flags["no_study"])
-    specimen = folder.resolve().name if flags["same_specimen"] else None
+    study, _ = locate_study([flags.folder], named=flags.study, ignore=flags.no_study)
+    specimen = folder.resolve().name if flags.same_specimen else None
     watch = FolderWatch(lambda: _recordings(folder))
-    if flags["new_only"]:
+    if flags.new_only:
         there = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
         watch.know(there)
     return WatchSession(
@@ -125,7 +139,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
         lambda trial, earlier: judge(trial, earlier, options=segmenting, study=study),
         log,
         [] if log is None else load_log(log),
-        fit=(lambda trial: _fit(trial, segmenting, study)) if flags["fit"] else None,
+        fit=(lambda trial: _fit(trial, segmenting, study)) if flags.fit else None,
     )
 
 
@@ -161,47 +175,47 @@ def _trials(
 
 
 def _exit_code(session: WatchSession) -> int:
-    refused = [one for one in session.verdicts if one["verdict"]["level"] == "refused"]
+    refused = [one for one in session.verdicts if typed(one, Watch).verdict.level == "refused"]
     if not refused:
         return 0
     return 7 if len(refused) < len(session.verdicts) else 3
 
 
-def _tell(happening: Happening, flags: dict[str, Any]) -> None:
-    verdict = happening.verdict
-    if verdict is None:
-        note(happening.text, quiet=flags["quiet"])
+def _tell(happening: Happening, flags: WatchFlags) -> None:
+    if happening.verdict is None:
+        note(happening.text, quiet=flags.quiet)
         return
-    level = verdict["verdict"]["level"]
-    loud = flags["quiet"] < 1 or level in {"repeat", "refused"}
-    if happening.kind == "fitted" and not flags["as_json"]:
+    verdict = typed(happening.verdict, Watch)
+    level = verdict.verdict.level
+    loud = flags.quiet < 1 or level in {"repeat", "refused"}
+    if happening.kind == "fitted" and not flags.as_json:
         if loud:
             _print_fit(verdict)
         return
-    if flags["as_json"]:
-        echo_json_text(json.dumps(verdict, ensure_ascii=False, allow_nan=False))
+    if flags.as_json:
+        echo_json_text(json.dumps(happening.verdict, ensure_ascii=False, allow_nan=False))
     elif loud:
         _print(verdict, flags, again=happening.kind == "replaced")
-    if flags["bell"] and happening.kind != "fitted":
+    if flags.bell and happening.kind != "fitted":
         draw("\a\a" if level in {"repeat", "refused"} else "\a")
 
 
-def _print(one: dict[str, Any], flags: dict[str, Any], *, again: bool) -> None:
+def _print(one: Watch, flags: WatchFlags, *, again: bool) -> None:
     """The line of ``inspect``: what was measured, and what to do."""
     from tissueid.cli.inspect_lines import recording_lines, recording_name
 
-    name = recording_name(one, os.path.join(flags["folder"], ""))  # noqa: PTH118
-    level = one["verdict"]["level"]
+    name = recording_name(one, os.path.join(flags.folder, ""))  # noqa: PTH118
+    level = one.verdict.level
     changed = "changed, judged again: " if again else ""
-    if level == "refused":
-        echo(f"{changed}refused ({one['error']['code']})  {one['verdict']['reason']}", fg=COLOURS[level])
+    if one.error is not None:
+        echo(f"{changed}refused ({one.error.code})  {one.verdict.reason}", fg=COLOURS[level])
     else:
         for line in recording_lines(one, f"{changed}{name}"):
             echo(line, fg=COLOURS[level])
 
 
-def _print_fit(one: dict[str, Any]) -> None:
-    found = {} if one["fit"] is None else {entry["name"]: entry for entry in one["fit"]["parameters"]}
+def _print_fit(one: Watch) -> None:
+    found = {} if one.fit is None else {entry.name: entry for entry in one.fit.parameters}
     known = [
         f"{label} {_estimate(found[key])}"
         for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity"))
@@ -210,20 +224,21 @@ def _print_fit(one: dict[str, Any]) -> None:
     echo(f"    this test alone: {', '.join(known) if known else 'could not be fitted'}")
 
 
-def _estimate(entry: dict[str, Any]) -> str:
-    if entry["value"] is None:
+def _estimate(entry: Parameter) -> str:
+    if entry.value is None:
         return "not identified"
-    return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}"
+    return f"{with_error(entry.value, entry.stderr)} {entry.unit}"
 
 
 def _summary(session: WatchSession) -> None:
     from tissueid.cli.inspect_lines import recording_name
 
-    count = {level: sum(one["verdict"]["level"] == level for one in session.verdicts) for level in COLOURS}
+    verdicts = [typed(one, Watch) for one in session.verdicts]
+    count = {level: sum(one.verdict.level == level for one in verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
     told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
     note(f"{len(session.verdicts)} tests: {told}" if told else "no test was seen")
-    for one in session.verdicts:
-        level = one["verdict"]["level"]
+    for one in verdicts:
+        level = one.verdict.level
         if level in {"repeat", "refused"}:
             note(f"  {words[level]}: {recording_name(one)}")

@@ -1,1 +1,39 @@
-"""Documents: what is written to files and printed by ``--json``, as types."""
+"""Documents: files and the output of ``--json``, as types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import msgspec
+
+from tissueid.documents.flag import Flag
+
+_T = TypeVar("_T")
+
+
+def typed(document: Any, kind: type[_T]) -> _T:
+    """Read a document that was parsed, or that is about to be written, as its type.
+
+    ``document``: plain dicts, lists and values; ``kind``: a record of this package, or tuples and mappings of
+    such.  Raises msgspec.ValidationError: it is none, with the place.
+    """
+    return msgspec.convert(document, kind, dec_hook=_flag)
+
+
+def _flag(kind: type[Any], document: Any) -> Any:
+    if kind is Flag and isinstance(document, Mapping):
+        return Flag.of(document)
+    msg = f"a document holds no {kind.__name__}"
+    raise NotImplementedError(msg)
+
+
+def plain(document: Any) -> Any:
+    """Rewrite a document, or any part of one, in plain dicts, lists and values."""
+    return msgspec.to_builtins(document, enc_hook=_members)
+
+
+def _members(value: Any) -> Any:
+    if isinstance(value, Flag):
+        return {"code": value.code, "message": value.message, **value.values}
+    raise NotImplementedError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Protocol
 
 from msgspec import Meta, Struct
 
@@ -18,3 +18,15 @@ Sha256 = Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")]  # empty where a reco
 
 class Document(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Immutable record of a document; a field with a default may be left out of the file."""
+
+
+class Placed(Protocol):
+    """Part of a document that says where it comes from."""
+
+    @property
+    def path(self) -> str:
+        """File, as it was named."""
+
+    @property
+    def sheet(self) -> str | None:
+        """Sheet of a workbook; ``None`` where the file has none."""

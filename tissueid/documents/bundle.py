@@ -9,15 +9,8 @@ from msgspec import Meta
 from tissueid.documents.base import Document, NonNegative, Text
 from tissueid.documents.flag import Flag
 from tissueid.documents.identification import Estimate, Model, Provenance, Validity
+from tissueid.documents.inspect import Units
 from tissueid.documents.rupture import Law
-
-
-class Units(Document, frozen=True):
-    """Units of every number of the bundle."""
-
-    length: Literal["mm", "1"]  # 1 for a strain or stretch
-    force: Literal["N", "MPa"]  # MPa for a stress
-    time: Literal["s"]
 
 
 class Bundle(Document, frozen=True):

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-from msgspec import Meta
-
-from tissueid.documents.base import Document, Text
 from tissueid.flags import FLAGS
 
-
-class Flag(Document, frozen=True, forbid_unknown_fields=False):
-    """A stable code, one plain sentence, and the numbers behind it as further members."""
-
-    #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
-        "additionalProperties": {
-            "anyOf": [
-                {"type": ["number", "string", "boolean", "null"]},
-                {"type": "array", "items": {"type": ["number", "string", "boolean", "null"]}},
-            ]
-        }
-    }
-
-    code: Annotated[str, Meta(extra_json_schema={"enum": list(FLAGS)})]
-    message: Text  # One plain sentence with its numbers
-    quantity: str | None = None  # Quantity a decision is about
-    unit: str | None = None
-    keys: tuple[str, ...] | None = None  # Keys of study.toml that were stated
-    because: str | None = None
+#: Members of a flag that are not among the numbers behind it.
+_SAID = ("code", "message")
+_PLAIN = {"type": ["number", "string", "boolean", "null"]}
+#: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
+FLAG_SCHEMA: Mapping[str, Any] = {
+    "description": "A stable code, one plain sentence, and the numbers behind it as further members.",
+    "type": "object",
+    "properties": {
+        "code": {"enum": list(FLAGS)},
+        "message": {"type": "string", "minLength": 1, "description": "One plain sentence with its numbers"},
+    },
+    "required": list(_SAID),
+    "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
+}
 
 
-Value = float | str | bool | None | tuple[float | str | bool | None, ...]
+class Flag:
+    """Code, sentence, and the numbers behind it, which stand beside both in the file."""
+
+    __slots__ = ("code", "message", "values")
+
+    def __init__(self, code: str, message: str, values: Mapping[str, Any]) -> None:
+        self.code = code
+        self.message = message
+        self.values = values
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Flag:
+        """Read one from its members."""
+        values = {key: value for key, value in document.items() if key not in _SAID}
+        return cls(document["code"], document["message"], values)

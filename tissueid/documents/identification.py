@@ -9,7 +9,7 @@ from msgspec import Meta, field
 
 from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, Sha256, Text
 from tissueid.documents.flag import Flag
-from tissueid.documents.inspect import Refusal
+from tissueid.documents.inspect import Refusal, Units
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, Unloading
 from tissueid.documents.study import Population, Priors, Study, Tip
@@ -173,17 +173,6 @@ class Provenance(Document, frozen=True):
     study: StudyInputs | None = None  # The study file, and the calibration and priors its numbers rest on
 
 
-class Units(Document, frozen=True):
-    """What displacement and force are: mm and N, or normalised.
-
-    Keys keep their names; every `unit` is written in these.
-    """
-
-    length: Literal["mm", "1"]  # 1 for a strain or stretch
-    force: Literal["N", "MPa"]  # MPa for a stress
-    time: Literal["s"]
-
-
 class Nrmsd(Document, frozen=True):
     """Root-mean-square deviation: over the range of the force, over its mean (fractions, not percent).
 
@@ -245,6 +234,7 @@ class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
     """What Levenberg-Marquardt and variable projection reached, and whether they agree."""
 
     agree: bool | None
+    method: str | None = None
 
 
 class Selection(Document, frozen=True, forbid_unknown_fields=False):
@@ -263,6 +253,8 @@ class Selection(Document, frozen=True, forbid_unknown_fields=False):
     score: float | None
     stderr: float | None
     chosen: bool
+    model: str | None = None  # Law, where several were tried
+    tau_s: float | None = None
 
 
 class Sampler(Document, frozen=True):

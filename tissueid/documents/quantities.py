@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
 
@@ -60,13 +60,40 @@ class Cycle(Document, frozen=True):
     at_depths: tuple[AtDepth, ...]
 
 
+class Conditions(Document, frozen=True):
+    """Conditions that a number holds at; those that do not apply are left out."""
+
+    path: str | None = None  # ideal step, or ramp as recorded
+    formula: str | None = None
+    depth_mm: float | None = None
+    speed_mm_s: float | None = None
+    time_s: float | None = None
+    frequency_Hz: float | None = None
+    amplitude_mm: float | None = None
+    holds: float | None = None  # of the depth test: how many
+    low: float | None = None  # of the depth test: its 95 % interval
+    high: float | None = None
+    verdict: str | None = None  # of the depth test
+    doi: str | None = None  # of the formula
+
+
+class Assumptions(Document, frozen=True):
+    """Tip, thickness and Poisson's ratio behind the moduli; empty where the tip is not known."""
+
+    shape: str | None = None
+    radius_mm: float | None = None
+    half_angle_deg: float | None = None
+    thickness_mm: float | None = None
+    poisson: float | None = None
+    support: str | None = None
+
+
 class Quantity(Document, frozen=True):
     """Number derived from the fit, or measured in a hold; value is null where the data do not support it."""
 
     name: Text
     unit: str
-    #: Conditions: time_s, frequency_Hz, depth_mm, amplitude_mm, speed_mm_s, path, formula
-    at: dict[str, float | str]
+    at: Conditions
     value: float | None
     stderr: NonNegative | None
     reason: str | None  # Why there is no value
@@ -97,7 +124,7 @@ class Quoted(Document, frozen=True):
     #: structural, of this tip on this support
     moduli: tuple[Quantity, ...]
     spectra: tuple[Spectrum, ...]
-    assumptions: dict[str, float | str | None]  # Tip, thickness and Poisson's ratio behind the moduli
+    assumptions: Assumptions  # Tip, thickness and Poisson's ratio behind the moduli
 
 
 class Unloading(Document, frozen=True):
@@ -112,6 +139,3 @@ class Unloading(Document, frozen=True):
     rms_in_contact_N: float | None
     rms_in_air_N: float | None
     surface_unique: bool
-
-
-Quantities = Any

@@ -26,21 +26,13 @@ class Law(Document, frozen=True):
     residual: Fraction  # Share of the force that is left
 
 
-class Probability(Document, frozen=True):
-    """Posterior probability of each criterion."""
-
-    work: NonNegative
-    weighted_force: NonNegative = field(name="weighted force")
-    elastic_limit: NonNegative = field(name="elastic limit")
-
-
 class Decision(Document, frozen=True):
     """Criterion that was decided for."""
 
     answer: Literal["decided", "undecided", "none"]
     kind: Literal["work", "weighted force", "elastic limit"] | None
     criterion: Literal["work", "weighted-force", "stored-energy", "depth"] | None
-    probability: Probability
+    probability: dict[str, NonNegative]  # Of each kind of criterion: work, weighted force, elastic limit
     reason: str
 
 

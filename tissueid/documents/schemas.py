@@ -15,6 +15,8 @@ from typing import Any
 
 import msgspec
 
+from tissueid.documents.flag import FLAG_SCHEMA, Flag
+
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: Root type of every schema, as MODULE.TYPE of this package; where several are given, a document is one of
 #: them, and those behind a star are the items of a list.
@@ -47,6 +49,7 @@ ROOTS: Mapping[str, str] = {
 #: Files that people write: TOML has no null, so that what is left out has no second spelling.
 _WRITTEN_BY_HAND = {"scene", "study"}
 _REFERENCE = "#/$defs/{name}"
+_FLAG = "#/$defs/flag"
 
 
 def schema_of(name: str) -> dict[str, Any]:
@@ -54,17 +57,24 @@ def schema_of(name: str) -> dict[str, Any]:
 
     ``name``: a key of :data:`ROOTS`.  Raises KeyError: for any other.
     """
+    head: dict[str, Any] = {"$schema": DIALECT, "$id": f"{name}.schema.json"}
+    if name == "flag":
+        return {**head, "title": "One remark about a recording or a fit", **FLAG_SCHEMA}
     named = ROOTS[name]
     roots = [_type(one) for one in named.removeprefix("*").split()]
-    outer, components = msgspec.json.schema_components(roots, ref_template=_REFERENCE)
+    outer, components = msgspec.json.schema_components(
+        roots, ref_template=_REFERENCE, schema_hook=_flag_reference
+    )
     definitions = {_snake(key): _rewritten(one) for key, one in components.items()}
+    if any(_FLAG in repr(one) for one in definitions.values()):
+        definitions["flag"] = dict(FLAG_SCHEMA)
     for kind in _kinds(roots):
         definition = definitions[_snake(_component(kind, components))]
         _describe(definition, kind)
         if name in _WRITTEN_BY_HAND:
             _without_null(definition)
     title = (import_module(roots[0].__module__).__doc__ or "").split("\n")[0].rstrip(".")
-    head = {"$schema": DIALECT, "$id": f"{name}.schema.json", "title": title}
+    head["title"] = title
     references = [_rewritten(one) for one in outer]
     if len(roots) == 1:
         body = definitions.pop(references[0]["$ref"].rpartition("/")[2])
@@ -73,6 +83,12 @@ def schema_of(name: str) -> dict[str, Any]:
     if named.startswith("*"):
         body = {"type": "array", "items": body}
     return {**head, **body, **({"$defs": definitions} if definitions else {})}
+
+
+def _flag_reference(kind: type[Any]) -> dict[str, str]:
+    if kind is Flag:
+        return {"$ref": _FLAG}
+    raise NotImplementedError
 
 
 def _type(place: str) -> type[msgspec.Struct]:

@@ -41,6 +41,19 @@ class Scale(Document, frozen=True, forbid_unknown_fields=False):
 
     force_scale: Positive
     motion_scale: Positive
+    felt_force_is_measured_over: float | None = None
+    felt_stiffness_is_measured_over: float | None = None
+    device_stiffness_N_per_m: float | None = None
+    peak_force_N: float | None = None
+    clamp_N: float | None = None
+    clipped_share_expected: float | None = None  # of the depth, where the force is clamped
+    required_damping_N_s_per_m: float | None = None
+    device_damping_N_s_per_m: float | None = None
+    delay_ticks: float | None = None
+    period_s: float | None = None
+    known: str | None = None  # where the numbers of the device come from
+    lowered_from_force_scale: float | None = None
+    remarks: tuple[str, ...] | None = None
 
 
 class Servo(Document, frozen=True):

@@ -7,8 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from tissueid import __version__
+from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.population.cohort import CohortFit, CohortOptions, Population
@@ -28,39 +30,39 @@ _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
 
 
 def members_of(
-    document: Mapping[str, Any],
-    results: Iterable[tuple[Mapping[str, Any], Sequence[TrialCurve], StoredPosterior | None]],
+    document: Identification,
+    results: Iterable[tuple[Specimen, Sequence[TrialCurve], StoredPosterior | None]],
 ) -> tuple[Member, ...]:
     """The specimens of a finished fit, with as many draws as a cohort of that size can use.
 
     ``document``: identification.json; ``results``: each specimen of it, its curves and its draws:
     :func:`tissueid.store.results.each_result`.
     """
-    study = document["study"] or {"specimens": [], "trials": [], "study": {}}
-    covariates = {row["specimen"]: dict(row) for row in study["specimens"]}
-    trials = {(row["path"], row["sheet"]): row for row in study["trials"]}
-    count = len(document["specimens"])
+    study = document.study
+    covariates = {row.specimen: structs.asdict(row) for row in study.specimens} if study else {}
+    trials = {(row.path, row.sheet): row for row in study.trials} if study else {}
+    count = len(document.specimens)
     most = max(MOST_DRAWS_IN_ALL // max(count, 1), FEWEST_DRAWS)
     with_curves = set(np.linspace(0, count - 1, min(count, MOST_WITH_CURVES)).astype(int).tolist())
     members = []
     for place, (entry, curves, posterior) in enumerate(results):
-        known = {"operator": study["study"].get("operator")} | covariates.get(entry["specimen"], {})
+        known = {"operator": study and study.study.operator} | covariates.get(entry.specimen, {})
         known.pop("specimen", None)
         drawn = {(one.path, one.sheet): one.curve for one in curves if place in with_curves}
-        validity = entry["validity"]
-        slowest, fastest = validity["speeds_mm_s"]
+        validity = entry.validity
+        slowest, fastest = validity.speeds_mm_s
         members.append(
             Member(
-                specimen=entry["specimen"],
-                model=ModelChoice.from_json(entry["model"]),
-                depth_mm=validity["depth_mm"],
-                **_draws(posterior, most, key=entry["model"]["key"]),
+                specimen=entry.specimen,
+                model=ModelChoice.of(entry.model),
+                depth_mm=validity.depth_mm,
+                **_draws(posterior, most, key=entry.model.key),
                 covariates=known,
-                trials=tuple(_trial(trial, trials, drawn) for trial in entry["trials"]),
+                trials=tuple(_trial(trial, trials, drawn) for trial in entry.trials),
                 speeds_mm_s=(slowest, fastest),
-                tip_radius_mm=validity["tip_radius_mm"],
-                sigma_N=entry["sigma_N"],
-                units=entry["units"],
+                tip_radius_mm=validity.tip_radius_mm,
+                sigma_N=entry.sigma_N,
+                units=structs.asdict(entry.units),
             )
         )
     return tuple(members)
@@ -88,38 +90,40 @@ def _draws(posterior: StoredPosterior | None, most: int, *, key: str) -> dict[st
 
 
 def _trial(
-    trial: Mapping[str, Any],
-    rows: Mapping[tuple[str, str | None], Mapping[str, Any]],
+    trial: Trial,
+    rows: Mapping[tuple[str, str | None], StatedTrial],
     curves: Mapping[tuple[str, str | None], Curve],
 ) -> TrialRow:
     """One log, with what the study says of it."""
-    key = (trial["path"], trial["sheet"])
-    said = rows.get(key, {})
+    key = (trial.path, trial.sheet)
+    said = rows.get(key)
     return TrialRow(
-        path=trial["path"],
-        sheet=trial["sheet"],
-        gain=trial["gain"],
-        speed_mm_s=trial["speed_mm_s"],
-        depth_mm=trial["depth_mm"],
-        run=said.get("run"),
-        site=said.get("site"),
+        path=trial.path,
+        sheet=trial.sheet,
+        gain=trial.gain,
+        speed_mm_s=trial.speed_mm_s,
+        depth_mm=trial.depth_mm,
+        run=None if said is None else said.run,
+        site=None if said is None else said.site,
         curve=curves.get(key),
     )
 
 
-def population_priors(document: Mapping[str, Any]) -> PopulationPriors:
+def population_priors(document: Identification) -> PopulationPriors:
     """Priors of the population as the study stated them, defaults where it is silent."""
-    stated = (document["study"] or {}).get("population")
+    stated = document.study.population if document.study else None
     if stated is None:
         return PopulationPriors()
+    default = PopulationPriors()
+    between, level, tails = stated.between, stated.level, stated.tails
     return PopulationPriors(
-        mean_sd=stated["mean_sd"],
-        effect_sd=stated["effect_sd"],
-        between=SpreadPrior(**stated["between"]),
-        level=SpreadPrior(**stated["level"]),
-        correlation_shape=stated["correlation_shape"],
-        tail_shape=stated["tails"]["shape"],
-        tail_rate=stated["tails"]["rate"],
+        mean_sd=stated.mean_sd or default.mean_sd,
+        effect_sd=stated.effect_sd or default.effect_sd,
+        between=SpreadPrior(between.median, between.sd_ln) if between else default.between,
+        level=SpreadPrior(level.median, level.sd_ln) if level else default.level,
+        correlation_shape=stated.correlation_shape or default.correlation_shape,
+        tail_shape=tails.shape if tails else default.tail_shape,
+        tail_rate=tails.rate if tails else default.tail_rate,
     )
 
 

@@ -5,10 +5,10 @@ Self-contained like the report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from tissueid.digits import number
+from tissueid.documents.contrast import Contrast, Pair
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict
 
@@ -18,17 +18,17 @@ NOTICED = 1.0
 SMALL = 0.001
 
 
-def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
+def contrast_verdict(document: Contrast) -> Verdict:
     """Verdict of all pairs together.
 
     ``document``: of ``schemas/contrast.schema.json``.
     """
-    pairs = document["pairs"]
-    differing = [pair for pair in pairs if pair["difference"]["different"]]
-    level = f"{100 * document['level']:g} %"
+    pairs = document.pairs
+    differing = [pair for pair in pairs if pair.difference.different]
+    level = f"{100 * document.level:g} %"
     if len(pairs) == 1:
-        return pair_verdict(pairs[0], document["level"])
-    chance = f"{document['level'] * len(pairs):.2g}"
+        return pair_verdict(pairs[0], document.level)
+    chance = f"{document.level * len(pairs):.2g}"
     text = (
         f"{len(differing)} of {len(pairs)} pairs differ at the {level} level; of tissues that are all one, "
         f"{chance} would by chance. A pair that is not shown to differ is not shown to be equal."
@@ -36,23 +36,23 @@ def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
     return Verdict("note", "Some differ" if differing else "None shown to differ", text)
 
 
-def pair_verdict(pair: Mapping[str, Any], level: float) -> Verdict:
+def pair_verdict(pair: Pair, level: float) -> Verdict:
     """Verdict of one pair.
 
     ``level``: below it tissues are called different.
     """
-    found = pair["difference"]
-    chance = f"p {_probability(found['probability'])}, level {100 * level:g} %"
-    names = f"{pair['one']} and {pair['other']}"
-    felt = [one for one in pair["noticed"] if one["times"] > NOTICED]
+    found = pair.difference
+    chance = f"p {_probability(found.probability)}, level {100 * level:g} %"
+    names = f"{pair.one} and {pair.other}"
+    felt = [one for one in pair.noticed if one.times > NOTICED]
     hand = "No difference exceeds a published just-noticeable one: a hand would hardly tell."
     if felt:
-        most = max(felt, key=lambda one: float(one["times"]))
+        most = max(felt, key=lambda one: float(one.times))
         hand = (
-            f"A hand could tell by the {most['name']}: {number(most['times'], 2)} times the just-noticeable "
+            f"A hand could tell by the {most.name}: {number(most.times, 2)} times the just-noticeable "
             "difference."
         )
-    if found["different"]:
+    if found.different:
         return Verdict("note", f"{names} differ", f"All forces together ({chance}). {hand}")
     equal = "That is no proof of being equal: look at the intervals of the ratios."
     return Verdict(
@@ -73,7 +73,7 @@ def _interval(values: Sequence[float] | None) -> str:
     return f"{number(middle, 4)} ({number(low, 3)} to {number(high, 3)})"
 
 
-def render_contrast(document: Mapping[str, Any], *, created: str | None = None) -> str:
+def render_contrast(document: Contrast, *, created: str | None = None) -> str:
     """Write the page.
 
     ``document``: the document of ``schemas/contrast.schema.json``; ``created``: time stamp to print; without
@@ -84,24 +84,24 @@ def render_contrast(document: Mapping[str, Any], *, created: str | None = None) 
             "id": f"pair-{position + 1}",
             "position": position,
             "data": pair,
-            "verdict": pair_verdict(pair, document["level"]),
+            "verdict": pair_verdict(pair, document.level),
         }
-        for position, pair in enumerate(document["pairs"])
+        for position, pair in enumerate(document.pairs)
     ]
-    drawn = [{key: pair[key] for key in ("one", "other", "numbers")} for pair in document["pairs"]]
+    drawn = [{"one": pair.one, "other": pair.other, "numbers": pair.numbers} for pair in document.pairs]
     return (
         page_environment()
         .get_template("contrast.html.j2")
         .render(
-            title=" and ".join(one["name"] for one in document["tissues"])
-            if len(document["tissues"]) <= 3
-            else f"{len(document['tissues'])} tissues compared",
+            title=" and ".join(one.name for one in document.tissues)
+            if len(document.tissues) <= 3
+            else f"{len(document.tissues)} tissues compared",
             run=document,
             verdict=contrast_verdict(document),
             views=views,
             interval=_interval,
             probability=_probability,
-            payload={"curves": document["curves"], "pairs": drawn},
+            payload={"curves": document.curves, "pairs": drawn},
             created=created,
             style=asset("page.css") + asset("selfcheck.css"),
             scripts=[asset("boxes.js"), asset("contrast.js")],

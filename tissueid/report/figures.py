@@ -8,13 +8,14 @@ larger and would be drawn whether or not anybody looks.
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.documents.identification import Specimen, Trial
 from tissueid.report.remarks import trial_label
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
@@ -70,8 +71,8 @@ def quantised(columns: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def curves_by_trial(
-    specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]
-) -> list[list[tuple[Mapping[str, Any], TrialCurve]]]:
+    specimens: Sequence[Specimen], curves: Sequence[TrialCurve]
+) -> list[list[tuple[Trial, TrialCurve]]]:
     """Trials of every specimen that have a curve, in their order, each with it.
 
     ``specimens``: ``specimens`` of identification.json.
@@ -82,8 +83,8 @@ def curves_by_trial(
     found = []
     for specimen in specimens:
         pairs = []
-        for trial in specimen["trials"]:
-            own = waiting.get((specimen["specimen"], trial["path"], trial["sheet"]))
+        for trial in specimen.trials:
+            own = waiting.get((specimen.specimen, trial.path, trial.sheet))
             if own:
                 pairs.append((trial, own.pop(0)))
         found.append(pairs)
@@ -91,7 +92,7 @@ def curves_by_trial(
 
 
 def curve_payload(
-    specimens: Sequence[Mapping[str, Any]],
+    specimens: Sequence[Specimen],
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
 ) -> list[list[dict[str, Any]]]:

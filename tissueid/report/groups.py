@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.digits import number
+from tissueid.documents.identification import Trial
+from tissueid.documents.inspect import Units
 from tissueid.measured.spread import programs
 from tissueid.report.tissue import brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
 #: Trials with their curves, a list a specimen.
-Trials = Sequence[Sequence[tuple[Mapping[str, Any], TrialCurve]]]
+Trials = Sequence[Sequence[tuple[Trial, TrialCurve]]]
 
 #: The tool has stopped at the first sample with so much of the travel behind it.
 STOPPED = 0.999
@@ -25,9 +27,9 @@ BINS = 60
 EARLIEST = 1e-3
 
 
-def program_words(speed_mm_s: float, depth_mm: float, units: Mapping[str, str]) -> str:
+def program_words(speed_mm_s: float, depth_mm: float, units: Units) -> str:
     """Speed and depth of a program: ``4.15 mm/s to 8.01 mm``."""
-    length = f" {units['length']}" if units["length"] == "mm" else ""
+    length = f" {units.length}" if units.length == "mm" else ""
     return f"{number(speed_mm_s, 3)} {speed_unit(units)} to {number(depth_mm, 3)}{length}"
 
 
@@ -102,7 +104,7 @@ def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: s
     }
 
 
-def curve_groups(trials: Trials, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def curve_groups(trials: Trials, units: Units) -> list[dict[str, Any]]:
     """Curves by program (loading speed and depth), each with mean and standard deviation.
 
     ``trials``: of every specimen that is to be seen together; ``units``: ``length`` and ``force``.  Returns
@@ -118,7 +120,7 @@ def curve_groups(trials: Trials, units: Mapping[str, str]) -> list[dict[str, Any
     if len(every) < 2:
         return []
     found = []
-    pushes = [(float(trial["speed_mm_s"]), float(trial["depth_mm"])) for _, trial, _ in every]
+    pushes = [(float(trial.speed_mm_s), float(trial.depth_mm)) for _, trial, _ in every]
     for members in programs(pushes):
         own = [every[i] for i in members]
         speed, depth = (float(np.median([pushes[i][k] for i in members])) for k in (0, 1))

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import number, with_error
+from tissueid.documents.flag import Flag
+from tissueid.documents.inspect import Trial
 
 BECAUSE = "say why"
 #: Decimals of a displacement without a standard deviation in an entry: 0.1 um.
@@ -87,13 +89,13 @@ def _entry(
     return "\n".join([f"[[{table}]]", *lines])
 
 
-def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...]:
+def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
     """The decisions on a recording, in the order in which they were taken.
 
     ``recording``: one trial of ``schemas/inspect.schema.json``; ``file``: its path relative to the folder of
     study.toml.
     """
-    sheet = recording["sheet"]
+    sheet = recording.sheet
 
     def override(**values: Any) -> str:
         return _entry("override", file, sheet, values)
@@ -110,8 +112,8 @@ def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...
         Decision(
             "specimen",
             "Specimen",
-            f"{recording['specimen']}; trials of one specimen are fitted together",
-            _entry("trial", file, sheet, {"specimen": recording["specimen"]}, because=False),
+            f"{recording.specimen}; trials of one specimen are fitted together",
+            _entry("trial", file, sheet, {"specimen": recording.specimen}, because=False),
         ),
         _exclusion(recording, _entry("exclude", file, sheet, {})),
     ]
@@ -124,39 +126,39 @@ def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...
     )
 
 
-def _stated(recording: Mapping[str, Any]) -> dict[str, str]:
+def _stated(recording: Trial) -> dict[str, str]:
     """Decisions that the user took, each with the reason."""
     flag = _flag(recording, "decision_overridden")
     if flag is None:
         return {}
-    return {_DECIDES[key]: flag["because"] for key in flag["keys"] if key in _DECIDES}
+    return {_DECIDES[key]: flag.values["because"] for key in flag.values["keys"] if key in _DECIDES}
 
 
-def _flag(recording: Mapping[str, Any], code: str) -> Mapping[str, Any] | None:
-    return next((flag for flag in recording["flags"] if flag["code"] == code), None)
+def _flag(recording: Trial, code: str) -> Flag | None:
+    return next((flag for flag in recording.flags if flag.code == code), None)
 
 
-def _columns(recording: Mapping[str, Any], override: Any) -> Decision:
-    columns = {key: recording["columns"][key] for key in _CHANNELS if key in recording["columns"]}
+def _columns(recording: Trial, override: Any) -> Decision:
+    named = {key: getattr(recording.columns, key) for key in _CHANNELS}
+    columns = {key: name for key, name in named.items() if name is not None}
     taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
-    choices = [flag for flag in recording["flags"] if flag["code"] == "column_choice"]
+    choices = [flag for flag in recording.flags if flag.code == "column_choice"]
     for flag in choices:
-        others = flag.get("alternatives") or []
-        quantity = flag.get("quantity")
+        others = flag.values.get("alternatives") or []
+        quantity = flag.values.get("quantity")
         if others and quantity in columns:
             columns[quantity] = others[0]
             taken += f"; {quantity} could also be {', '.join(others)}"
     return Decision("columns", "Columns", taken, override(columns=columns))
 
 
-def _units(recording: Mapping[str, Any], override: Any) -> Decision:
+def _units(recording: Trial, override: Any) -> Decision:
     assumed = {
-        flag["quantity"]: flag["unit"]
-        for flag in recording["flags"]
-        if flag["code"] == "units_assumed" and "quantity" in flag
+        flag.values["quantity"]: flag.values["unit"]
+        for flag in recording.flags
+        if flag.code == "units_assumed" and "quantity" in flag.values
     }
-    shown = recording.get("units", {})
-    inside = f"{shown.get('length', 'mm')}, {shown.get('force', 'N')} and s"
+    inside = f"{recording.units.length}, {recording.units.force} and s"
     if assumed:
         taken = f"no unit in the file for {', '.join(assumed)}: taken as they stand; shown here in {inside}"
     else:
@@ -168,8 +170,8 @@ def _units(recording: Mapping[str, Any], override: Any) -> Decision:
     return Decision("units", "Units", taken, entry)
 
 
-def _signs(recording: Mapping[str, Any], override: Any) -> list[Decision]:
-    sign = recording["compression_sign"]
+def _signs(recording: Trial, override: Any) -> list[Decision]:
+    sign = recording.compression_sign
     found = [
         Decision(
             "compression",
@@ -178,24 +180,24 @@ def _signs(recording: Mapping[str, Any], override: Any) -> list[Decision]:
             override(compression=_OPPOSITE[sign]),
         )
     ]
-    force = recording.get("force_sign")
+    force = recording.force_sign
     if force is not None:
         taken = f"{_SIGN[force]} force is compression: it changes with the travel that way"
         found.append(Decision("force", "Sign of the force", taken, override(force=_OPPOSITE[force])))
     return found
 
 
-def _contact(recording: Mapping[str, Any], override: Any) -> Decision:
-    contact = recording["contact"]
+def _contact(recording: Trial, override: Any) -> Decision:
+    contact = recording.contact
     if contact is None:
-        place = round(recording["first"]["displacement_mm"], _PLACES_MM)
+        place = round(recording.first.displacement_mm, _PLACES_MM)
         taken = "none was found; click into the lower picture where the force begins to rise"
         return Decision(
             "contact", "Contact point", taken, override(contact_mm=place, contact_sd_mm=0.05), "contact_mm"
         )
-    places = _places(contact["sd_mm"])
-    place, sd = (round(contact[key], places) for key in ("displacement_mm", "sd_mm"))
-    how = "seen in the record" if contact["in_record"] else "extrapolated: the record starts in contact"
+    places = _places(contact.sd_mm)
+    place, sd = round(contact.displacement_mm, places), round(contact.sd_mm, places)
+    how = "seen in the record" if contact.in_record else "extrapolated: the record starts in contact"
     taken = f"{with_error(place, sd)} mm as recorded, {how}; click into the lower picture to move it"
     entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-places))
     return Decision("contact", "Contact point", taken, entry, "contact_mm")
@@ -206,8 +208,8 @@ def _places(sd: float) -> int:
     return 1 - math.floor(math.log10(sd)) if sd > 0.0 else _PLACES_MM
 
 
-def _hold(recording: Mapping[str, Any], override: Any) -> Decision:
-    holds = [phase["end_s"] - phase["start_s"] for phase in recording["phases"] if phase["kind"] == "hold"]
+def _hold(recording: Trial, override: Any) -> Decision:
+    holds = [phase.end_s - phase.start_s for phase in recording.phases if phase.kind == "hold"]
     if not holds:
         taken = "no standstill after a ramp was long enough to be a hold"
         return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=_ANY_HOLD_S))
@@ -220,40 +222,40 @@ def _hold(recording: Mapping[str, Any], override: Any) -> Decision:
     return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=longer))
 
 
-def _hold_from(recording: Mapping[str, Any], override: Any) -> list[Decision]:
-    holds = [phase for phase in recording["phases"] if phase["kind"] == "hold"]
+def _hold_from(recording: Trial, override: Any) -> list[Decision]:
+    holds = [phase for phase in recording.phases if phase.kind == "hold"]
     if not holds:
         return []
-    longest = max(holds, key=lambda phase: phase["end_s"] - phase["start_s"])
-    start, end = longest["start_s"], longest["end_s"]
+    longest = max(holds, key=lambda phase: phase.end_s - phase.start_s)
+    start, end = longest.start_s, longest.end_s
     taken = (
         f"the longest one lasts from {number(start)} to {number(end)} s; write where the one nearest begins"
     )
     return [Decision("hold_from", "Start of the hold", taken, override(hold_from_s=start))]
 
 
-def _cut(recording: Mapping[str, Any], override: Any) -> Decision:
-    start, end = recording["first"]["time_s"], recording["last"]["time_s"]
+def _cut(recording: Trial, override: Any) -> Decision:
+    start, end = recording.first.time_s, recording.last.time_s
     said = _stated(recording).get("cut")
     part = "all of the record counts" if said is None else "a part of the record counts"
     taken = f"{part}, which lasts from {number(start)} to {number(end)} s"
     return Decision("cut", "Part of the record", taken, override(start_s=start, end_s=end), "start_s")
 
 
-def _rupture(recording: Mapping[str, Any], override: Any) -> list[Decision]:
-    broken = [event for event in recording.get("events", ()) if event["kind"] == "rupture"]
+def _rupture(recording: Trial, override: Any) -> list[Decision]:
+    broken = [event for event in recording.events if event.kind == "rupture"]
     if not broken and "rupture" in _stated(recording):
         taken = "no drop of the force is taken for a rupture"
         return [Decision("rupture", "Rupture", taken, override(rupture=True))]
     if not broken:
         return []
-    times = ", ".join(f"{number(event['time_s'])} s" for event in broken)
+    times = ", ".join(f"{number(event.time_s)} s" for event in broken)
     taken = f"the force collapses at {times}: what follows is not fitted"
     return [Decision("rupture", "Rupture", taken, override(rupture=False))]
 
 
-def _exclusion(recording: Mapping[str, Any], entry: str) -> Decision:
-    because = recording.get("excluded")
+def _exclusion(recording: Trial, entry: str) -> Decision:
+    because = recording.excluded
     if because is None:
         return Decision(
             "exclude", "Exclusion", "it takes part in the fit; this entry would take it out", entry

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.digits import number
+from tissueid.documents.inspect import Phase
+from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import flag_level
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import asset, page_environment, plotly_script
@@ -190,25 +192,25 @@ class CorrectionRow:
 
 
 def corrections(
-    recording: Mapping[str, Any], standing: Mapping[str, tuple[Any, str]]
+    recording: TrialDocument, standing: Mapping[str, tuple[Any, str]]
 ) -> tuple[CorrectionRow, ...]:
     """The rows of one recording.
 
     ``recording``: one trial of ``schemas/inspect.schema.json``; ``standing``: what the user decided: value
     and reason by key.
     """
-    contact = recording["contact"]
-    holds = [phase for phase in recording["phases"] if phase["kind"] in ("hold", "creep")]
-    hold = max(holds, key=lambda phase: phase["end_s"] - phase["start_s"], default=None)
+    contact = recording.contact
+    holds = [phase for phase in recording.phases if phase.kind in ("hold", "creep")]
+    hold = max(holds, key=lambda phase: phase.end_s - phase.start_s, default=None)
     rows = (
         (
             "contact_mm",
             "Contact at",
-            recording["units"]["length"],
-            None if contact is None else contact["displacement_mm"],
+            recording.units.length,
+            None if contact is None else contact.displacement_mm,
         ),
-        ("hold_from_s", "Hold from", "s", None if hold is None else hold["start_s"]),
-        ("end_s", "Hold to (the rest is left out)", "s", None if hold is None else hold["end_s"]),
+        ("hold_from_s", "Hold from", "s", None if hold is None else hold.start_s),
+        ("end_s", "Hold to (the rest is left out)", "s", None if hold is None else hold.end_s),
         ("rupture", "No fall of force is a rupture", "", None),
         ("exclude", "Leave it out of the fit", "", None),
     )
@@ -238,14 +240,13 @@ FEWEST_OF_ONE = 160
 MOST_DRAWN = 250
 _S_PER_MIN = 60.0
 _WORDS = {"ok": "nothing stands out", "note": "remarks", "caution": "look at it", "serious": "in doubt"}
-_FLAG_FIELDS = {"code", "message"}
 
 
 @dataclass(frozen=True, slots=True)
 class InspectedRecording:
     """One recording as the page needs it; its samples are thinned already."""
 
-    document: Mapping[str, Any]  # one trial of ``schemas/inspect.schema.json``
+    document: TrialDocument  # one trial of ``schemas/inspect.schema.json``
     drawn: DrawnRecording
     decisions: tuple[Decision, ...]
     reader: str  # which reader read it, and why
@@ -255,14 +256,14 @@ class InspectedRecording:
     @property
     def level(self) -> str:
         """The gravest level among its flags."""
-        levels = [flag_level(flag["code"]) for flag in self.document["flags"]]
+        levels = [flag_level(flag.code) for flag in self.document.flags]
         return max(levels, key=LEVELS.index, default="ok")
 
 
 def inspected_recording(
     trial: Trial,
     segmentation: Segmentation,
-    document: Mapping[str, Any],
+    document: TrialDocument,
     *,
     file: str,
     reader: str,
@@ -308,7 +309,7 @@ def render_inspection(
         views=views,
         refused=refused,
         counts=_counts(recordings),
-        codes=sorted({flag["code"] for one in recordings for flag in one.document["flags"]}),
+        codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
         payload=payload,
         study=study,
         created=created,
@@ -320,7 +321,7 @@ def render_inspection(
 
 
 def _gravity(recording: InspectedRecording) -> int:
-    levels = [flag_level(flag["code"]) for flag in recording.document["flags"]]
+    levels = [flag_level(flag.code) for flag in recording.document.flags]
     worst = LEVELS.index(recording.level)
     # among equals, the one with more to say
     return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
@@ -337,9 +338,9 @@ def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal])
     return f"Inspection of {len(recordings)} recordings" if recordings else "Nothing could be read"
 
 
-def _names(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+def _names(documents: Sequence[TrialDocument]) -> list[str]:
     """The sheet alone where that says which recording it is, else file and sheet, else the whole path."""
-    short = [document["sheet"] or trial_label(document) for document in documents]
+    short = [document.sheet or trial_label(document) for document in documents]
     whole = [trial_label(document) for document in documents]
     count, count_whole = Counter(short), Counter(whole)
     return [
@@ -348,24 +349,24 @@ def _names(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _path(document: Mapping[str, Any]) -> str:
-    return document["path"] if document["sheet"] is None else f"{document['path']} [{document['sheet']}]"
+def _path(document: TrialDocument) -> str:
+    return document.path if document.sheet is None else f"{document.path} [{document.sheet}]"
 
 
 def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
     document = recording.document
-    flags = [
+    flags: list[dict[str, Any]] = [
         {
-            "level": flag_level(flag["code"]),
-            "code": flag["code"],
-            "title": remark_title(flag["code"]),
-            "message": flag["message"],
-            "values": [(key, _value(value)) for key, value in flag.items() if key not in _FLAG_FIELDS],
+            "level": flag_level(flag.code),
+            "code": flag.code,
+            "title": remark_title(flag.code),
+            "message": flag.message,
+            "values": [(key, _value(value)) for key, value in flag.values.items()],
         }
-        for flag in document["flags"]
+        for flag in document.flags
     ]
     flags.sort(key=lambda flag: -LEVELS.index(flag["level"]))
-    holds = [phase for phase in document["phases"] if phase["kind"] == "hold"]
+    holds = [phase for phase in document.phases if phase.kind == "hold"]
     return {
         "position": position,
         "id": f"recording-{position + 1}",
@@ -376,9 +377,9 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
         "words": _WORDS[recording.level],
         "flags": flags,
         "codes": " ".join(flag["code"] for flag in flags),
-        "phases": [_phase(phase) for phase in document["phases"]],
-        "program": _program(document["phases"]),
-        "hold_s": max((phase["end_s"] - phase["start_s"] for phase in holds), default=None),
+        "phases": [_phase(phase) for phase in document.phases],
+        "program": _program(document.phases),
+        "hold_s": max((phase.end_s - phase.start_s for phase in holds), default=None),
         "reader": recording.reader,
         "decisions": recording.decisions,
         "corrections": corrections(document, recording.standing),
@@ -387,26 +388,26 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
     }
 
 
-def _phase(phase: Mapping[str, Any]) -> dict[str, str]:
-    still = phase["speed_mm_s"] == 0.0
+def _phase(phase: Phase) -> dict[str, str]:
+    still = phase.speed_mm_s == 0.0
     return {
-        "kind": phase["kind"],
-        "start": number(phase["start_s"]),
-        "end": number(phase["end_s"]),
-        "length": number(phase["end_s"] - phase["start_s"], 3),
-        "speed": "0" if still else number(phase["speed_mm_s"], 4),
-        "speed_min": "0" if still else number(phase["speed_mm_s"] * _S_PER_MIN, 4),
+        "kind": phase.kind,
+        "start": number(phase.start_s),
+        "end": number(phase.end_s),
+        "length": number(phase.end_s - phase.start_s, 3),
+        "speed": "0" if still else number(phase.speed_mm_s, 4),
+        "speed_min": "0" if still else number(phase.speed_mm_s * _S_PER_MIN, 4),
     }
 
 
-def _program(phases: Sequence[Mapping[str, Any]]) -> str:
+def _program(phases: Sequence[Phase]) -> str:
     """The phases in a few words: ``approach, ramp, hold`` or ``3 × cycle``."""
     words: list[list[Any]] = []
     for phase in phases:
-        if words and words[-1][0] == phase["kind"]:
+        if words and words[-1][0] == phase.kind:
             words[-1][1] += 1
         else:
-            words.append([phase["kind"], 1])
+            words.append([phase.kind, 1])
     shown = [kind if count == 1 else f"{count} × {kind}" for kind, count in words[:6]]
     return ", ".join(shown) + (" ..." if len(words) > len(shown) else "")
 
@@ -419,13 +420,13 @@ def _value(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def _alternative(document: Mapping[str, Any]) -> str:
+def _alternative(document: TrialDocument) -> str:
     """The picture in words, for those who do not see it."""
-    peak, contact = document["peak_force"], document["contact"]
-    touched = "no contact found" if contact is None else f"contact at {number(contact['displacement_mm'])} mm"
-    length = number(document["last"]["time_s"] - document["first"]["time_s"])
+    peak, contact = document.peak_force, document.contact
+    touched = "no contact found" if contact is None else f"contact at {number(contact.displacement_mm)} mm"
+    length = number(document.last.time_s - document.first.time_s)
     return (
-        f"Force and displacement of {trial_label(document)} against time: {document['n_samples']} samples"
-        f" over {length} s, {_program(document['phases'])}; {touched}; largest force"
-        f" {number(peak['force_N'])} N at {number(peak['time_s'])} s."
+        f"Force and displacement of {trial_label(document)} against time: {document.n_samples} samples"
+        f" over {length} s, {_program(document.phases)}; {touched}; largest force"
+        f" {number(peak.force_N)} N at {number(peak.time_s)} s."
     )

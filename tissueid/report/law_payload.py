@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import Specimen, Trial
 from tissueid.report.figures import curves_by_trial
 from tissueid.report.groups import curve_groups
 from tissueid.report.remarks import trial_label
@@ -17,7 +18,7 @@ from tissueid.result import ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-Trials = Sequence[tuple[Mapping[str, Any], TrialCurve]]
+Trials = Sequence[tuple[Trial, TrialCurve]]
 
 #: Depths at which the parts are drawn.
 GRID, COARSE = 61, 25
@@ -62,19 +63,19 @@ def _parts(tissue: Tissue, groups: Sequence[SpeedGroup], grid: int) -> dict[str,
     }
 
 
-def _holds(specimen: Mapping[str, Any], trials: Trials) -> list[dict[str, Any]]:
+def _holds(specimen: Specimen, trials: Trials) -> list[dict[str, Any]]:
     """Window of every hold in the time of its trial's curve; none of trials whose clock is not known."""
     clocks = {
-        (trial["path"], trial["sheet"]): (place, own.residual.start_s)
+        (trial.path, trial.sheet): (place, own.residual.start_s)
         for place, (trial, own) in enumerate(trials)
         if own.residual is not None
     }
     found = []
-    for row in specimen["relaxation"]:
-        known = clocks.get((row["path"], row["sheet"]))
+    for row in specimen.relaxation:
+        known = clocks.get((row.path, row.sheet))
         if known is not None:
             place, zero = known
-            start, end = (float(value) - zero for value in row["window_s"])
+            start, end = (float(value) - zero for value in row.window_s)
             step = trials[place][1].residual
             found.append(
                 {
@@ -88,7 +89,7 @@ def _holds(specimen: Mapping[str, Any], trials: Trials) -> list[dict[str, Any]]:
     return found
 
 
-def _residuals(specimen: Mapping[str, Any], trials: Trials) -> dict[str, Any] | None:
+def _residuals(specimen: Specimen, trials: Trials) -> dict[str, Any] | None:
     """Histogram of all logs together; autocorrelation and means in the holds of each."""
     known = [(trial, own.residual) for trial, own in trials if own.residual is not None]
     if not known:
@@ -97,7 +98,7 @@ def _residuals(specimen: Mapping[str, Any], trials: Trials) -> dict[str, Any] | 
     edges = summaries[0].edges_N
     same = all(np.array_equal(one.edges_N, edges) for one in summaries)
     return {
-        "sigma": specimen["sigma_N"],
+        "sigma": specimen.sigma_N,
         "edges": brief(edges),
         "counts": np.sum([one.counts for one in summaries], axis=0).tolist() if same else [],
         "correlation": [
@@ -119,7 +120,7 @@ def _residuals(specimen: Mapping[str, Any], trials: Trials) -> dict[str, Any] | 
             for trial, one in known
             if one.hold_count.size
         ],
-        "pooled": _pooled_holds([one.hold_since_s for one in summaries], summaries, specimen["sigma_N"]),
+        "pooled": _pooled_holds([one.hold_since_s for one in summaries], summaries, specimen.sigma_N),
     }
 
 
@@ -160,29 +161,29 @@ def _together(summaries: Sequence[ResidualSummary]) -> dict[str, Any]:
     }
 
 
-def _profiles(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
     """Profile likelihood of every relaxation time that carries one."""
     found = []
-    for entry in specimen["parameters"]:
-        curve = entry["detail"].get("profile")
+    for entry in specimen.parameters:
+        curve = entry.detail.get("profile")
         if curve and curve["tau_s"]:
-            suffix = entry["name"].removeprefix("relaxation_time_s")
+            suffix = entry.name.removeprefix("relaxation_time_s")
             found.append(
                 {
                     "suffix": suffix,
-                    "symbol": entry["symbol"],
+                    "symbol": entry.symbol,
                     "tau": curve["tau_s"],
                     "rise": curve["rise"],
                     "stiffness": curve["stiffness_N_per_mm"],
-                    "estimate": entry["detail"].get("estimate"),
-                    "identified": entry["identified"],
+                    "estimate": entry.detail.get("estimate"),
+                    "identified": entry.identified,
                 }
             )
     return found
 
 
 def law_payload(
-    specimens: Sequence[Mapping[str, Any]],
+    specimens: Sequence[Specimen],
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
 ) -> list[dict[str, Any]]:
@@ -195,12 +196,12 @@ def law_payload(
     sampled = {one.specimen: one for one in posteriors}
     payload = []
     for specimen, trials in zip(specimens, curves_by_trial(specimens, curves), strict=True):
-        tissue = tissue_of(specimen, sampled.get(specimen["specimen"]))
+        tissue = tissue_of(specimen, sampled.get(specimen.specimen))
         groups = speed_groups(specimen, [trial for trial, _ in trials])
         payload.append(
             {
                 "speeds": [{"label": group.label, "trials": list(group.members)} for group in groups],
-                "groups": curve_groups([trials], specimen["units"]),
+                "groups": curve_groups([trials], specimen.units),
                 "parts": None
                 if tissue is None
                 else _parts(tissue, groups, COARSE if len(specimens) >= MANY else GRID),

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
+from tissueid.documents.identification import Specimen
+from tissueid.documents.inspect import Units
+from tissueid.documents.measured import Spread
 from tissueid.report.groups import program_words
 from tissueid.report.wording import unit_words
 
@@ -38,10 +41,10 @@ NONE = "–"
 Key = tuple[str, float | None]
 
 
-def measured_name(row: Mapping[str, Any]) -> str:
+def measured_name(row: Spread) -> str:
     """Name of a measured number; of a force with its time after the stop."""
-    words = _WORDS.get(row["name"], str(row["name"]).replace("_", " "))
-    return words if row["time_s"] is None else words.format(f"{row['time_s']:g} s")
+    words = _WORDS.get(row.name, str(row.name).replace("_", " "))
+    return words if row.time_s is None else words.format(f"{row.time_s:g} s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,36 +53,36 @@ class _Column:
 
     head: str
     count: int
-    found: Mapping[Key, Mapping[str, Any]]
+    found: Mapping[Key, Spread]
 
 
-def _cell(row: Mapping[str, Any] | None) -> tuple[str, bool]:
+def _cell(row: Spread | None) -> tuple[str, bool]:
     """A cell, and whether it is a number."""
-    if row is None or (row["mean"] is None and not row["reason"]):
+    if row is None or (row.mean is None and not row.reason):
         return NONE, True
-    if row["mean"] is None:
-        return str(row["reason"]), False
-    spread = None if row["sd"] is None or row["sd"] <= _NO_SPREAD * abs(row["mean"]) else row["sd"]
-    return with_error(row["mean"], spread), True
+    if row.mean is None:
+        return str(row.reason), False
+    spread = None if row.sd is None or row.sd <= _NO_SPREAD * abs(row.mean) else row.sd
+    return with_error(row.mean, spread), True
 
 
-def _ramps(rows: Iterable[Mapping[str, Any]]) -> str:
-    known = [row["ramp_time_s"] for row in rows if row["ramp_time_s"] is not None]
+def _ramps(rows: Iterable[Spread]) -> str:
+    known = [row.ramp_time_s for row in rows if row.ramp_time_s is not None]
     if not known:
         return ""
     short, long = (number(end, 3) for end in (min(one[0] for one in known), max(one[1] for one in known)))
     return f"ramp {short} s" if short == long else f"ramps {short} to {long} s"
 
 
-def _columns(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[_Column]:
+def _columns(rows: Sequence[Spread], units: Units) -> list[_Column]:
     """A column for each program and each of its holds."""
-    places = list(dict.fromkeys((row["program"], row["hold"]) for row in rows))
+    places = list(dict.fromkeys((row.program, row.hold) for row in rows))
     several = len({program for program, _ in places}) > 1
     columns = []
     for place in places:
-        own = [row for row in rows if (row["program"], row["hold"]) == place]
-        found = {(row["name"], row["time_s"]): row for row in own}
-        count = max(row["count"] for row in own)
+        own = [row for row in rows if (row.program, row.hold) == place]
+        found: dict[Key, Spread] = {(row.name, row.time_s): row for row in own}
+        count = max(row.count for row in own)
         held = len({hold for program, hold in places if program == place[0] and hold}) > 1
         name = f"Hold {place[1]}" if held and place[1] else "" if several else "Value"
         program = _program_words(found, units, count) if several else _ramps(own)
@@ -88,21 +91,21 @@ def _columns(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> lis
     return columns
 
 
-def _program_words(found: Mapping[Key, Mapping[str, Any]], units: Mapping[str, str], count: int) -> str:
+def _program_words(found: Mapping[Key, Spread], units: Units, count: int) -> str:
     speed, depth, travel = (found.get((name, None)) for name in ("speed", "depth", "travel"))
     depth = depth or travel
-    if speed is None or depth is None or speed["mean"] is None or depth["mean"] is None:
+    if speed is None or depth is None or speed.mean is None or depth.mean is None:
         return f"n = {count}"
-    return f"{program_words(speed['mean'], depth['mean'], units)}, n = {count}"
+    return f"{program_words(speed.mean, depth.mean, units)}, n = {count}"
 
 
-def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
+def measured_view(specimen: Specimen) -> dict[str, Any] | None:
     """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any.
 
     ``specimen``: one of ``specimens`` of identification.json.
     """
-    told = [row for row in specimen.get("measured", ()) if row["name"] in _WORDS.keys() - _ASIDE]
-    columns = _columns(told, specimen["units"])
+    told = [row for row in specimen.measured or () if row.name in _WORDS.keys() - _ASIDE]
+    columns = _columns(told, specimen.units)
     if not columns:
         return None
     shown, order = columns[:MOST_COLUMNS], list(_WORDS)
@@ -114,7 +117,7 @@ def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     for key in keys:
         own = [column.found.get(key) for column in shown]
         first = next(row for row in own if row is not None)
-        unit = "" if first["unit"] == "1" else unit_words(first["unit"])
+        unit = "" if first.unit == "1" else unit_words(first.unit)
         rows.append({"name": measured_name(first), "unit": unit, "cells": [_cell(row) for row in own]})
     return {"head": [column.head for column in shown], "rows": rows, "said": _said(columns)}
 
@@ -122,7 +125,7 @@ def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
 def _said(columns: Sequence[_Column]) -> str:
     """Sentence on the origin of times, the spread, and what is left out."""
     count = max(column.count for column in columns)
-    spread = any(row["sd"] is not None for column in columns for row in column.found.values())
+    spread = any(row.sd is not None for column in columns for row in column.found.values())
     between = "Mean ± SD between logs." if spread else "The spread between logs is unknown."
     if count == 1:
         between = "One log: the spread between sites is unknown."

@@ -9,6 +9,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from tissueid.digits import number
+from tissueid.documents.identification import Identification, Specimen
 from tissueid.report.sentences import tissue_sentence
 
 #: As in CITATION.cff.
@@ -51,52 +52,52 @@ def citation(version: str) -> dict[str, str]:
     }
 
 
-def _recordings(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> str:
-    trials = specimen["trials"]
-    units = specimen["units"]
-    slow, fast = specimen["validity"]["speeds_mm_s"]
+def _recordings(specimen: Specimen, run: Identification) -> str:
+    trials = specimen.trials
+    units = specimen.units
+    slow, fast = specimen.validity.speeds_mm_s
     speed = number(slow, 3) if slow == fast else f"{number(slow, 3)} to {number(fast, 3)}"
-    depth = number(specimen["validity"]["depth_mm"], 3)
-    deep = f"{depth} mm" if units["length"] == "mm" else f"a strain of {depth}"
-    held = len({(row["path"], row["sheet"]) for row in specimen["relaxation"]})
+    depth = number(specimen.validity.depth_mm, 3)
+    deep = f"{depth} mm" if units.length == "mm" else f"a strain of {depth}"
+    held = len({(row.path, row.sheet) for row in specimen.relaxation})
     holds = f", {held} of them with a hold," if held else ""
     return (
         f"{len(trials)} indentation trial{'s' if len(trials) != 1 else ''} of specimen "
-        f"{specimen['specimen']}{holds} loaded at {speed} {units['length']}/s to {deep} "
-        f"({specimen['n_samples']:,} samples) were analysed with {_programs(run)}."
+        f"{specimen.specimen}{holds} loaded at {speed} {units.length}/s to {deep} "
+        f"({specimen.n_samples:,} samples) were analysed with {_programs(run)}."
     )
 
 
-def _programs(run: Mapping[str, Any]) -> str:
+def _programs(run: Identification) -> str:
     """The program and the libraries behind it, with their versions and papers."""
-    known = run["provenance"].get("versions", {})
+    known = run.provenance.versions or {}
     names = [f"{name} {version}{_cited(name)}" for name, version in sorted(known.items())]
-    return f"tissueid {run['provenance']['tissueid']}" + (f" ({', '.join(names)})" if names else "")
+    return f"tissueid {run.provenance.tissueid}" + (f" ({', '.join(names)})" if names else "")
 
 
 def _cited(name: str) -> str:
     return f" [{_LIBRARIES[name]}]" if name in _LIBRARIES else ""
 
 
-def _model_words(specimen: Mapping[str, Any]) -> str:
-    model = specimen["model"]
-    if model["key"] != "kelvin-voigt":
-        return f"with the contact model {model['key']}"
-    count = model["branches"]
+def _model_words(specimen: Specimen) -> str:
+    model = specimen.model
+    if model.key != "kelvin-voigt":
+        return f"with the contact model {model.key}"
+    count = model.branches
     return (
-        f"with a static force of degree {model['static_degree']} and {_NUMBERS[count]} relaxing "
-        f"branch{'es' if count != 1 else ''} whose stiffness is {_FOLD[model['stiffness_degree']]} "
-        f"(degree {model['stiffness_degree']})"
+        f"with a static force of degree {model.static_degree} and {_NUMBERS[count]} relaxing "
+        f"branch{'es' if count != 1 else ''} whose stiffness is {_FOLD[model.stiffness_degree]} "
+        f"(degree {model.stiffness_degree})"
     )
 
 
-def _choice_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+def _choice_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
     """Words on the choice of branches and of the degree of K."""
-    if specimen["model"]["key"] != "kelvin-voigt":
+    if specimen.model.key != "kelvin-voigt":
         return "The contact model was set in advance."
     wanted = {"branches": "the number of branches", "stiffness_degree": "the degree of K"}
     free = [words for key, words in wanted.items() if options.get(key, "auto") == "auto"]
-    if not free or not specimen["selection"]:
+    if not free or not specimen.selection:
         return "The number of branches and the degree of K were set in advance."
     words = " and ".join(free)
     told = f"{words[0].upper()}{words[1:]} {'were' if len(free) > 1 else 'was'} chosen by predicting data"
@@ -104,23 +105,23 @@ def _choice_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> st
     return f"{told} that were held out" + "".join(f"; {one} was set in advance" for one in given) + "."
 
 
-def _noise_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    noise = specimen["noise"]
-    assumed = _NOISE[noise["model"]] if noise is not None else _NOISE["white"]
+def _noise_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+    noise = specimen.noise
+    assumed = _NOISE[noise.model] if noise is not None else _NOISE["white"]
     found = " (found from the residuals)" if options.get("noise") == "auto" else ""
     return f"under {assumed} of the force{found}"
 
 
-def _missed_words(specimen: Mapping[str, Any]) -> str:
+def _missed_words(specimen: Specimen) -> str:
     """Words on the misfit beside the noise, and its effect on the intervals."""
-    noise = specimen["noise"]
-    if noise is None or noise["samples_per_independent"] <= 1.0:
+    noise = specimen.noise
+    if noise is None or noise.samples_per_independent <= 1.0:
         return ""
-    unit = specimen["units"]["force"]
+    unit = specimen.units.force
     return (
-        f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: where "
-        f"nothing happens they show {number(noise['measured_N'], 2)} {unit}. Intervals count "
-        f"{number(noise['samples_per_independent'], 2)} samples as an independent one."
+        f" The residual, {number(noise.sigma_N, 2)} {unit}, is no noise of these recordings: where "
+        f"nothing happens they show {number(noise.measured_N, 2)} {unit}. Intervals count "
+        f"{number(noise.samples_per_independent, 2)} samples as an independent one."
     )
 
 
@@ -137,29 +138,29 @@ def _decided_words(options: Mapping[str, Any]) -> str:
     return "".join(f" {one}" for one in told)
 
 
-def _fit_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    model = specimen["model"]
+def _fit_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+    model = specimen.model
     return (
-        f"The static force was {_POOLING[model['static_pooling']]}. {_choice_words(specimen, options)} The "
+        f"The static force was {_POOLING[model.static_pooling]}. {_choice_words(specimen, options)} The "
         f"model was fitted to the recorded displacement through its whole history by "
-        f"{specimen['optimisers']['method']}, {_noise_words(specimen, options)}, within the set of passive "
+        f"{specimen.optimisers.method}, {_noise_words(specimen, options)}, within the set of passive "
         "tissues (F_s and K nowhere negative on the fitted depth). A relaxation time is reported where its "
         "95 % profile-likelihood interval is closed and narrower than a factor e."
         f"{_missed_words(specimen)}{_decided_words(options)}"
     )
 
 
-def _sampling_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    sampler = specimen["sampler"]
+def _sampling_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+    sampler = specimen.sampler
     if sampler is None:
         return "Errors are standard errors at the optimum; no posterior was sampled."
-    known = [entry for entry in specimen["parameters"] if entry["r_hat"] is not None]
-    worst = max((entry["r_hat"] for entry in known), default=None)
-    least = min((entry["ess_bulk"] for entry in known if entry["ess_bulk"] is not None), default=None)
-    told = [f"{sampler['draws']:,} draws"]
+    known = [entry for entry in specimen.parameters if entry.r_hat is not None]
+    worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
+    least = min((entry.ess_bulk for entry in known if entry.ess_bulk is not None), default=None)
+    told = [f"{sampler.draws:,} draws"]
     if options.get("draws") is not None:
         told[0] += f", for {options['draws']:,} effective ones"
-    seed = sampler["detail"].get("seed", options.get("seed"))
+    seed = sampler.detail.get("seed", options.get("seed"))
     if seed is not None:
         told.append(f"seed {seed}")
     if worst is not None:
@@ -167,14 +168,14 @@ def _sampling_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> 
     if least is not None:
         told.append(f"at least {int(least):,} effective draws")
     return (
-        f"The posterior, with the linear parameters integrated, was sampled by {sampler['name']} "
+        f"The posterior, with the linear parameters integrated, was sampled by {sampler.name} "
         f"({'; '.join(told)}). {_interval_words(specimen)}"
     )
 
 
-def _interval_words(specimen: Mapping[str, Any]) -> str:
+def _interval_words(specimen: Specimen) -> str:
     """Words on the intervals, and on numbers without one."""
-    total = any(entry["ci95_total"] is not None for entry in specimen["parameters"])
+    total = any(entry.ci95_total is not None for entry in specimen.parameters)
     sources = " (gains of force and displacement, time skew, force filter, frame compliance)" if total else ""
     both = (
         "statistical (noise, scatter between trials, contact points) and total, which adds what is not known "
@@ -182,20 +183,20 @@ def _interval_words(specimen: Mapping[str, Any]) -> str:
         if total
         else "statistical (noise, scatter between trials, contact points)"
     )
-    end = "" if specimen["sampler"]["converged"] else " The sampler did not converge."
-    withheld = [one["symbol"] for one in specimen["parameters"] if "withheld" in one["detail"]]
+    end = "" if specimen.sampler is None or specimen.sampler.converged else " The sampler did not converge."
+    withheld = [one.symbol for one in specimen.parameters if "withheld" in one.detail]
     if withheld:
         end += f" No interval is given for {', '.join(withheld)}, whose values and draws do not agree."
-    if any("optimum" in one["detail"] for one in specimen["parameters"]):
+    if any("optimum" in one.detail for one in specimen.parameters):
         end += " Values are those of the tissue nearest to the optimum that lies inside every interval."
     return f"Intervals are 95 % credible intervals: {both}.{end}"
 
 
-def _result_words(specimen: Mapping[str, Any]) -> str:
+def _result_words(specimen: Specimen) -> str:
     sentence = tissue_sentence(specimen)
-    left = f"{100 * specimen['nrmsd']['range']:.2f} % of the force range"
-    rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
-    name = specimen["specimen"]
+    left = f"{100 * specimen.nrmsd.range:.2f} % of the force range"
+    rmse = f"{number(specimen.nrmsd.rmse_N, 3)} {specimen.units.force}"
+    name = specimen.specimen
     return f"Of specimen {name}, {sentence[0].lower()}{sentence[1:]} The model left {left} ({rmse})."
 
 
@@ -203,15 +204,15 @@ def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
     return "\n\n".join([before, *terms, *after])
 
 
-def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
+def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
     """Methods paragraph of one specimen.
 
     ``specimen``: one of ``specimens`` of identification.json; ``run``: the document.  Returns ``before`` and
     ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
     """
-    if specimen["model"]["key"] != "kelvin-voigt":
+    if specimen.model.key != "kelvin-voigt":
         return _other_law(specimen, run)
-    degree, options = specimen["model"]["stiffness_degree"], run["provenance"]["options"]
+    degree, options = specimen.model.stiffness_degree, run.provenance.options
     before = (
         f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
         f"{_model_words(specimen)}:"
@@ -238,12 +239,12 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
     }
 
 
-def _other_law(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
+def _other_law(specimen: Specimen, run: Identification) -> dict[str, Any]:
     """The paragraph of a law that is not the paper's: without its equations."""
-    options = run["provenance"]["options"]
+    options = run.provenance.options
     before = (
         f"{_recordings(specimen, run)} Contact force was described by the contact model "
-        f"{specimen['model']['key']} (static law, stiffness and relaxation as tissueid models lists them)."
+        f"{specimen.model.key} (static law, stiffness and relaxation as tissueid models lists them)."
     )
     after = [_fit_words(specimen, options), _sampling_words(specimen, options), _result_words(specimen)]
     return {"before": before, "after": after, "degree": None, "plain": _plain(before, [], after)}

@@ -6,19 +6,25 @@ The page is self-contained (style, scripts and, deflated, plotly) and asks the n
 from __future__ import annotations
 
 import base64
+import json
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from importlib.util import find_spec
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from msgspec import structs
 
 from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
+from tissueid.documents import plain
+from tissueid.documents.identification import Estimate, Identification, Specimen
+from tissueid.documents.inspect import Units
+from tissueid.documents.study_check import StudyCheck
 from tissueid.errors import UsageError
 from tissueid.report.figures import curve_payload, curves_by_trial
 from tissueid.report.groups import curve_groups
@@ -28,7 +34,7 @@ from tissueid.report.methods_words import citation, methods_view, subscripted
 from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
-from tissueid.report.rendering_words import metadata_view, rendering_view
+from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
 from tissueid.report.sentences import overview_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
@@ -65,6 +71,7 @@ def page_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.policies["json.dumps_function"] = partial(json.dumps, default=plain)
     environment.filters["number"] = number
     environment.filters["rounded_to"] = rounded_to
     environment.filters["unit"] = unit_words
@@ -118,15 +125,15 @@ def _deflated_library() -> dict[str, Any]:
 
 def _view(
     position: int,
-    specimen: Mapping[str, Any],
-    run: Mapping[str, Any],
-    rendering: Mapping[str, Any] | None,
+    specimen: Specimen,
+    run: Identification,
+    rendering: Rendering | str | None,
 ) -> dict[str, Any]:
-    parameters = {entry["name"]: entry for entry in specimen["parameters"]}
+    parameters = {entry.name: entry for entry in specimen.parameters}
     sure = uncertainty_view(specimen)
     alarms = _alarms(sure)
     told = [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART]
-    if len(specimen["trials"]) == 1:
+    if len(specimen.trials) == 1:
         told = [replace(one, where=()) for one in told]
     shown = MOST_REASONS - len(alarms)
     return {
@@ -141,8 +148,8 @@ def _view(
         "reasons": told[:shown],
         "more": told[shown:],
         "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
-        "quoted": quoted_tables(specimen["quoted"]),
-        "cycles": cycle_table(specimen["cycles"]),
+        "quoted": quoted_tables(specimen.quoted),
+        "cycles": cycle_table(specimen.cycles),
         "methods": methods_view(specimen, run),
         "rendering": rendering_view(rendering, specimen),
     }
@@ -160,32 +167,32 @@ def _alarms(sure: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     return found
 
 
-def _without_error(entry: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _without_error(entry: Estimate | None, specimen: Specimen) -> Estimate | None:
     """A parameter as the overview shows it: no error where the residuals contradict the model."""
-    return {**entry, "stderr": None} if entry is not None and misfit_raised(specimen) else entry
+    return structs.replace(entry, stderr=None) if entry is not None and misfit_raised(specimen) else entry
 
 
-def _overview(specimens: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _overview(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
     """Points of the overview figure: one a specimen whose viscosity is identified."""
     return [
-        {"name": specimen["specimen"], "value": entry["value"], **_ends(specimen, entry)}
+        {"name": specimen.specimen, "value": entry.value, **_ends(specimen, entry)}
         for specimen in specimens
-        for entry in specimen["parameters"]
-        if entry["name"] == "viscosity_N_s_per_mm" and entry["value"] is not None
+        for entry in specimen.parameters
+        if entry.name == "viscosity_N_s_per_mm" and entry.value is not None
     ]
 
 
-def _ends(specimen: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, float]:
+def _ends(specimen: Specimen, entry: Estimate) -> dict[str, float]:
     """Reach of an error bar up and down: 95 %, or one standard error where nothing was sampled."""
     if misfit_raised(specimen):
         return {"up": 0.0, "down": 0.0}
-    if entry["ci95"] is None:
-        return {"up": entry["stderr"] or 0.0, "down": entry["stderr"] or 0.0}
-    low, high = entry["ci95"]
-    return {"up": max(high - entry["value"], 0.0), "down": max(entry["value"] - low, 0.0)}
+    if entry.ci95 is None:
+        return {"up": entry.stderr or 0.0, "down": entry.stderr or 0.0}
+    (low, high), value = entry.ci95, entry.value or 0.0
+    return {"up": max(high - value, 0.0), "down": max(value - low, 0.0)}
 
 
-def _groups(specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
+def _groups(specimens: Sequence[Specimen], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
     """Curves of all specimens by program; none where their units differ."""
     units = _common_units(specimens)
     return [] if units is None else curve_groups(curves_by_trial(specimens, curves), units)
@@ -198,14 +205,15 @@ def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
 
 
 def render_report(
-    identification: Mapping[str, Any],
+    identification: Identification,
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
     *,
-    renderings: Sequence[Mapping[str, Any] | None] = (),
-    metadata: Mapping[str, Any] | None = None,
+    renderings: Sequence[Rendering | str | None] = (),
+    metadata: StudyCheck | None = None,
     created: str | None = None,
     script_file: str | None = None,
+    digest: str | None = None,
 ) -> str:
     """Write the report of one run as one self-contained HTML page.
 
@@ -214,9 +222,10 @@ def render_report(
     bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``metadata``:
     how complete the study's description is: the document of ``schemas/study-check.schema.json``; ``created``:
     time stamp to print; without it equal input gives an equal page; ``script_file``: where the drawing
-    library stands, from the page; without it the page holds it.  Returns HTML, UTF-8.
+    library stands, from the page; without it the page holds it; ``digest``: SHA-256 of identification.json.
+    Returns HTML, UTF-8.
     """
-    specimens = identification["specimens"]
+    specimens = identification.specimens
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
     views = [
         _view(position, specimen, identification, rendering)
@@ -227,23 +236,23 @@ def render_report(
         "posteriors": posterior_payload(specimens, posteriors),
         "laws": law_payload(specimens, curves, posteriors),
         "groups": _groups(specimens, curves) if len(specimens) > 1 else [],
-        "units": [specimen["units"] for specimen in specimens],
+        "units": [plain(specimen.units) for specimen in specimens],
         "overview": _overview(specimens),
     }
     template = page_environment().get_template("report.html.j2")
     return template.render(
         title=_title(specimens),
         run=identification,
-        unfitted=cycle_table(identification["unfitted_cycles"]),
+        unfitted=cycle_table(identification.unfitted_cycles),
         views=views,
-        workbook=base64.b64encode(report_workbook(identification)).decode("ascii"),
+        workbook=base64.b64encode(report_workbook(identification, digest)).decode("ascii"),
         payload=payload,
         common_units=_common_units(specimens),
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
-        study=study_view(identification["study"]),
+        study=study_view(identification.study),
         metadata=metadata_view(metadata),
-        cite=citation(identification["provenance"]["tissueid"]),
+        cite=citation(identification.provenance.tissueid),
         created=created,
         style=asset("page.css"),
         scripts=[asset(name) for name in _SCRIPTS],
@@ -252,12 +261,12 @@ def render_report(
     )
 
 
-def _common_units(specimens: Sequence[Mapping[str, Any]]) -> Mapping[str, str] | None:
-    units = [specimen["units"] for specimen in specimens]
+def _common_units(specimens: Sequence[Specimen]) -> Units | None:
+    units = [specimen.units for specimen in specimens]
     return units[0] if units and all(one == units[0] for one in units) else None
 
 
-def _title(specimens: Sequence[Mapping[str, Any]]) -> str:
+def _title(specimens: Sequence[Specimen]) -> str:
     if len(specimens) == 1:
-        return f"Contact mechanics of {specimens[0]['specimen']}"
+        return f"Contact mechanics of {specimens[0].specimen}"
     return f"Contact mechanics of {len(specimens)} specimens" if specimens else "No specimen was fitted"

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from tissueid.documents.identification import Specimen
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import misfit_raised, verdict
 
@@ -77,24 +78,24 @@ _SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 _LISTED = 500
 
 
-def index_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
+def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
     """A specimen of identification.json as a row of the table.
 
     ``page``: address of its own page, from the table's.
     """
-    values = {one["name"]: one for one in specimen["parameters"]}
+    values = {one.name: one for one in specimen.parameters}
     found = verdict(specimen)
     sure = not misfit_raised(specimen)
     return {
-        "name": specimen["specimen"],
+        "name": specimen.specimen,
         "page": page,
         "level": found.level,
         "verdict": found.title,
-        "values": [values[name]["value"] if name in values else None for name in _SHOWN],
-        "errors": [values[name]["stderr"] if sure and name in values else None for name in _SHOWN],
-        "nrmsd": 100.0 * specimen["nrmsd"]["range"],
-        "trials": len(specimen["trials"]),
-        "depth": specimen["validity"]["depth_mm"],
+        "values": [values[name].value if name in values else None for name in _SHOWN],
+        "errors": [values[name].stderr if sure and name in values else None for name in _SHOWN],
+        "nrmsd": 100.0 * specimen.nrmsd.range,
+        "trials": len(specimen.trials),
+        "depth": specimen.validity.depth_mm,
     }
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from tissueid.documents import plain
+from tissueid.documents.population import Population, Specimen
 from tissueid.model.channels import loading_force
 from tissueid.store.bundle import Bundle
 
@@ -50,52 +52,56 @@ def force_bands(bundle: Bundle) -> dict[str, Any] | None:
     }
 
 
-def _shown(specimens: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def _shown(specimens: Sequence[Specimen]) -> Sequence[Specimen]:
     """Those that are drawn, outliers among them."""
     if len(specimens) <= MOST_DRAWN:
         return specimens
-    outliers = [row for row in specimens if row["outlier"] is not None][:MOST_DRAWN]
-    rest = [row for row in specimens if row["outlier"] is None]
+    outliers = [row for row in specimens if row.outlier is not None][:MOST_DRAWN]
+    rest = [row for row in specimens if row.outlier is None]
     take = MOST_DRAWN - len(outliers)
     return outliers + [rest[k] for k in np.linspace(0, len(rest) - 1, take).astype(int)] if take else outliers
 
 
-def population_payload(document: Mapping[str, Any], bundle: Bundle | None) -> dict[str, Any]:
+def population_payload(document: Population, bundle: Bundle | None) -> dict[str, Any]:
     """Everything the page's script draws from.
 
     ``document``: population.json; ``bundle``: population.h5.
     """
-    found = document["population"]
-    shown = _shown(found["specimens"])
+    found = document.population
+    assert found is not None  # noqa: S101  (a page is of a population)
+    shown = _shown(found.specimens)
     return {
         "quantities": [
             {
-                "words": row["words"],
-                "unit": "" if row["unit"] == "1" else row["unit"],
-                "median": row["median"],
-                "ci95": row["ci95"],
-                "sd": row["sd_ln"],
+                "words": row.words,
+                "unit": "" if row.unit == "1" else row.unit,
+                "median": row.median,
+                "ci95": row.ci95,
+                "sd": row.sd_ln,
             }
-            for row in found["quantities"]
+            for row in found.quantities
         ],
         "specimens": [
             {
-                "name": row["specimen"],
-                "outlier": row["outlier"] is not None,
-                **{key: _rounded(row[key]) for key in ("separate", "separate_ci95", "pooled", "pooled_ci95")},
+                "name": row.specimen,
+                "outlier": row.outlier is not None,
+                "separate": _rounded(row.separate),
+                "separate_ci95": _rounded(row.separate_ci95),
+                "pooled": _rounded(row.pooled),
+                "pooled_ci95": _rounded(row.pooled_ci95),
             }
             for row in shown
         ],
-        "correlation": _rounded(found["correlation"]),
+        "correlation": _rounded(found.correlation),
         "bands": None if bundle is None else force_bands(bundle),
-        "agreement": document["agreement"],
+        "agreement": plain(document.agreement),
         "held_out": (
             None
-            if found["held_out"] is None
+            if found.held_out is None
             else {
-                "range": _rounded([100.0 * row["nrmsd_range"] for row in found["held_out"]["trials"]]),
-                "mean": _rounded([100.0 * row["nrmsd_mean"] for row in found["held_out"]["trials"]]),
-                "paper_a": found["held_out"]["paper_a_percent"],
+                "range": _rounded([100.0 * row.nrmsd_range for row in found.held_out.trials]),
+                "mean": _rounded([100.0 * row.nrmsd_mean for row in found.held_out.trials]),
+                "paper_a": found.held_out.paper_a_percent,
             }
         ),
     }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import Specimen
 from tissueid.report.figures import quantised
 from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import unit_words
@@ -47,25 +48,24 @@ def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) ->
     return columns
 
 
-def _of_one(specimen: Mapping[str, Any], stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
-    entries = reported_order(specimen["parameters"])
-    depth_mm = specimen["validity"]["depth_mm"]
+def _of_one(specimen: Specimen, stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
+    entries = reported_order(specimen.parameters)
+    depth_mm = specimen.validity.depth_mm
 
     def table(draws: FloatArray) -> dict[str, Any]:
         columns = _with_viscosity(stored.theta_names, draws[_evenly(len(draws), most)], depth_mm)
-        kept = [columns[entry["name"]] for entry in entries if entry["name"] in columns]
+        kept = [columns[entry.name] for entry in entries if entry.name in columns]
         return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
 
     chain = stored.chain[_evenly(stored.chain.shape[0], _CHAINS)]
     chain = chain[:, _evenly(chain.shape[1], steps)]
-    available = {*stored.theta_names, *(e["name"] for e in entries if e["name"].startswith("viscosity"))}
+    available = {*stored.theta_names, *(e.name for e in entries if e.name.startswith("viscosity"))}
     return {
-        "names": [entry["name"] for entry in entries if entry["name"] in available],
+        "names": [entry.name for entry in entries if entry.name in available],
         "labels": [
-            f"{entry['symbol']} [{unit_words(entry['unit'])}]"
-            + ("" if entry["identified"] else ", not identified")
+            f"{entry.symbol} [{unit_words(entry.unit)}]" + ("" if entry.identified else ", not identified")
             for entry in entries
-            if entry["name"] in available
+            if entry.name in available
         ],
         "draws": table(stored.draws),
         "total": None if stored.draws_total is None else table(stored.draws_total),
@@ -78,7 +78,7 @@ def _of_one(specimen: Mapping[str, Any], stored: StoredPosterior, most: int, ste
 
 
 def posterior_payload(
-    specimens: Sequence[Mapping[str, Any]], posteriors: Sequence[StoredPosterior]
+    specimens: Sequence[Specimen], posteriors: Sequence[StoredPosterior]
 ) -> list[dict[str, Any] | None]:
     """Draws of every specimen, in their order, packed; ``None`` where nothing was sampled.
 
@@ -96,7 +96,7 @@ def posterior_payload(
     steps = min(max(MOST_CHAIN_NUMBERS // max(coordinates, 1), _FEWEST_STEPS), _STEPS)
     return [
         None
-        if specimen["specimen"] not in by_name
-        else _of_one(specimen, by_name[specimen["specimen"]], share, steps)
+        if specimen.specimen not in by_name
+        else _of_one(specimen, by_name[specimen.specimen], share, steps)
         for specimen in specimens
     ]

@@ -5,11 +5,12 @@ A cell is text: a number with its standard error, or why there is none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
+from tissueid.documents.quantities import Cycle, Measure, Quantity, Quoted
 from tissueid.quantities import DEPTH_TEST
 from tissueid.report.remarks import trial_label
 
@@ -37,7 +38,11 @@ class Table:
 
 
 def _shown(
-    title: str, sentence: str, head: Sequence[str], rows: Sequence[Sequence[str]], reasons: Sequence[str] = ()
+    title: str,
+    sentence: str,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    reasons: Sequence[str | None] = (),
 ) -> Table:
     """A table cut to its first and last rows where there are many."""
     kept = [tuple(row) for row in rows]
@@ -47,78 +52,78 @@ def _shown(
     return Table(title, sentence, tuple(head), tuple(kept), len(rows) - len(kept), unique)
 
 
-def _cell(entry: Mapping[str, Any] | None, *, percent: bool = False) -> str:
-    if entry is None or entry["value"] is None:
+def _cell(entry: Measure | Quantity | None, *, percent: bool = False) -> str:
+    if entry is None or entry.value is None:
         return NONE
     factor = 100.0 if percent else 1.0
-    stderr = None if entry["stderr"] is None else factor * entry["stderr"]
-    return with_error(factor * entry["value"], stderr)
+    stderr = None if entry.stderr is None else factor * entry.stderr
+    return with_error(factor * entry.value, stderr)
 
 
-def _find(entries: Sequence[Mapping[str, Any]], name: str, **at: Any) -> Mapping[str, Any] | None:
+def _find(entries: Sequence[Quantity], name: str, **at: Any) -> Quantity | None:
     for entry in entries:
-        if entry["name"] == name and all(entry["at"].get(key) == value for key, value in at.items()):
+        if entry.name == name and all(getattr(entry.at, key) == value for key, value in at.items()):
             return entry
     return None
 
 
-def _values(entries: Sequence[Mapping[str, Any]], name: str, key: str) -> list[Any]:
+def _values(entries: Sequence[Quantity], name: str, key: str) -> list[Any]:
     """Distinct conditions of a quantity, in the order they come."""
-    return list(dict.fromkeys(entry["at"][key] for entry in entries if entry["name"] == name))
+    return list(dict.fromkeys(getattr(entry.at, key) for entry in entries if entry.name == name))
 
 
-def _relaxed(quoted: Mapping[str, Any]) -> Table:
-    model = quoted["model"]
+def _relaxed(quoted: Quoted) -> Table:
+    model = quoted.model
     times = _values(model, "fraction_relaxed", "time_s")
     rows, reasons = [], []
     for path, words in _PATHS.items():
-        own = [entry for entry in model if entry["at"].get("path") == path]
-        if all(entry["value"] is None for entry in own):
-            reasons += [entry["reason"] for entry in own]
+        own = [entry for entry in model if entry.at.path == path]
+        if all(entry.value is None for entry in own):
+            reasons += [entry.reason for entry in own]
             continue
-        at = own[0]["at"]
-        speed = f", {number(at['speed_mm_s'], 3)} mm/s" if "speed_mm_s" in at else ""
+        at = own[0].at
+        speed = f", {number(at.speed_mm_s, 3)} mm/s" if at.speed_mm_s is not None else ""
         found = [_find(own, "fraction_relaxed", time_s=time) for time in times]
         ratio = _find(own, "peak_to_plateau")
-        reasons += [entry["reason"] for entry in (*found, ratio) if entry is not None]
-        name = f"Model, {words} to {number(at['depth_mm'], 3)} mm{speed}"
+        reasons += [entry.reason for entry in (*found, ratio) if entry is not None]
+        name = f"Model, {words} to {number(at.depth_mm, 3)} mm{speed}"
         rows.append([name, *(_cell(entry, percent=True) for entry in found), _cell(ratio)])
     head = ["Relaxed [%] after", *(f"{time:g} s" for time in times), "Peak over plateau"]
     sentence = (
         "Share of the model's peak force that is gone, counted from the end of the step or ramp. An ideal "
-        f"step is computed, not tested. Nothing is said later than {number(quoted['window_s'], 3)} s or "
-        f"earlier than {number(quoted['resolution_s'], 3)} s, which these recordings did not show."
+        f"step is computed, not tested. Nothing is said later than {number(quoted.window_s, 3)} s or "
+        f"earlier than {number(quoted.resolution_s, 3)} s, which these recordings did not show."
     )
     return _shown("Relaxation", sentence, head, rows, reasons)
 
 
-def _oscillation(quoted: Mapping[str, Any]) -> Table | None:
-    model = quoted["model"]
+def _oscillation(quoted: Quoted) -> Table | None:
+    model = quoted.model
     names = ("storage_stiffness", "loss_stiffness", "tan_delta", "dissipated_energy")
     rows, reasons = [], []
     for frequency in _values(model, "tan_delta", "frequency_Hz"):
         found = [_find(model, name, frequency_Hz=frequency) for name in names]
-        reasons += [entry["reason"] for entry in found if entry is not None]
+        reasons += [entry.reason for entry in found if entry is not None]
         rows.append([f"{number(frequency, 3)} Hz", *(_cell(entry) for entry in found)])
     if not rows:
         return None
     energy = _find(model, "dissipated_energy")
     assert energy is not None  # noqa: S101  (there are rows)
     sentence = (
-        f"Small oscillation about {number(energy['at']['depth_mm'], 3)} mm, computed from the model; energy "
-        f"a cycle for an amplitude of {number(energy['at']['amplitude_mm'], 3)} mm."
+        f"Small oscillation about {number(energy.at.depth_mm, 3)} mm, computed from the model; energy "
+        f"a cycle for an amplitude of {number(energy.at.amplitude_mm, 3)} mm."
     )
     head = ("Frequency", "Storage [N/mm]", "Loss [N/mm]", "tan δ", "Energy a cycle [mJ]")
     return _shown("Storage and loss", sentence, head, rows, reasons)
 
 
-def _stiffness(quoted: Mapping[str, Any]) -> Table:
-    model = quoted["model"]
+def _stiffness(quoted: Quoted) -> Table:
+    model = quoted.model
     names = ("equilibrium_secant", "equilibrium_tangent", "instantaneous_secant", "instantaneous_tangent")
     rows, reasons = [], []
     for depth in _values(model, names[0], "depth_mm"):
         found = [_find(model, name, depth_mm=depth) for name in names]
-        reasons += [entry["reason"] for entry in found if entry is not None]
+        reasons += [entry.reason for entry in found if entry is not None]
         rows.append([f"{number(depth, 3)} mm", *(_cell(entry) for entry in found)])
     sentence = (
         "Structural stiffness for this tip on this support [N/mm]: after every branch has relaxed, and at "
@@ -128,80 +133,80 @@ def _stiffness(quoted: Mapping[str, Any]) -> Table:
     return _shown("Stiffness", sentence, head, rows, reasons)
 
 
-def _moduli(quoted: Mapping[str, Any]) -> Table | None:
-    moduli = quoted["moduli"]
+def _moduli(quoted: Quoted) -> Table | None:
+    moduli = quoted.moduli
     if not moduli:
         return None
     rows, reasons = [], []
-    keys = dict.fromkeys((entry["at"]["formula"], entry["at"]["depth_mm"]) for entry in moduli)
+    keys = dict.fromkeys((entry.at.formula, entry.at.depth_mm) for entry in moduli)
     for formula, depth in keys:
         names = ("modulus_equilibrium", "modulus_instantaneous")
         found = [_find(moduli, name, formula=formula, depth_mm=depth) for name in names]
-        reasons += [entry["reason"] for entry in found if entry is not None]
+        reasons += [entry.reason for entry in found if entry is not None]
         rows.append([f"{str(formula).capitalize()}, {number(depth, 3)} mm", *(_cell(one) for one in found)])
-    known = quoted["assumptions"]
+    known = quoted.assumptions
     size = (
-        f"half angle {number(known['half_angle_deg'], 3)}°"
-        if known["shape"] == "cone"
-        else f"radius {number(known['radius_mm'], 3)} mm"
+        f"half angle {number(known.half_angle_deg, 3)}°"
+        if known.shape == "cone"
+        else f"radius {number(known.radius_mm, 3)} mm"
     )
     body = (
         "a deep body (no thickness was stated)"
-        if known["thickness_mm"] is None
-        else f"a {known['support']} of {number(known['thickness_mm'], 3)} mm"
+        if known.thickness_mm is None
+        else f"a {known.support} of {number(known.thickness_mm, 3)} mm"
     )
     sentence = (
-        f"Young's modulus [kPa] for a {known['shape']} of {size} on {body}, Poisson's ratio "
-        f"{number(known['poisson'], 2)}, no friction: a reading of the structural stiffness, valid as far "
+        f"Young's modulus [kPa] for a {known.shape} of {size} on {body}, Poisson's ratio "
+        f"{number(known.poisson, 2)}, no friction: a reading of the structural stiffness, valid as far "
         "as the remarks above say."
     )
     head = ("Formula and depth", "E∞, relaxed", "E₀, at once")
     return _shown("Modulus", sentence, head, rows, reasons)
 
 
-def _drainage(quoted: Mapping[str, Any]) -> Table | None:
+def _drainage(quoted: Quoted) -> Table | None:
     """The depth test: relaxation times by contact radius."""
-    found = _find(quoted["model"], DEPTH_TEST)
+    found = _find(quoted.model, DEPTH_TEST)
     if found is None:
         return None
-    at = found["at"]
-    interval, verdict = (NONE, "can't decide") if found["value"] is None else (
-        f"{number(at['low'], 3)} to {number(at['high'], 3)}", str(at["verdict"])
+    at = found.at
+    interval, verdict = (NONE, "can't decide") if found.value is None else (
+        f"{number(at.low, 3)} to {number(at.high, 3)}", str(at.verdict)
     )  # fmt: skip
-    row = (f"{number(at['depth_mm'], 3)} mm", f"{int(at['holds'])}", _cell(found), interval, verdict)
+    row = (f"{number(at.depth_mm, 3)} mm", f"{at.holds:.0f}", _cell(found), interval, verdict)
     sentence = (
         "Slope of ln relaxation time on ln contact radius, over holds of one length at several depths: a "
         "viscous tissue has 0, one that drains 2."
     )
     head = ("Depth up to", "Holds", "Slope", "95 %", "Verdict")
-    return _shown("Drainage or viscosity", sentence, head, [row], [found["reason"]])
+    return _shown("Drainage or viscosity", sentence, head, [row], [found.reason])
 
 
-def _spectra(quoted: Mapping[str, Any]) -> Table | None:
+def _spectra(quoted: Quoted) -> Table | None:
     """Share of the relaxing force by decades of relaxation time."""
-    spectra = quoted["spectra"]
+    spectra = quoted.spectra
     if not spectra:
         return None
     exponents = range(-6, 9)
     shares = []
     for one in spectra:
-        total = sum(one["amplitude_N"])
+        total = sum(one.amplitude_N)
         by_decade = {
             n: sum(
                 amplitude
-                for tau, amplitude in zip(one["tau_s"], one["amplitude_N"], strict=True)
+                for tau, amplitude in zip(one.tau_s, one.amplitude_N, strict=True)
                 if 10.0**n <= tau < 10.0 ** (n + 1)
             )
             for n in exponents
         }
-        inside = {n for n in exponents if any(10.0**n <= tau < 10.0 ** (n + 1) for tau in one["tau_s"])}
+        inside = {n for n in exponents if any(10.0**n <= tau < 10.0 ** (n + 1) for tau in one.tau_s)}
         shares.append((one, total, by_decade, inside))
     used = sorted(set().union(*(inside for *_, inside in shares)))
     rows = [
         [
             trial_label(one),
             *(f"{100.0 * by_decade[n] / total:.0f}" if n in inside and total > 0.0 else NONE for n in used),
-            number(one["plateau_N"], 3),
+            number(one.plateau_N, 3),
         ]
         for one, total, by_decade, inside in shares
     ]
@@ -213,7 +218,7 @@ def _spectra(quoted: Mapping[str, Any]) -> Table | None:
     return _shown("Relaxation spectrum", sentence, head, rows)
 
 
-def quoted_tables(quoted: Mapping[str, Any] | None) -> tuple[Table, ...]:
+def quoted_tables(quoted: Quoted | None) -> tuple[Table, ...]:
     """The tables of one specimen's ``quoted`` object; none where there is none."""
     if quoted is None:
         return ()
@@ -228,23 +233,23 @@ def quoted_tables(quoted: Mapping[str, Any] | None) -> tuple[Table, ...]:
     return tuple(table for table in tables if table is not None and table.rows)
 
 
-def cycle_table(cycles: Sequence[Mapping[str, Any]]) -> Table | None:
+def cycle_table(cycles: Sequence[Cycle]) -> Table | None:
     """Loops, measured from their samples; ``None`` where there are none."""
     if not cycles:
         return None
     rows = [
         [
-            f"{trial_label(row)}, {_KINDS[row['kind']]} {row['number']}",
-            number(row["peak_depth_mm"], 3),
-            _cell(row["peak_force_N"]),
-            _cell(row["dissipated_mJ"]),
-            _cell(row["hysteresis"], percent=True),
-            _cell(row["secant_N_per_mm"]),
-            _cell(row["tangent_N_per_mm"]),
-            _cell(row["residual_depth_mm"]),
-            _cell(row["peak_force_change"], percent=True),
-            _cell(row["viscosity_N_s_per_mm"]),
-            _cell(row["viscosity_model_N_s_per_mm"]),
+            f"{trial_label(row)}, {_KINDS[row.kind]} {row.number}",
+            number(row.peak_depth_mm, 3),
+            _cell(row.peak_force_N),
+            _cell(row.dissipated_mJ),
+            _cell(row.hysteresis, percent=True),
+            _cell(row.secant_N_per_mm),
+            _cell(row.tangent_N_per_mm),
+            _cell(row.residual_depth_mm),
+            _cell(row.peak_force_change, percent=True),
+            _cell(row.viscosity_N_s_per_mm),
+            _cell(row.viscosity_model_N_s_per_mm),
         ]
         for row in cycles
     ]

@@ -6,11 +6,11 @@ repeats the other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from tissueid.digits import typeset
+from tissueid.documents.base import Placed
+from tissueid.documents.identification import Relaxation, Specimen, Trial
 from tissueid.flags import FLAGS, flag_level, harm_rank
 
 #: From harmless to grave.
@@ -38,13 +38,13 @@ def remark_title(code: str) -> str:
     return FLAGS[code].title if code in FLAGS else code.replace("_", " ").capitalize()
 
 
-def trial_label(trial: Mapping[str, Any]) -> str:
+def trial_label(trial: Placed) -> str:
     """Short name of a trial: its file, and its sheet where there is one."""
-    name = str(trial["path"]).replace("\\", "/").rsplit("/", 1)[-1]
-    return name if trial["sheet"] is None else f"{name} [{trial['sheet']}]"
+    name = trial.path.replace("\\", "/").rsplit("/", 1)[-1]
+    return name if trial.sheet is None else f"{name} [{trial.sheet}]"
 
 
-def remarks(specimen: Mapping[str, Any], *, holds: bool = True) -> tuple[Remark, ...]:
+def remarks(specimen: Specimen, *, holds: bool = True) -> tuple[Remark, ...]:
     """Every flag of a specimen, its trials and its holds, once a code, the one of most harm first.
 
     ``specimen``: one of ``specimens`` of identification.json; ``holds``: with what is said of single
@@ -52,16 +52,17 @@ def remarks(specimen: Mapping[str, Any], *, holds: bool = True) -> tuple[Remark,
     """
     messages: dict[str, list[str]] = {}
     where: dict[str, list[str]] = {}
-    for flag in specimen["flags"]:
-        said = messages.setdefault(flag["code"], [])
-        where.setdefault(flag["code"], [])
+    for flag in specimen.flags:
+        said = messages.setdefault(flag.code, [])
+        where.setdefault(flag.code, [])
         # several parameters may carry one code: each sentence is kept, and none twice
-        if flag["message"] not in said:
-            said.append(flag["message"])
-    for part in (*specimen["trials"], *(specimen["relaxation"] if holds else ())):
-        for flag in part["flags"]:
-            messages.setdefault(flag["code"], [flag["message"]])
-            places = where.setdefault(flag["code"], [])
+        if flag.message not in said:
+            said.append(flag.message)
+    parts: list[Trial | Relaxation] = [*specimen.trials, *(specimen.relaxation if holds else ())]
+    for part in parts:
+        for flag in part.flags:
+            messages.setdefault(flag.code, [flag.message])
+            places = where.setdefault(flag.code, [])
             if trial_label(part) not in places:
                 places.append(trial_label(part))
     found = [

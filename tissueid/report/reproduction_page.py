@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tissueid.digits import number
+from tissueid.documents import plain
+from tissueid.documents.reproduction import Item, Paper, Reproduction
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict
 
@@ -43,13 +45,13 @@ def _value(value: float | Sequence[float] | None) -> str:
     return f"{number(value[0], 4)} to {number(value[1], 4)}"
 
 
-def _verdict(items: Sequence[Mapping[str, Any]]) -> Verdict:
+def _verdict(items: Sequence[Item]) -> Verdict:
     """Verdict on agreeing numbers."""
-    compared = [item for item in items if item["published"] is not None and item["agrees"] is not None]
-    agreeing = Counter(item["kind"] for item in compared if item["agrees"])
-    differing = [item["words"] for item in compared if not item["agrees"]]
-    claims = [item for item in items if item["published"] is None and item["agrees"] is not None]
-    unborne = [item for item in claims if not item["agrees"]]
+    compared = [item for item in items if item.published is not None and item.agrees is not None]
+    agreeing: Counter[str] = Counter(item.kind for item in compared if item.agrees)
+    differing = [item.words for item in compared if not item.agrees]
+    claims = [item for item in items if item.published is None and item.agrees is not None]
+    unborne = [item for item in claims if not item.agrees]
     told = ", ".join(f"{agreeing[kind]} {kind}" for kind in KINDS if agreeing[kind]) or "none"
     text = (
         f"{len(compared)} printed numbers have a recomputed one beside them; {sum(agreeing.values())} agree "
@@ -68,60 +70,60 @@ def _printed(value: float | Sequence[float] | None) -> str:
     return " to ".join(f"{one:g}" for one in value)
 
 
-def _places(paper: Mapping[str, Any], document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _places(paper: Paper, document: Reproduction) -> list[dict[str, Any]]:
     """Rows and figures of a paper by the table or figure they stand beside."""
-    items = [item for item in document["items"] if item["paper"] == paper["name"]]
+    items = [item for item in document.items if item.paper == paper.name]
     figures = [
-        {**figure, "place": place}
-        for place, figure in enumerate(document["figures"])
-        if figure["paper"] == paper["name"]
+        {**plain(figure), "place": place}
+        for place, figure in enumerate(document.figures)
+        if figure.paper == paper.name
     ]
     return [
         {
             "where": where,
-            "id": f"{paper['name']}-{where.lower().replace('.', '').replace(' ', '-')}",
-            "items": [item for item in items if item["where"] == where],
+            "id": f"{paper.name}-{where.lower().replace('.', '').replace(' ', '-')}",
+            "items": [item for item in items if item.where == where],
             "figures": [figure for figure in figures if figure["where"] == where],
         }
-        for where in paper["places"]
+        for where in paper.places
     ]
 
 
-def _remarks(item: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _remarks(item: Item) -> list[tuple[str, str]]:
     """Remarks under a row."""
     said = [
-        ("Decided", item["rule"]),
-        ("Reading", item["reading"]),
-        ("Assumed", "; ".join(item["assumed"]) or None),
-        ("An instrument alone?", item["instrument"]),
-        ("Note", item["note"]),
+        ("Decided", item.rule),
+        ("Reading", item.reading),
+        ("Assumed", "; ".join(item.assumed) or None),
+        ("An instrument alone?", item.instrument),
+        ("Note", item.note),
     ]
     return [(name, words) for name, words in said if words]
 
 
-def render_reproduction(document: Mapping[str, Any], *, created: str | None = None) -> str:
+def render_reproduction(document: Reproduction, *, created: str | None = None) -> str:
     """Write the page.
 
     ``document``: the document of ``schemas/reproduction.schema.json``; ``created``: time stamp to print;
     without it equal input gives an equal page.  Returns HTML, UTF-8.
     """
-    papers = [{**paper, "places": _places(paper, document)} for paper in document["papers"]]
+    papers = [{**plain(paper), "places": _places(paper, document)} for paper in document.papers]
     return (
         page_environment()
         .get_template("reproduction.html.j2")
         .render(
             title="Two papers, recomputed"
             if len(papers) > 1
-            else f"{papers[0]['name'].title()} et al., recomputed",
+            else f"{document.papers[0].name.title()} et al., recomputed",
             run=document,
-            verdict=_verdict(document["items"]),
+            verdict=_verdict(document.items),
             kinds=KINDS,
-            counts=Counter(item["kind"] for item in document["items"]),
+            counts=Counter(item.kind for item in document.items),
             papers=papers,
             value=_value,
             printed=_printed,
             remarks=_remarks,
-            payload={"figures": document["figures"]},
+            payload={"figures": plain(document.figures)},
             created=created,
             style=asset("page.css") + asset("reproduction.css"),
             scripts=[asset("boxes.js"), asset("reproduction.js")],

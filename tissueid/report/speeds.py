@@ -11,6 +11,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.digits import number
+from tissueid.documents.identification import Specimen, Trial
+from tissueid.documents.inspect import Units
 from tissueid.measured.spread import SAME_SPEED, clusters
 from tissueid.report.remarks import trial_label
 from tissueid.report.tissue import Tissue, brief, speed_unit
@@ -35,18 +37,18 @@ class SpeedGroup:
     members: tuple[int, ...]  # places among the trials that have a curve
 
 
-def _label(speed: float, units: Mapping[str, str]) -> str:
+def _label(speed: float, units: Units) -> str:
     text = f"{number(speed, 3)} {speed_unit(units)}"
-    return text if units["length"] != "mm" else f"{text} ({number(S_PER_MIN * speed, 3)} mm/min)"
+    return text if units.length != "mm" else f"{text} ({number(S_PER_MIN * speed, 3)} mm/min)"
 
 
-def speed_groups(specimen: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> list[SpeedGroup]:
+def speed_groups(specimen: Specimen, trials: Sequence[Trial]) -> list[SpeedGroup]:
     """Groups of trials by loading speed, the slowest first.
 
     ``specimen``: one of ``specimens`` of identification.json; ``trials``: those of its trials that have a
     curve.
     """
-    speeds = [float(trial["speed_mm_s"]) for trial in trials]
+    speeds = [float(trial.speed_mm_s) for trial in trials]
     alike = clusters(speeds, SAME_SPEED)
     while len(alike) > MOST_GROUPS:
         # neighbours that are nearest to each other share a panel
@@ -57,16 +59,16 @@ def speed_groups(specimen: Mapping[str, Any], trials: Sequence[Mapping[str, Any]
     groups = []
     for members in alike:
         speed = float(np.median([speeds[i] for i in members]))
-        groups.append(SpeedGroup(speed, _label(speed, specimen["units"]), tuple(sorted(members))))
+        groups.append(SpeedGroup(speed, _label(speed, specimen.units), tuple(sorted(members))))
     return groups
 
 
-def _peak(trial: Mapping[str, Any], curve: Curve) -> dict[str, float]:
+def _peak(trial: Trial, curve: Curve) -> dict[str, float]:
     """Largest recorded force of a trial; a thinned curve keeps it."""
     used = curve.force_N[curve.fitted] if curve.fitted.any() else curve.force_N
     return {
-        "speed": float(trial["speed_mm_s"]),
-        "depth": float(trial["depth_mm"]),
+        "speed": float(trial.speed_mm_s),
+        "depth": float(trial.depth_mm),
         "force": float(used.max()),
     }
 
@@ -103,8 +105,8 @@ def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
 
 
 def peaks_payload(
-    specimen: Mapping[str, Any],
-    trials: Sequence[tuple[Mapping[str, Any], TrialCurve]],
+    specimen: Specimen,
+    trials: Sequence[tuple[Trial, TrialCurve]],
     tissue: Tissue | None,
 ) -> list[dict[str, Any]]:
     """Peak force against loading speed, a group for each depth.
@@ -122,7 +124,7 @@ def peaks_payload(
         points = [found[i] for i in members]
         depth = float(np.median([one["depth"] for one in points]))
         speeds = np.geomspace(min(every), max(every), LINE_POINTS if max(every) > min(every) else 1)
-        words = "a strain of {}" if specimen["units"]["length"] == "1" else "{} mm"
+        words = "a strain of {}" if specimen.units.length == "1" else "{} mm"
         groups.append(
             {
                 "label": words.format(number(depth, 3)),

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from msgspec.structs import asdict
+
 from tissueid.digits import NOT_IDENTIFIED, number, with_error
+from tissueid.documents.identification import Calibration, Exclusion, StatedSpecimen, StatedTrial, StudyRecord
 from tissueid.report.remarks import trial_label
 from tissueid.report.wording import unit_words
 
@@ -42,54 +45,60 @@ def _pairs(table: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(key_words(key), _value(key, value)) for key, value in stated.items()]
 
 
-def _frame(calibration: Mapping[str, Any]) -> str:
+def _frame(calibration: Calibration) -> str:
     """The frame in one sentence."""
-    frame = calibration["frame"]
+    frame = calibration.frame
     if frame is None:
         return "Machine and fixture were taken as rigid: no frame stiffness was stated."
-    if frame["range_N"] is None:
-        sd = calibration["frame_stiffness_N_per_mm_sd"]
-        stiffness = with_error(calibration["frame_stiffness_N_per_mm"], sd)
+    if frame.range_N is None:
+        sd = calibration.frame_stiffness_N_per_mm_sd
+        stiffness = with_error(calibration.frame_stiffness_N_per_mm, sd)
         return f"A frame of {stiffness} N/mm, as stated, was taken off the displacement."
-    low, high = frame["range_N"]
+    low, high = frame.range_N
     return (
-        f"The deflection measured on a rigid block ({frame['path']}, {number(low, 3)} to {number(high, 3)} N)"
+        f"The deflection measured on a rigid block ({frame.path}, {number(low, 3)} to {number(high, 3)} N)"
         " was taken off the displacement."
     )
 
 
-def _table(rows: Sequence[Mapping[str, Any]], first: str) -> dict[str, Any] | None:
+def _table(given: Sequence[StatedSpecimen | StatedTrial], first: str) -> dict[str, Any] | None:
     """Columns of some rows that are stated at least once."""
-    keys = [key for key in (rows[0] if rows else ()) if any(row[key] not in (None, [], "") for row in rows)]
-    keys = [key for key in keys if key not in {first, "path", "sheet", "listed"}]
+    rows = [asdict(row) for row in given]
+    keys = [key for key in (rows[0] if rows else ()) if any(row[key] not in (None, (), "") for row in rows)]
+    keys = [key for key in keys if key not in {first, "path", "sheet", "listed", "overridden", "because"}]
     if not keys:
         return None
     return {
         "head": [key_words(key) for key in keys],
         "rows": [
             {
-                "name": trial_label(row) if first == "path" else row[first],
-                "cells": ["" if row[key] in (None, [], "") else _value(key, row[key]) for key in keys],
+                "name": trial_label(one) if isinstance(one, StatedTrial) else one.specimen,
+                "cells": ["" if row[key] in (None, (), "") else _value(key, row[key]) for key in keys],
             }
-            for row in rows
+            for one, row in zip(given, rows, strict=True)
         ],
     }
 
 
-def _exclusion(row: Mapping[str, Any]) -> dict[str, Any]:
+def _exclusion(row: Exclusion) -> dict[str, Any]:
     """One excluded trial: its parameters without and with it, and by how much they move."""
     numbers = [
         {
-            "symbol": one["symbol"],
-            "unit": unit_words(one["unit"]),
-            "without": with_error(one["without"], one["without_stderr"]),
-            "with": with_error(one["with"], one["with_stderr"]),
-            "change": _change(one["without"], one["with"]),
+            "symbol": one.symbol,
+            "unit": unit_words(one.unit),
+            "without": with_error(one.without, one.without_stderr),
+            "with": with_error(one.with_it, one.with_stderr),
+            "change": _change(one.without, one.with_it),
         }
-        for one in row["with_it"]
+        for one in row.with_it
     ]
-    return {"trial": trial_label(row), "numbers": numbers} | {
-        key: row[key] for key in ("path", "specimen", "because", "note")
+    return {
+        "trial": trial_label(row),
+        "numbers": numbers,
+        "path": row.path,
+        "specimen": row.specimen,
+        "because": row.because,
+        "note": row.note,
     }
 
 
@@ -99,32 +108,29 @@ def _change(without: float | None, with_it: float | None) -> str:
     return f"{100 * (with_it / without - 1):+.1f} %".replace("-", "−")
 
 
-def study_view(study: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def study_view(study: StudyRecord | None) -> dict[str, Any] | None:
     """Everything the study section of the report prints, in words; ``None`` without a study.
 
     ``study``: the ``study`` of identification.json.
     """
     if study is None:
         return None
-    trials = [
-        {key: row[key] for key in row if key not in {"overridden", "because"}} for row in study["trials"]
-    ]
     return {
-        "path": study["path"],
-        "sha256": study["sha256"],
-        "title": study["study"].get("title"),
-        "about": _pairs(study["study"]),
-        "tip": _pairs(study["tip"]),
-        "calibration": _pairs(study["calibration"]),
-        "frame": _frame(study["calibration"]),
-        "corrected": study["calibration"]["frame"] is not None,
-        "specimens": _table(study["specimens"], "specimen"),
-        "trials": _table(trials, "path"),
+        "path": study.path,
+        "sha256": study.sha256,
+        "title": study.study.title,
+        "about": _pairs(asdict(study.study)),
+        "tip": _pairs(asdict(study.tip)),
+        "calibration": _pairs(asdict(study.calibration)),
+        "frame": _frame(study.calibration),
+        "corrected": study.calibration.frame is not None,
+        "specimens": _table(study.specimens, "specimen"),
+        "trials": _table(study.trials, "path"),
         "overrides": [
-            {"trial": trial_label(row), "decided": ", ".join(row["overridden"]), "because": row["because"]}
-            for row in study["trials"]
-            if row["overridden"]
+            {"trial": trial_label(row), "decided": ", ".join(row.overridden), "because": row.because}
+            for row in study.trials
+            if row.overridden
         ],
-        "exclusions": [_exclusion(row) for row in study["exclusions"]],
-        "unlisted": [trial_label(row) for row in study["trials"] if not row["listed"]],
+        "exclusions": [_exclusion(row) for row in study.exclusions],
+        "unlisted": [trial_label(row) for row in study.trials if not row.listed],
     }

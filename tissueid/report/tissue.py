@@ -5,13 +5,14 @@ Everything comes from the output folder: theta from identification.json, draws f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import Specimen
+from tissueid.documents.inspect import Units
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import rebuilt
 from tissueid.result import ModelChoice
@@ -30,9 +31,9 @@ def brief(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") for value in values]
 
 
-def speed_unit(units: Mapping[str, str]) -> str:
+def speed_unit(units: Units) -> str:
     """``mm/s``, or ``1/s`` where depth is a strain."""
-    return f"{units['length']}/s"
+    return f"{units.length}/s"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +63,13 @@ class Tissue:
         return self.static(thetas, depth_mm) + self.dynamic(thetas, depth_mm, speed_mm_s)
 
 
-def tissue_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> Tissue | None:
+def tissue_of(specimen: Specimen, stored: StoredPosterior | None) -> Tissue | None:
     """The tissue of one of ``specimens`` of identification.json; ``None`` where a number is missing."""
-    choice = specimen["model"]
-    model = rebuilt(ModelChoice.from_json(choice), specimen["validity"]["depth_mm"])
-    known = {entry["name"]: entry for entry in specimen["parameters"]}
+    choice = specimen.model
+    model = rebuilt(ModelChoice.of(choice), specimen.validity.depth_mm)
+    known = {entry.name: entry for entry in specimen.parameters}
     values = [
-        known[name]["detail"].get("estimate", known[name]["value"]) if name in known else None
+        known[name].detail.get("estimate", known[name].value) if name in known else None
         for name in model.parameter_names
     ]
     if any(value is None for value in values):

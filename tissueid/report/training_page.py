@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from tissueid.digits import number
+from tissueid.documents.training import Attempt, Learning, Training
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
 #: Measures that practice is looked for in: words and unit.
@@ -23,7 +23,7 @@ HEADS = (
 
 
 def render_training(
-    document: Mapping[str, Any],
+    document: Training,
     tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]],
     *,
     created: str | None = None,
@@ -34,23 +34,23 @@ def render_training(
     entry point and distance from the axis [mm]; ``created``: time stamp to print; without it equal input
     gives an equal page.  Returns HTML, UTF-8.
     """
-    who = dict.fromkeys(row["pseudonym"] for row in document["attempts"])
+    who = dict.fromkeys(row.pseudonym for row in document.attempts)
     sections = [_person(document, tracks, one) for one in who]
-    if document["refused"]:
-        rows = [(one["file"], one["reason"]) for one in document["refused"]]
+    if document.refused:
+        rows = [(one.file, one.reason) for one in document.refused]
         sections.append(Section("Logs without an attempt", tables=[Table(("Log", "Why"), rows)]))
     return render_plain("Guided sessions", sections, created=created)
 
 
 def _person(
-    document: Mapping[str, Any],
+    document: Training,
     tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]],
     who: str | None,
 ) -> Section:
-    rows = [row for row in document["attempts"] if row["pseudonym"] == who]
-    curves = {one["measure"]: one for one in document["learning"] if one["pseudonym"] == who}
+    rows = [row for row in document.attempts if row.pseudonym == who]
+    curves = {one.measure: one for one in document.learning if one.pseudonym == who}
     text = (
-        f"{len(rows)} attempts, from {document['cone_entry_mm']:g} mm above the bone to the end of the "
+        f"{len(rows)} attempts, from {document.cone_entry_mm:g} mm above the bone to the end of the "
         "drilling. A device without orientation has no angle of its own: it is that of the chord. "
         + ("" if curves else "Practice is looked for from four attempts on. ")
         + "For research: no number here says that somebody may operate."
@@ -64,29 +64,27 @@ def _person(
     )
 
 
-def _row(at: int, row: Mapping[str, Any]) -> tuple[str, ...]:
+def _row(at: int, row: Attempt) -> tuple[str, ...]:
     return (
         str(at),
-        row["started"][:19].replace("T", " "),
-        number(row["end_error_mm"], 3),
-        number(row["entry_error_mm"], 3),
-        f"{row['angle_deg']:.2f} \u00b1 {row['angle_se_deg']:.2f}",
-        number(row["seconds"], 3),
-        number(row["path_over_chord"], 3),
-        number(row["mean_force_N"], 3),
-        number(row["peak_force_N"], 3),
-        number(row["log_jerk"], 3),
-        "yes" if row["complete"] else "no",
+        row.started[:19].replace("T", " "),
+        number(row.end_error_mm, 3),
+        number(row.entry_error_mm, 3),
+        f"{row.angle_deg:.2f} \u00b1 {row.angle_se_deg:.2f}",
+        number(row.seconds, 3),
+        number(row.path_over_chord, 3),
+        number(row.mean_force_N, 3),
+        number(row.peak_force_N, 3),
+        number(row.log_jerk, 3),
+        "yes" if row.complete else "no",
     )
 
 
-def _ways(
-    rows: Sequence[Mapping[str, Any]], tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]]
-) -> Figure:
+def _ways(rows: Sequence[Attempt], tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
     traces = [
         {
-            "x": [round(value, 4) for value in tracks[row["file"]][0]],
-            "y": [round(value, 4) for value in tracks[row["file"]][1]],
+            "x": [round(value, 4) for value in tracks[row.file][0]],
+            "y": [round(value, 4) for value in tracks[row.file][1]],
             "mode": "lines",
             "name": f"attempt {at}",
         }
@@ -97,21 +95,21 @@ def _ways(
     return Figure(caption, "Height above the bone [mm]", "Distance from the axis [mm]", traces, layout)
 
 
-def _learned(measure: str, rows: Sequence[Mapping[str, Any]], curve: Mapping[str, Any]) -> Figure:
+def _learned(measure: str, rows: Sequence[Attempt], curve: Learning) -> Figure:
     words, unit = LEARNED[measure]
     at = np.arange(1, len(rows) + 1)
     drawn = np.linspace(1.0, len(rows), 60)
     traces = [
         {
             "x": at.tolist(),
-            "y": [row[measure] for row in rows],
+            "y": [getattr(row, measure) for row in rows],
             "mode": "markers",
             "name": "attempts",
             "marker": {"ink": "data", "size": 8},
         },
         {
             "x": drawn.round(4).tolist(),
-            "y": (curve["first"] * drawn ** curve["exponent"]).round(6).tolist(),
+            "y": (curve.first * drawn**curve.exponent).round(6).tolist(),
             "mode": "lines",
             "name": "power law",
             "line": {"ink": "model"},
@@ -119,8 +117,8 @@ def _learned(measure: str, rows: Sequence[Mapping[str, Any]], curve: Mapping[str
     ]
     layout = {"xaxis": {"dtick": max(1, len(rows) // 10)}, "yaxis": {"rangemode": "tozero"}}
     caption = (
-        f"{words} goes with attempt to the power of {curve['exponent']:.2f} \u00b1 "
-        f"{curve['exponent_se']:.2f}, from {number(curve['first'], 3)} {unit} at the first. A few attempts "
+        f"{words} goes with attempt to the power of {curve.exponent:.2f} \u00b1 "
+        f"{curve.exponent_se:.2f}, from {number(curve.first, 3)} {unit} at the first. A few attempts "
         "tell no power law from another curve."
     )
     return Figure(caption, "Attempt", f"{words} [{unit}]", traces, layout)

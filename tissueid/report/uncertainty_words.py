@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
+from tissueid.documents.identification import Budget, Estimate, Model, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
@@ -69,63 +70,65 @@ class IntervalRow:
     intervals: tuple[str, ...]  # one a column; empty where there is none
 
 
-def reported_order(parameters: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def reported_order(parameters: Sequence[Estimate]) -> list[Estimate]:
     """Parameters in the order of the publication: relaxation time, static, stiffness, viscosity, damping."""
 
-    def place(entry: Mapping[str, Any]) -> int:
-        return next(i for i, start in enumerate(_KINDS) if entry["name"].startswith(start))
+    def place(entry: Estimate) -> int:
+        return next(i for i, start in enumerate(_KINDS) if entry.name.startswith(start))
 
     return sorted(parameters, key=place)
 
 
-def misfit_alarm(specimen: Mapping[str, Any]) -> list[str]:
+def misfit_alarm(specimen: Specimen) -> list[str]:
     """Misfit that model and noise can't make; empty without an alarm."""
-    if not misfit_raised(specimen):
+    if specimen.misfit is None or not misfit_raised(specimen):
         return []
-    return [check["message"].rstrip(".") for check in specimen["misfit"]["checks"] if check["raised"]]
+    return [check.message.rstrip(".") for check in specimen.misfit.checks if check.raised]
 
 
-def _rows(specimen: Mapping[str, Any], columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
+def _rows(specimen: Specimen, columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
     """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
 
     ``bare``: whether even standard errors are left out.
     """
     rows: list[IntervalRow] = []
     unknown: dict[str, list[str]] = {}
-    for entry in reported_order(specimen["parameters"]):
-        kind = next(words for start, words in _KINDS.items() if entry["name"].startswith(start))
-        if entry["identified"]:
+    for entry in reported_order(specimen.parameters):
+        kind = next(words for start, words in _KINDS.items() if entry.name.startswith(start))
+        if entry.identified:
             rows.append(_row(entry, kind, columns, bare=bare))
             continue
         if kind not in unknown:
             unknown[kind] = []
             rows.append(IntervalRow(kind, (), "", NOT_IDENTIFIED, ()))
-        unknown[kind].append(entry["symbol"])
+        unknown[kind].append(entry.symbol)
     return [
         replace(row, symbols=tuple(unknown[row.words])) if row.value == NOT_IDENTIFIED else row
         for row in rows
     ]
 
 
-def _row(entry: Mapping[str, Any], words: str, columns: Sequence[str], *, bare: bool) -> IntervalRow:
+def _row(entry: Estimate, words: str, columns: Sequence[str], *, bare: bool) -> IntervalRow:
     intervals = [""] * len(columns)
-    if "withheld" in entry["detail"]:
-        value = f"{number(entry['value'])}, no interval"
-    elif entry["ci95"] is None or not columns:
-        value = number(entry["value"]) if bare else with_error(entry["value"], entry["stderr"])
+    if "withheld" in entry.detail:
+        value = f"{number(entry.value)}, no interval"
+    elif entry.ci95 is None or not columns:
+        value = number(entry.value) if bare else with_error(entry.value, entry.stderr)
     else:
-        known = [entry[key] or () for key in columns]
-        value, *ends = together([entry["value"], *(end for pair in known for end in pair)], entry["sd"])
+        known: list[tuple[float, ...]] = [getattr(entry, key) or () for key in columns]
+        value, *ends = together([entry.value or 0.0, *(end for pair in known for end in pair)], entry.sd)
         left = iter(ends)
         intervals = [f"{next(left)} to {next(left)}" if pair else "" for pair in known]
-    return IntervalRow(words, (entry["symbol"],), unit_words(entry["unit"]), value, tuple(intervals))
+    return IntervalRow(words, (entry.symbol,), unit_words(entry.unit), value, tuple(intervals))
 
 
-def _columns(specimen: Mapping[str, Any]) -> list[str]:
-    return [key for key in _INTERVALS if any(entry[key] is not None for entry in specimen["parameters"])]
+def _columns(specimen: Specimen) -> list[str]:
+    return [
+        key for key in _INTERVALS if any(getattr(entry, key) is not None for entry in specimen.parameters)
+    ]
 
 
-def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
+def paper_view(specimen: Specimen) -> dict[str, Any]:
     """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``.
 
     ``specimen``: one of ``specimens`` of identification.json.
@@ -133,7 +136,7 @@ def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
     return {
-        "model": model_words(specimen["model"]),
+        "model": model_words(specimen.model),
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
         "said": " ".join(
@@ -142,108 +145,106 @@ def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def model_words(model: Mapping[str, Any]) -> str:
+def model_words(model: Model) -> str:
     """Name of a contact model in a heading."""
-    return "modified Kelvin-Voigt" if model["key"] == "kelvin-voigt" else str(model["key"])
+    return "modified Kelvin-Voigt" if model.key == "kelvin-voigt" else str(model.key)
 
 
-def _fit_sentence(specimen: Mapping[str, Any]) -> str:
+def _fit_sentence(specimen: Specimen) -> str:
     """Sentence on the fit, its method, and what it leaves."""
-    model, sampler = specimen["model"], specimen["sampler"]
-    count, degree = model["branches"], model["stiffness_degree"]
-    rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
-    drawn = f"; {sampler['name']}, {sampler['draws']:,} draws" if sampler else "; nothing sampled"
+    model, sampler = specimen.model, specimen.sampler
+    count, degree = model.branches, model.stiffness_degree
+    rmse = f"{number(specimen.nrmsd.rmse_N, 3)} {specimen.units.force}"
+    drawn = f"; {sampler.name}, {sampler.draws:,} draws" if sampler else "; nothing sampled"
     law = (
         f"Static force a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = "
         f"{_FOLD[degree]}"
     )
-    if model["key"] != "kelvin-voigt":
-        law = f"Model {model['key']}"
+    if model.key != "kelvin-voigt":
+        law = f"Model {model.key}"
     return (
-        f"NRMSD {100 * specimen['nrmsd']['range']:.2f} % of the range, {rmse}. {law}, "
-        f"{_POOLING[model['static_pooling']]}. "
-        f"{specimen['optimisers']['method']}{drawn}."
+        f"NRMSD {100 * specimen.nrmsd.range:.2f} % of the range, {rmse}. {law}, "
+        f"{_POOLING[model.static_pooling]}. "
+        f"{specimen.optimisers.method}{drawn}."
     )
 
 
-def _range_sentence(specimen: Mapping[str, Any]) -> str:
+def _range_sentence(specimen: Specimen) -> str:
     """Depths, speeds and holds that the numbers are of."""
-    valid, length = specimen["validity"], specimen["units"]["length"]
-    slow, fast = (number(value, 3) for value in valid["speeds_mm_s"])
-    deep = (
-        f"{number(valid['depth_mm'], 3)} mm"
-        if length == "mm"
-        else f"a strain of {number(valid['depth_mm'], 3)}"
-    )
-    windows = [row["window_s"][1] - row["window_s"][0] for row in specimen["relaxation"]]
+    valid, length = specimen.validity, specimen.units.length
+    slow, fast = (number(value, 3) for value in valid.speeds_mm_s)
+    deep = f"{number(valid.depth_mm, 3)} mm" if length == "mm" else f"a strain of {number(valid.depth_mm, 3)}"
+    windows = [row.window_s[1] - row.window_s[0] for row in specimen.relaxation]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
     return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
 
 
-def window_words(specimen: Mapping[str, Any]) -> str:
+def window_words(specimen: Specimen) -> str:
     """The one-branch relaxation time with its window, of holds cut to T, T/2 and T/4; empty without one."""
-    window = specimen.get("relaxation_window")
+    window = specimen.relaxation_window
     if window is None:
         return ""
-    slope, error = window["slope"], window["slope_stderr"]
+    slope, error = window.slope, window.slope_stderr
     values = [
         f"{number(tau, 2)}{' s' if not i else ''} over {number(cut, 2)}{' s of hold' if not i else ''}"
-        for i, (tau, cut) in enumerate(zip(window["tau_s"], window["cut_s"], strict=True))
+        for i, (tau, cut) in enumerate(zip(window.tau_s, window.cut_s, strict=True))
     ]
     said = f"{values[0]} ({', '.join(values[1:])}; d ln tau/d ln T {with_error(slope, error)})"
-    if window["effective"]:
+    if window.effective:
         return f"effective, it follows the window: {said}"
     if slope + EFFECTIVE_SD * error <= EFFECTIVE_SLOPE:
         return f"{said}: not the window's"
     return said
 
 
-def _window_sentence(specimen: Mapping[str, Any]) -> str:
+def _window_sentence(specimen: Specimen) -> str:
     said = window_words(specimen)
     return f"One relaxation time: {said}." if said else ""
 
 
-def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
-    sampler = specimen["sampler"]
-    detail = sampler["detail"]
+def _sampler_sentence(specimen: Specimen) -> str:
+    sampler = specimen.sampler
+    if sampler is None:
+        return ""
+    detail = sampler.detail
     size = [
         f"{detail[key]:,} {key}"
         for key in ("walkers", "steps")
-        if isinstance(detail.get(key), int) and sampler["name"] == "emcee"
+        if isinstance(detail.get(key), int) and sampler.name == "emcee"
     ]
-    known = [entry for entry in specimen["parameters"] if entry["ess_bulk"] is not None]
-    effective = [entry[key] for entry in known for key in ("ess_bulk", "ess_tail") if entry[key] is not None]
-    worst = max((entry["r_hat"] for entry in known if entry["r_hat"] is not None), default=None)
-    parts = [*size, f"{sampler['draws']:,} draws kept"]
+    known = [entry for entry in specimen.parameters if entry.ess_bulk is not None]
+    effective = [one for entry in known for one in (entry.ess_bulk, entry.ess_tail) if one is not None]
+    worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
+    parts = [*size, f"{sampler.draws:,} draws kept"]
     if effective:
         parts.append(f"at least {int(min(effective)):,} effective draws of every parameter")
     if worst is not None:
         parts.append(f"R-hat at most {worst:.3f}")
-    parts.append(f"{100 * sampler['acceptance']:.0f} % of the proposals accepted")
-    end = "converged" if sampler["converged"] else "not converged"
+    parts.append(f"{100 * sampler.acceptance:.0f} % of the proposals accepted")
+    end = "converged" if sampler.converged else "not converged"
     reason = detail.get("reason")
-    why = f": {reason}" if reason and not sampler["converged"] else ""
-    return f"Sampled by {sampler['name']}: {', '.join(parts)}; {end}{why}."
+    why = f": {reason}" if reason and not sampler.converged else ""
+    return f"Sampled by {sampler.name}: {', '.join(parts)}; {end}{why}."
 
 
-def _convergence_rows(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _convergence_rows(specimen: Specimen) -> list[dict[str, Any]]:
     """Effective draws and R-hat of every parameter that has them."""
     return [
         {
-            "words": parameter_words(entry["name"]),
-            "symbol": entry["symbol"],
-            "bulk": entry["ess_bulk"],
-            "tail": entry["ess_tail"],
-            "r_hat": entry["r_hat"],
+            "words": parameter_words(entry.name),
+            "symbol": entry.symbol,
+            "bulk": entry.ess_bulk,
+            "tail": entry.ess_tail,
+            "r_hat": entry.r_hat,
         }
-        for entry in reported_order(specimen["parameters"])
-        if entry["ess_bulk"] is not None
+        for entry in reported_order(specimen.parameters)
+        if entry.ess_bulk is not None
     ]
 
 
-def _no_total(specimen: Mapping[str, Any]) -> str:
+def _no_total(specimen: Specimen) -> str:
     """Why there is no total interval though the machine was asked about; empty where there is one."""
-    told = specimen["sampler"]["detail"].get("total")
+    told = None if specimen.sampler is None else specimen.sampler.detail.get("total")
     if not isinstance(told, Mapping) or told.get("converged", True):
         return ""
     worth = told.get("worth")
@@ -253,34 +254,36 @@ def _no_total(specimen: Mapping[str, Any]) -> str:
     )
 
 
-def _noise_sentence(specimen: Mapping[str, Any]) -> str:
-    noise, force = specimen["noise"], specimen["units"]["force"]
-    size = f"{number(noise['sigma_N'], 3)} {force}"
-    if noise["model"] == "white" or not noise["phi"]:
+def _noise_sentence(specimen: Specimen) -> str:
+    noise, force = specimen.noise, specimen.units.force
+    if noise is None:
+        return ""
+    size = f"{number(noise.sigma_N, 3)} {force}"
+    if noise.model == "white" or not noise.phi:
         return f"Noise of the force: white, {size}: each sample errs on its own."
-    kind = "correlated (AR(1))" if noise["model"] == "ar1" else "white and correlated (AR(1)) together"
-    step = number(noise["reference_step_s"], 3)
+    kind = "correlated (AR(1))" if noise.model == "ar1" else "white and correlated (AR(1)) together"
+    step = number(noise.reference_step_s, 3)
     return (
-        f"Noise of the force: {kind}, {size} in all; the correlated part keeps {noise['phi']:.3g} of itself "
+        f"Noise of the force: {kind}, {size} in all; the correlated part keeps {noise.phi:.3g} of itself "
         f"over {step} s."
     )
 
 
-def _prior_rows(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
     rows = []
-    for row in specimen["priors"]:
-        shrinkage = row["shrinkage"]
+    for row in specimen.priors:
+        shrinkage = row.shrinkage
         after, error = (
-            together([row["posterior_mean"], row["posterior_sd"]], row["posterior_sd"])
-            if row["posterior_mean"] is not None and row["posterior_sd"] is not None
+            together([row.posterior_mean, row.posterior_sd], row.posterior_sd)
+            if row.posterior_mean is not None and row.posterior_sd is not None
             else ("–", "–")
         )
         rows.append(
             {
-                "name": row["name"],
-                "words": _NUISANCE_WORDS.get(row["name"]) or parameter_words(row["name"]),
-                "prior": row["prior"],
-                "stated": row["stated"],
+                "name": row.name,
+                "words": _NUISANCE_WORDS.get(row.name) or parameter_words(row.name),
+                "prior": row.prior,
+                "stated": row.stated,
                 "posterior": f"{after} ± {error}",
                 "width": 100 * min(max(shrinkage or 0.0, 0.0), 1.0),
                 "shrinkage": "–" if shrinkage is None else f"{100 * shrinkage:.0f} %".replace("-", "−"),
@@ -290,34 +293,32 @@ def _prior_rows(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _budget(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
+def _budget(specimen: Specimen) -> dict[str, Any] | None:
     """Sources by parameter: shares for the stacked bars, standard deviations for the table."""
-    found: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for row in specimen["budget"]:
-        found.setdefault(row["parameter"], {})[row["source"]] = row
-    every = [entry for entry in reported_order(specimen["parameters"]) if entry["name"] in found]
-    present = {row["source"] for row in specimen["budget"]}
+    found: dict[str, dict[str, Budget]] = {}
+    for row in specimen.budget:
+        found.setdefault(row.parameter, {})[row.source] = row
+    every = [entry for entry in reported_order(specimen.parameters) if entry.name in found]
+    present = {row.source for row in specimen.budget}
     sources = [source for source in SOURCES if source in present]
     beside = [source for source in ("total", "cluster bootstrap") if source in present]
     rows = []
     for entry in every:
-        own = found[entry["name"]]
+        own = found[entry.name]
         shares = [
-            {"source": source, "place": SOURCES.index(source), "percent": 100 * own[source]["share"]}
+            {"source": source, "place": SOURCES.index(source), "percent": 100 * share}
             for source in sources
-            if source in own and own[source]["share"]
+            if source in own and (share := own[source].share)
         ]
         rows.append(
             {
-                "words": parameter_words(entry["name"]),
-                "symbol": entry["symbol"],
-                "unit": unit_words(entry["unit"]),
-                "identified": entry["identified"],
+                "words": parameter_words(entry.name),
+                "symbol": entry.symbol,
+                "unit": unit_words(entry.unit),
+                "identified": entry.identified,
                 "shares": shares,
                 "largest": max(shares, key=lambda share: share["percent"], default=None),
-                "sd": [
-                    number(own[source]["sd"], 2) if source in own else "–" for source in (*sources, *beside)
-                ],
+                "sd": [number(own[source].sd, 2) if source in own else "–" for source in (*sources, *beside)],
             }
         )
     places = [(source, SOURCES.index(source)) for source in sources]
@@ -335,27 +336,29 @@ def _difference(value: float | None, error: float | None) -> str:
     return f"{value_text} ± {error_text}"
 
 
-def _comparison(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _comparison(specimen: Specimen) -> list[dict[str, Any]]:
     return [
         {
-            "model": row["model"],
+            "model": row.model,
             "cells": [
-                _difference(row[key], row[f"{key}_se"]) for key in ("log_evidence", "elpd_log", "elpd_speed")
+                _difference(row.log_evidence, row.log_evidence_se),
+                _difference(row.elpd_log, row.elpd_log_se),
+                _difference(row.elpd_speed, row.elpd_speed_se),
             ],
-            "level": _VERDICTS[row["verdict"]][0],
-            "verdict": _VERDICTS[row["verdict"]][1],
-            "chosen": row["verdict"] == "chosen",
+            "level": _VERDICTS[row.verdict][0],
+            "verdict": _VERDICTS[row.verdict][1],
+            "chosen": row.verdict == "chosen",
         }
-        for row in specimen["model_comparison"]
+        for row in specimen.model_comparison
     ]
 
 
-def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
+def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
     """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled.
 
     ``specimen``: one of ``specimens`` of identification.json.
     """
-    if specimen["sampler"] is None:
+    if specimen.sampler is None:
         return None
     columns = _columns(specimen)
     return {
@@ -365,13 +368,13 @@ def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
         "intervals": [_INTERVALS[key] for key in columns],
         "total": "ci95_total" in columns,
         "no_total": _no_total(specimen),
-        "normalised": (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"),
-        "converged": specimen["sampler"]["converged"],
+        "normalised": (specimen.units.length, specimen.units.force) != ("mm", "N"),
+        "converged": specimen.sampler.converged,
         "sampler": _sampler_sentence(specimen),
         "noise": _noise_sentence(specimen),
         "convergence": _convergence_rows(specimen),
         "priors": _prior_rows(specimen),
         "budget": _budget(specimen),
         "comparison": _comparison(specimen),
-        "checks": [] if specimen["misfit"] is None else specimen["misfit"]["checks"],
+        "checks": [] if specimen.misfit is None else specimen.misfit.checks,
     }

@@ -6,9 +6,9 @@ A warning is at most 25 words: what was seen, with its number, and the way out. 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from tissueid.documents.identification import Specimen
 from tissueid.flags import FLAGS, harm_rank, warning_line
 
 #: Warnings of a specimen, and of a batch as a whole, without ``-v``.
@@ -22,12 +22,12 @@ UNREMARKABLE = frozenset(
 )
 
 
-def _codes(specimen: Mapping[str, Any]) -> set[str]:
-    parts = (specimen, *specimen["trials"])
-    return {flag["code"] for part in parts for flag in part["flags"]} - UNREMARKABLE
+def _codes(specimen: Specimen) -> set[str]:
+    own = [*specimen.flags, *(flag for trial in specimen.trials for flag in trial.flags)]
+    return {flag.code for flag in own} - UNREMARKABLE
 
 
-def shared_codes(specimens: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def shared_codes(specimens: Sequence[Specimen]) -> tuple[str, ...]:
     """Codes that most specimens of a batch carry, the worst first.
 
     ``specimens``: ``specimens`` of identification.json.
@@ -37,7 +37,7 @@ def shared_codes(specimens: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(sorted((code for code, count in counted.items() if count >= least), key=harm_rank))
 
 
-def shared_lines(specimens: Sequence[Mapping[str, Any]], codes: Sequence[str]) -> list[str]:
+def shared_lines(specimens: Sequence[Specimen], codes: Sequence[str]) -> list[str]:
     """``24 of 29 sheets start preloaded. Start in air, or state --contact.``, a line a code.
 
     ``codes``: of :func:`shared_codes`.
@@ -48,11 +48,11 @@ def shared_lines(specimens: Sequence[Mapping[str, Any]], codes: Sequence[str]) -
     return lines
 
 
-def _shared_line(specimens: Sequence[Mapping[str, Any]], code: str) -> str:
-    trials = [trial for specimen in specimens for trial in specimen["trials"]]
-    carriers = [trial for trial in trials if code in {flag["code"] for flag in trial["flags"]}]
+def _shared_line(specimens: Sequence[Specimen], code: str) -> str:
+    trials = [trial for specimen in specimens for trial in specimen.trials]
+    carriers = [trial for trial in trials if code in {flag.code for flag in trial.flags}]
     if carriers:
-        noun = "sheets" if all(trial["sheet"] is not None for trial in trials) else "recordings"
+        noun = "sheets" if all(trial.sheet is not None for trial in trials) else "recordings"
         count, total = len(carriers), len(trials)
     else:
         noun, total = "specimens", len(specimens)
@@ -63,7 +63,7 @@ def _shared_line(specimens: Sequence[Mapping[str, Any]], code: str) -> str:
 
 
 def warning_lines(
-    specimen: Mapping[str, Any], *, shared: Sequence[str] = (), verbose: int = 0, alarms: int = 0
+    specimen: Specimen, *, shared: Sequence[str] = (), verbose: int = 0, alarms: int = 0
 ) -> list[tuple[str, str]]:
     """Warnings of a specimen with their level, the worst first.
 
@@ -76,7 +76,7 @@ def warning_lines(
     hidden = frozenset() if verbose else UNREMARKABLE | frozenset(shared)
     kept = [one for one in found if one.code not in hidden]
     room = len(kept) if verbose else max(MOST_WARNINGS - alarms, 1)
-    logs = len(specimen["trials"])
+    logs = len(specimen.trials)
     lines = []
     for remark in kept[:room]:
         logs_of = "" if logs == 1 or not remark.where else f"{_where(remark.where, logs)}: "

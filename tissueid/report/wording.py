@@ -8,11 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from markupsafe import Markup, escape
 
 from tissueid.digits import number
+from tissueid.documents.identification import Specimen
+from tissueid.documents.inspect import Units
 from tissueid.quantity_words import QUANTITIES
 from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
@@ -49,23 +50,23 @@ class Verdict:
     text: str
 
 
-def verdict(specimen: Mapping[str, Any]) -> Verdict:
+def verdict(specimen: Specimen) -> Verdict:
     """Sum up a specimen: what is identified, how well it fits, and whether something is in the way."""
-    unknown = [entry for entry in specimen["parameters"] if not entry["identified"]]
+    unknown = [entry for entry in specimen.parameters if not entry.identified]
     found = remarks(specimen)
     level = found[0].level if found else "ok"
     for family in ("viscosity", "static_1"):
-        asked = [entry for entry in specimen["parameters"] if entry["name"].startswith(family)]
-        if asked and not any(entry["identified"] for entry in asked):
+        asked = [entry for entry in specimen.parameters if entry.name.startswith(family)]
+        if asked and not any(entry.identified for entry in asked):
             level = "serious"
     if unknown and level in {"ok", "note"}:
         level = "caution"
     if misfit_raised(specimen):
         level = "serious"
     # a fit that leaves more reads no better than one that leaves less
-    left = specimen["nrmsd"]["range"]
+    left = specimen.nrmsd.range
     level = max(level, *(grade for limit, grade in _LEFT if left >= limit), key=LEVELS.index)
-    total = len(specimen["parameters"])
+    total = len(specimen.parameters)
     fit = f"The model follows the force to {100 * left:.2f} % of its range{_beside_noise(specimen)}"
     share = (
         "a mark of what a law can reach, with nothing to quote"
@@ -84,19 +85,19 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
     return Verdict(level, titles[level], text)
 
 
-def _beside_noise(specimen: Mapping[str, Any]) -> str:
+def _beside_noise(specimen: Specimen) -> str:
     """Misfit against the measured noise, where it is more."""
-    noise = specimen["noise"]
-    if noise is None or noise["samples_per_independent"] <= 1.0:
+    noise = specimen.noise
+    if noise is None or noise.samples_per_independent <= 1.0:
         return ""
-    unit = specimen["units"]["force"]
-    beside = "" if noise["measured_N"] is None else f" where the noise is {noise['measured_N']:.2g} {unit}"
-    return f" and misses {noise['sigma_N']:.2g} {unit}{beside}"
+    unit = specimen.units.force
+    beside = "" if noise.measured_N is None else f" where the noise is {noise.measured_N:.2g} {unit}"
+    return f" and misses {noise.sigma_N:.2g} {unit}{beside}"
 
 
-def misfit_raised(specimen: Mapping[str, Any]) -> bool:
+def misfit_raised(specimen: Specimen) -> bool:
     """True where the residuals contradict the model or its noise: no error then stands beside a value."""
-    return specimen["misfit"] is not None and bool(specimen["misfit"]["raised"])
+    return specimen.misfit is not None and bool(specimen.misfit.raised)
 
 
 def unit_words(unit: str) -> str:
@@ -110,15 +111,15 @@ def unit_words(unit: str) -> str:
     )
 
 
-def in_units(heading: str, units: Mapping[str, str] | None) -> str:
+def in_units(heading: str, units: Units | None) -> str:
     """A heading written in mm and N, in the units of the specimen; without any where specimens differ.
 
-    >>> in_units("Speed [mm/s]", {"length": "1", "force": "MPa"})
+    >>> in_units("Speed [mm/s]", Units(length="1", force="MPa", time="s"))
     'Speed [1/s]'
     """
     if units is None:
         return heading.split(" [")[0]
-    axes = Axes(units["length"], units["force"])
+    axes = Axes(units.length, units.force)
     return re.sub(r"\[([^\]]*)\]", lambda found: f"[{unit_words(axes.unit(found[1]))}]", heading)
 
 
@@ -140,17 +141,17 @@ _WORDS: Mapping[str, tuple[str, str]] = {
 }
 
 
-def event_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+def event_words(values: Mapping[str, float], units: Units) -> str:
     """The numbers of an event as a list in words.
 
     ``values``: of an event of ``schemas/inspect.schema.json``; ``units``: ``units`` of its recording.
 
     Examples
     --------
-    >>> event_words({"drop_N": 12.5, "depth_mm": 3.0}, {"length": "mm", "force": "N"})
+    >>> event_words({"drop_N": 12.5, "depth_mm": 3.0}, Units(length='mm', force='N', time='s'))
     'falls by 12.50 N, depth 3.000 mm'
     """
-    axes = Axes(units["length"], units["force"])
+    axes = Axes(units.length, units.force)
     said = []
     for key, value in values.items():
         if key in _WORDS:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from tissueid.documents.identification import Identification
+from tissueid.documents.measured import Hold, Measured, Push
 from tissueid.report.measured_words import measured_name
 from tissueid.report.remarks import trial_label
 from tissueid.report.uncertainty_words import reported_order
@@ -20,63 +22,63 @@ _FORCES = {
 _TIDY = {"trials": "Logs", "cycles": "Loops", "quantities": "Quoted"}
 
 
-_Row = tuple[int | None, Mapping[str, Any] | None, Mapping[str, Any] | None]
+_Row = tuple[int | None, Hold | None, Push | None]
 
 
-def report_workbook(document: Mapping[str, Any]) -> bytes:
-    """A workbook of the document of identification.json.
+def report_workbook(document: Identification, digest: str | None = None) -> bytes:
+    """A workbook of the document of identification.json, whose SHA-256 is ``digest``.
 
     Returns XLSX.
     """
     sheets = [_parameters(document), _measured(document), _pushes(document)]
-    sheets += [_tidy(document, name, title) for name, title in _TIDY.items()]
+    sheets += [_tidy(document, name, title, digest) for name, title in _TIDY.items()]
     return xlsx_bytes([sheet for sheet in sheets if sheet.rows] or sheets[:1])
 
 
-def _parameters(document: Mapping[str, Any]) -> Sheet:
+def _parameters(document: Identification) -> Sheet:
     head = (
         *("specimen", "parameter", "name", "symbol", "unit", "identified", "value", "standard error"),
         *("95 % statistical, low", "95 % statistical, high", "95 % total, low", "95 % total, high"),
     )
     rows: list[list[Cell]] = [
         [
-            *(specimen["specimen"], parameter_words(one["name"]), one["name"], one["symbol"], one["unit"]),
-            *(one["identified"], one["value"], one["stderr"]),
-            *(end for key in ("ci95", "ci95_total") for end in one[key] or (None, None)),
+            *(specimen.specimen, parameter_words(one.name), one.name, one.symbol, one.unit),
+            *(one.identified, one.value, one.stderr),
+            *(end for key in ("ci95", "ci95_total") for end in getattr(one, key) or (None, None)),
         ]
-        for specimen in document["specimens"]
-        for one in reported_order(specimen["parameters"])
+        for specimen in document.specimens
+        for one in reported_order(specimen.parameters)
     ]
     return Sheet("Parameters", head, rows)
 
 
-def _measured(document: Mapping[str, Any]) -> Sheet:
+def _measured(document: Identification) -> Sheet:
     head = (
         *("specimen", "quantity", "program", "hold", "unit", "time after the stop [s]", "shortest ramp [s]"),
         *("longest ramp [s]", "logs", "mean", "SD between logs", "why there is none"),
     )
     rows: list[list[Cell]] = [
         [
-            *(specimen["specimen"], measured_name(row), row["program"], row["hold"] or None, row["unit"]),
-            row["time_s"],
-            *(row["ramp_time_s"] or (None, None)),
-            *(row["count"], row["mean"], row["sd"], row["reason"]),
+            *(specimen.specimen, measured_name(row), row.program, row.hold or None, row.unit),
+            row.time_s,
+            *(row.ramp_time_s or (None, None)),
+            *(row.count, row.mean, row.sd, row.reason),
         ]
-        for specimen in document["specimens"]
-        for row in specimen.get("measured", ())
+        for specimen in document.specimens
+        for row in specimen.measured or ()
     ]
     return Sheet("Measured", head, rows)
 
 
-def _pushes(document: Mapping[str, Any]) -> Sheet:
+def _pushes(document: Identification) -> Sheet:
     """A row a hold of each log, or its push where nothing was held."""
     times = sorted(
         {
-            one["time_s"]
-            for specimen in document["specimens"]
-            for trial in specimen["trials"]
-            for hold in (trial.get("measured") or {"holds": ()})["holds"]
-            for one in hold["forces"]
+            one.time_s
+            for specimen in document.specimens
+            for trial in specimen.trials
+            for hold in (trial.measured.holds if trial.measured else ())
+            for one in hold.forces
         }
     )
     head = [
@@ -85,44 +87,44 @@ def _pushes(document: Mapping[str, Any]) -> Sheet:
         *("one relaxation time [s]", "of a window of [s]"),
     ]
     rows = [
-        [specimen["specimen"], trial_label(trial), *_push(number, hold, push, times)]
-        for specimen in document["specimens"]
-        for trial in specimen["trials"]
-        for number, hold, push in _held(trial.get("measured"))
+        [specimen.specimen, trial_label(trial), *_push(number, hold, push, times)]
+        for specimen in document.specimens
+        for trial in specimen.trials
+        for number, hold, push in _held(trial.measured)
     ]
     return Sheet("Measured logs", tuple(head), rows)
 
 
-def _held(measured: Mapping[str, Any] | None) -> list[_Row]:
+def _held(measured: Measured | None) -> list[_Row]:
     """Number, hold and push of each row of a log."""
     if measured is None:
         return []
-    holds: list[_Row] = [(number, hold, hold["push"]) for number, hold in enumerate(measured["holds"], 1)]
-    pushed: list[_Row] = [(None, None, measured["push"])]
-    return holds or (pushed if measured["push"] is not None else [])
+    holds: list[_Row] = [(number, hold, hold.push) for number, hold in enumerate(measured.holds, 1)]
+    pushed: list[_Row] = [(None, None, measured.push)]
+    return holds or (pushed if measured.push is not None else [])
 
 
 def _push(
     number: int | None,
-    hold: Mapping[str, Any] | None,
-    push: Mapping[str, Any] | None,
+    hold: Hold | None,
+    push: Push | None,
     times: Sequence[float],
 ) -> list[Cell]:
-    forces = {} if hold is None else {one["time_s"]: one for one in hold["forces"]}
-    tau = None if hold is None else hold["tau"]
-    loaded = push or {}
+    forces = {} if hold is None else {one.time_s: one for one in hold.forces}
+    tau = None if hold is None else hold.tau
+
     return [
         number,
-        *(loaded.get(key) for key in ("speed_mm_s", "depth_mm", "ramp_time_s")),
-        None if push is None else push["peak"]["force_N"],
-        *(forces[time][key] if time in forces else None for key in _FORCES for time in times),
-        *((None, None) if tau is None else (tau["single_s"], tau["window_s"][1] - tau["window_s"][0])),
+        *((None,) * 3 if push is None else (push.speed_mm_s, push.depth_mm, push.ramp_time_s)),
+        None if push is None else push.peak.force_N,
+        *(getattr(forces[time], key) if time in forces else None for key in _FORCES for time in times),
+        *((None, None) if tau is None else (tau.single_s, tau.window_s[1] - tau.window_s[0])),
     ]
 
 
-def _tidy(document: Mapping[str, Any], name: str, title: str) -> Sheet:
+def _tidy(document: Identification, name: str, title: str, digest: str | None) -> Sheet:
     """One of the tidy tables, without columns in which nothing stands."""
-    table = tidy_table(document, name)
+    table = tidy_table(document, name, digest=digest)
     kept = [
         column for column in table.columns if any(row.get(column) not in (None, [], "") for row in table.rows)
     ]

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.documents import typed
+from tissueid.documents.rupture import Rupture
 from tissueid.errors import UsageError
 from tissueid.report.rupture_page import render_rupture
 from tissueid.rupture.evidence import Threshold
@@ -223,7 +225,7 @@ def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
             law = found.study.laws.get(fit.specimen)
             write_bundle(replace(bundle, rupture=law), files.path(by_specimen[fit.specimen]))
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        files.write(PAGE, render_rupture(document, created=created).encode("utf-8"))
+        files.write(PAGE, render_rupture(typed(document, Rupture), created=created).encode("utf-8"))
         files.commit()
     return document
 

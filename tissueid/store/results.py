@@ -10,10 +10,13 @@ the files of specimens only.  A report is written into the same set by whoever m
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tissueid.documents import typed
+from tissueid.documents.identification import Identification as IdentificationDocument
+from tissueid.documents.identification import Specimen
 from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
@@ -43,15 +46,15 @@ _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 
 
-def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
+def write_results(run: OutputSet, identification: Identification) -> IdentificationDocument:
     """Write the numbers, bundles, curves and draws of a fit into an output set.
 
     ``run``: open, not yet committed.  Returns the document of identification.json, for the report.  Raises
     BundleError: if the result breaks its schema or a bundle would not load again.
     """
-    document: dict[str, Any] = plain_json(identification.as_json())
-    check(document, "identification", where=IDENTIFICATION)
-    run.write(IDENTIFICATION, json_bytes(document))
+    plain = plain_json(identification.as_json())
+    check(plain, "identification", where=IDENTIFICATION)
+    run.write(IDENTIFICATION, json_bytes(plain))
     names = bundle_names(fit.specimen for fit in identification.specimens)
     for fit in identification.specimens:
         bundle = bundle_from_fit(fit, provenance=identification.provenance)
@@ -62,20 +65,36 @@ def write_results(run: OutputSet, identification: Identification) -> dict[str, A
     posteriors = posteriors_of_fits(identification.specimens)
     if posteriors:
         write_posteriors(posteriors, run.path(POSTERIORS))
-    return document
+    return typed(plain, IdentificationDocument)
 
 
-def read_identification(out: Path | str) -> dict[str, Any]:
+def read_identification(out: Path | str) -> IdentificationDocument:
     """Read the identification document of an output folder alone.
 
     Raises BundleError: if there is no committed set or it is damaged.
     """
-    return _identification(_committed(Path(out)).folder / IDENTIFICATION)
+    return load_identification(_committed(Path(out)).folder / IDENTIFICATION)
+
+
+def read_plain(out: Path | str) -> dict[str, Any]:
+    """Read the same as plain dicts, lists and values, to be printed or written again.
+
+    Raises BundleError: if there is no committed set or it is damaged.
+    """
+    return _checked(_committed(Path(out)).folder / IDENTIFICATION)
+
+
+def load_identification(path: Path) -> IdentificationDocument:
+    """Read an identification document by its file.
+
+    Raises BundleError: it can't be read, or is none.
+    """
+    return typed(_checked(path), IdentificationDocument)
 
 
 def read_results(
     out: Path | str,
-) -> tuple[dict[str, Any], tuple[TrialCurve, ...], tuple[StoredPosterior, ...]]:
+) -> tuple[IdentificationDocument, tuple[TrialCurve, ...], tuple[StoredPosterior, ...]]:
     """Read the identification document, the curves and the draws of an output folder.
 
     All of them at once: :func:`each_result` is for cohorts.
@@ -83,7 +102,7 @@ def read_results(
     Raises BundleError: if there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
-    document = _identification(run.folder / IDENTIFICATION)
+    document = load_identification(run.folder / IDENTIFICATION)
     if CURVES in run.files:
         return document, load_curves(run.folder / CURVES), _posteriors(run)
     curves: list[TrialCurve] = []
@@ -96,7 +115,7 @@ def read_results(
 
 def each_result(
     out: Path | str,
-) -> Iterator[tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]]:
+) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
     """Read the fitted specimens of an output folder one at a time, however large the cohort is.
 
     Yields ``document``: a specimen of identification.json; ``curves``; ``posterior``.  Raises BundleError: if
@@ -109,17 +128,17 @@ def each_result(
     for one in read_listed(run.folder / LISTED):
         if one.fitted:
             record, curves, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
-            yield record["fitted"], curves, posterior
+            yield typed(record["fitted"], Specimen), curves, posterior
 
 
 def _of_merged(
     run: CommittedRun,
-) -> Iterator[tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]]:
+) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
     """The specimens of a set whose files are merged."""
     curves = load_curves(run.folder / CURVES)
     posteriors = {one.specimen: one for one in _posteriors(run)}
-    for entry in _identification(run.folder / IDENTIFICATION)["specimens"]:
-        name = entry["specimen"]
+    for entry in load_identification(run.folder / IDENTIFICATION).specimens:
+        name = entry.specimen
         yield entry, tuple(one for one in curves if one.specimen == name), posteriors.get(name)
 
 
@@ -156,14 +175,15 @@ def output_problems(out: Path | str) -> list[str]:
     if CURVES not in run.files:
         return _large_problems(out, run)
     try:
-        document = _identification(out / IDENTIFICATION)
+        plain = _checked(out / IDENTIFICATION)
+        document = typed(plain, IdentificationDocument)
         curves = load_curves(out / CURVES)
         posteriors = _posteriors(run)
     except BundleError as error:
         return [error.message]
     return [
         *_specimen_problems(out, run),
-        *_bundle_problems(out, run, document),
+        *_bundle_problems(out, run, plain),
         *_curve_problems(document, curves),
         *_posterior_problems(document, posteriors),
     ]
@@ -182,7 +202,7 @@ def _committed(out: Path) -> CommittedRun:
     return run
 
 
-def _identification(path: Path) -> dict[str, Any]:
+def _checked(path: Path) -> dict[str, Any]:
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
@@ -236,7 +256,7 @@ def _large_problems(out: Path, run: CommittedRun) -> list[str]:
     return problems
 
 
-def _bundle_problems(out: Path, run: CommittedRun, document: dict[str, Any]) -> Iterable[str]:
+def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) -> Iterable[str]:
     specimens = {entry["specimen"]: entry for entry in document["specimens"]}
     expected = dict(bundle_names(specimens))
     owner = {name: specimen for specimen, name in expected.items()}
@@ -261,13 +281,15 @@ def _bundle_problems(out: Path, run: CommittedRun, document: dict[str, Any]) -> 
                 yield f"{name} and {IDENTIFICATION} differ in {key}"
 
 
-def _curve_problems(document: dict[str, Any], curves: tuple[TrialCurve, ...]) -> Iterable[str]:
-    fitted = [(s["specimen"], t["path"], t["sheet"]) for s in document["specimens"] for t in s["trials"]]
+def _curve_problems(document: IdentificationDocument, curves: tuple[TrialCurve, ...]) -> Iterable[str]:
+    fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
     if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
         yield f"{CURVES} and {IDENTIFICATION} name different trials"
 
 
-def _posterior_problems(document: dict[str, Any], posteriors: tuple[StoredPosterior, ...]) -> Iterable[str]:
-    sampled = [s["specimen"] for s in document["specimens"] if s["sampler"] is not None]
+def _posterior_problems(
+    document: IdentificationDocument, posteriors: tuple[StoredPosterior, ...]
+) -> Iterable[str]:
+    sampled = [s.specimen for s in document.specimens if s.sampler is not None]
     if sampled != [entry.specimen for entry in posteriors]:
         yield f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens"

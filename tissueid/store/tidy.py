@@ -9,14 +9,23 @@ other laws.
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from tissueid.store.files import json_bytes
+from tissueid.documents.base import Placed
+from tissueid.documents.flag import Flag
+from tissueid.documents.identification import (
+    Exclusion,
+    Identification,
+    Relaxation,
+    Specimen,
+    Trial,
+)
+from tissueid.documents.inspect import Refusal
+from tissueid.documents.quantities import Cycle, Measure
 
 _PARAMETERS = (
     "static_1_N_per_mm",
@@ -87,7 +96,6 @@ _LOOP_MEASURES = (
     *("residual_depth_mm", "viscosity_N_s_per_mm", "viscosity_model_N_s_per_mm", "peak_force_change"),
     "dissipated_change",
 )
-_QUANTITY_KINDS = ("model", "moduli")
 _CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
 _PROVENANCE = ("tissueid", "identification_sha256")
 
@@ -102,13 +110,13 @@ class TidyTable:
     rows: tuple[Mapping[str, Any], ...]  # column -> value; a column that is missing is empty
 
 
-def tidy_table(document: Mapping[str, Any], name: str) -> TidyTable:
+def tidy_table(document: Identification, name: str, *, digest: str | None = None) -> TidyTable:
     """One of :data:`TABLES`, from the document of identification.json.
 
-    ``document``: valid by ``schemas/identification.schema.json``.
+    ``digest``: SHA-256 of that file, where it is known.
     """
     columns, rows = TABLES[name]
-    provenance = _provenance(document)
+    provenance = {"tissueid": document.provenance.tissueid, "identification_sha256": digest}
     found = [{**row, **provenance} for row in rows(document)]
     return TidyTable((*columns(document), *_PROVENANCE), tuple(found))
 
@@ -132,28 +140,22 @@ def _cell(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _provenance(document: Mapping[str, Any]) -> Row:
-    # the bytes of identification.json have one spelling, so this is the hash of the file
-    digest = hashlib.sha256(json_bytes(document)).hexdigest()
-    return {"tissueid": document["provenance"]["tissueid"], "identification_sha256": digest}
-
-
-def _codes(*parts: Iterable[Mapping[str, Any]]) -> list[str]:
+def _codes(*parts: Iterable[Flag]) -> list[str]:
     """Codes of flags, each once, in their order."""
-    return list(dict.fromkeys(flag["code"] for part in parts for flag in part))
+    return list(dict.fromkeys(flag.code for part in parts for flag in part))
 
 
 # --- specimens ---------------------------------------------------------------------------------------------
 
 
-def _parameter_names(document: Mapping[str, Any]) -> list[str]:
-    most = min(max((specimen["model"]["branches"] for specimen in document["specimens"]), default=1), 3)
+def _parameter_names(document: Identification) -> list[str]:
+    most = min(max((specimen.model.branches for specimen in document.specimens), default=1), 3)
     branches = [f"{name}_b{branch}" for branch in range(2, most + 1) for name in _BRANCH_PARAMETERS]
-    seen = (one["name"] for specimen in document["specimens"] for one in specimen["parameters"])
+    seen = (one.name for specimen in document.specimens for one in specimen.parameters)
     return list(dict.fromkeys([*_PARAMETERS, *branches, *seen]))
 
 
-def _specimen_columns(document: Mapping[str, Any]) -> list[str]:
+def _specimen_columns(document: Identification) -> list[str]:
     estimates = [
         column
         for name in _parameter_names(document)
@@ -177,13 +179,12 @@ def _specimen_columns(document: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _specimen_rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    study = document.get("study") or {}
+def _specimen_rows(document: Identification) -> Iterator[Row]:
     known = _specimen_covariates(document)
-    gone = [one["specimen"] for one in study.get("exclusions", ())]
+    gone = [one.specimen for one in document.study.exclusions] if document.study else []
     fitted = set()
-    for specimen in document["specimens"]:
-        name = specimen["specimen"]
+    for specimen in document.specimens:
+        name = specimen.specimen
         fitted.add(name)
         yield {
             "specimen": name,
@@ -198,66 +199,68 @@ def _specimen_rows(document: Mapping[str, Any]) -> Iterator[Row]:
             yield {**row, **known.get(name, {})}
 
 
-def _fit_of(specimen: Mapping[str, Any]) -> Row:
-    model, validity, units = specimen["model"], specimen["validity"], specimen.get("units", {})
-    slowest, fastest = validity["speeds_mm_s"]
+def _fit_of(specimen: Specimen) -> Row:
+    model, validity, units = specimen.model, specimen.validity, specimen.units
+    slowest, fastest = validity.speeds_mm_s
     row: Row = {
-        "trials": len(specimen["trials"]),
-        "length_unit": units.get("length", "mm"),
-        "force_unit": units.get("force", "N"),
-        "tip_radius_mm": validity["tip_radius_mm"],
-        "model": model["key"],
-        **{key: model[key] for key in ("branches", "static_degree", "stiffness_degree", "static_pooling")},
-        "valid_depth_mm": validity["depth_mm"],
+        "trials": len(specimen.trials),
+        "length_unit": units.length,
+        "force_unit": units.force,
+        "tip_radius_mm": validity.tip_radius_mm,
+        "model": model.key,
+        "branches": model.branches,
+        "static_degree": model.static_degree,
+        "stiffness_degree": model.stiffness_degree,
+        "static_pooling": model.static_pooling,
+        "valid_depth_mm": validity.depth_mm,
         "slowest_mm_s": slowest,
         "fastest_mm_s": fastest,
-        "n_samples": specimen["n_samples"],
-        "sigma_N": specimen["sigma_N"],
-        "nrmsd": specimen["nrmsd"]["range"],
-        "nrmsd_mean": specimen["nrmsd"]["mean"],
-        "rmse_N": specimen["nrmsd"]["rmse_N"],
-        "optimisers_agree": specimen["optimisers"]["agree"],
+        "n_samples": specimen.n_samples,
+        "sigma_N": specimen.sigma_N,
+        "nrmsd": specimen.nrmsd.range,
+        "nrmsd_mean": specimen.nrmsd.mean,
+        "rmse_N": specimen.nrmsd.rmse_N,
+        "optimisers_agree": specimen.optimisers.agree,
         **_sampled(specimen),
-        "flags": _codes(specimen["flags"]),
-        "trial_flags": _codes(*(trial["flags"] for trial in specimen["trials"])),
+        "flags": _codes(specimen.flags),
+        "trial_flags": _codes(*(trial.flags for trial in specimen.trials)),
     }
-    for estimate in specimen["parameters"]:
-        row[estimate["name"]] = estimate["value"]
-        row |= {f"{estimate['name']}_{part}": estimate[part] for part in _PLAIN_PARTS}
+    for estimate in specimen.parameters:
+        row[estimate.name] = estimate.value
+        row |= {f"{estimate.name}_{part}": getattr(estimate, part) for part in _PLAIN_PARTS}
         for interval in _INTERVALS:
-            low, high = estimate[interval] or (None, None)
+            low, high = getattr(estimate, interval) or (None, None)
             row |= {
-                f"{estimate['name']}_{interval}_low": low,
-                f"{estimate['name']}_{interval}_high": high,
+                f"{estimate.name}_{interval}_low": low,
+                f"{estimate.name}_{interval}_high": high,
             }
     return row
 
 
-def _sampled(specimen: Mapping[str, Any]) -> Row:
+def _sampled(specimen: Specimen) -> Row:
     """Sampler of the posterior, empty where nothing was sampled."""
-    sampler, noise, misfit = specimen["sampler"] or {}, specimen["noise"] or {}, specimen["misfit"] or {}
+    sampler, noise, misfit = specimen.sampler, specimen.noise, specimen.misfit
     return {
-        "sampler": sampler.get("name"),
-        "converged": sampler.get("converged"),
-        "draws": sampler.get("draws"),
-        "noise": noise.get("model"),
-        "phi": noise.get("phi"),
-        "misfit": misfit.get("raised"),
+        "sampler": sampler and sampler.name,
+        "converged": sampler and sampler.converged,
+        "draws": sampler and sampler.draws,
+        "noise": noise and noise.model,
+        "phi": noise and noise.phi,
+        "misfit": misfit and misfit.raised,
     }
 
 
-def _specimen_covariates(document: Mapping[str, Any]) -> dict[str, Row]:
-    study = document.get("study") or {}
+def _specimen_covariates(document: Identification) -> dict[str, Row]:
     return {
-        one["specimen"]: {column: one.get(key) for key, column in _SPECIMEN_COVARIATES.items()}
-        for one in study.get("specimens", ())
+        one.specimen: {column: getattr(one, key) for key, column in _SPECIMEN_COVARIATES.items()}
+        for one in (document.study.specimens if document.study else ())
     }
 
 
 # --- trials ------------------------------------------------------------------------------------------------
 
 
-def _trial_columns(_document: Mapping[str, Any]) -> list[str]:
+def _trial_columns(_document: Identification) -> list[str]:
     return [
         *(
             "specimen",
@@ -272,88 +275,89 @@ def _trial_columns(_document: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _place(part: Mapping[str, Any]) -> tuple[str, str | None]:
-    return part["path"], part["sheet"]
+def _place(part: Placed) -> tuple[str, str | None]:
+    return part.path, part.sheet
 
 
-def _trial_rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    study = document.get("study") or {}
+def _trial_rows(document: Identification) -> Iterator[Row]:
     covariates = _specimen_covariates(document)
-    said = {_place(one): one for one in study.get("trials", ())}
-    inputs = {_place(one): one for one in document["provenance"]["inputs"]}
+    said = {_place(one): one for one in (document.study.trials if document.study else ())}
+    inputs = {_place(one): one for one in document.provenance.inputs}
 
-    def row(part: Mapping[str, Any], specimen: str | None, status: str) -> Row:
-        known = said.get(_place(part), {})
-        source = inputs.get(_place(part), {})
+    def row(part: Exclusion | Trial | Refusal, specimen: str | None, status: str) -> Row:
+        known = said.get(_place(part))
+        source = inputs.get(_place(part))
         return {
             "specimen": specimen,
-            "path": part["path"],
-            "sheet": part["sheet"],
+            "path": part.path,
+            "sheet": part.sheet,
             "status": status,
-            "reason": known.get("because"),
-            **{key: known.get(key) for key in _TRIAL_COVARIATES},
+            "reason": known and known.because,
+            **{key: known and getattr(known, key) for key in _TRIAL_COVARIATES},
             **covariates.get(specimen or "", {}),
-            "recipe": source.get("recipe"),
-            "input_sha256": source.get("sha256") or None,
+            "recipe": source and source.recipe,
+            "input_sha256": (source and source.sha256) or None,
         }
 
-    for specimen in document["specimens"]:
-        for trial in specimen["trials"]:
-            own = [hold for hold in specimen["relaxation"] if _place(hold) == _place(trial)]
-            loops = sum(_place(loop) == _place(trial) for loop in specimen.get("cycles", ()))
+    for specimen in document.specimens:
+        for trial in specimen.trials:
+            own = [hold for hold in specimen.relaxation if _place(hold) == _place(trial)]
+            loops = sum(_place(loop) == _place(trial) for loop in specimen.cycles)
             yield {
-                **row(trial, specimen["specimen"], "fitted"),
-                **{key: trial[key] for key in _TRIAL_FIT},
+                **row(trial, specimen.specimen, "fitted"),
+                **{key: getattr(trial, key) for key in _TRIAL_FIT},
                 **_longest_hold(own),
                 "cycles": loops,
-                "flags": _codes(trial["flags"], *(hold["flags"] for hold in own)),
+                "flags": _codes(trial.flags, *(hold.flags for hold in own)),
             }
-    for one in study.get("exclusions", ()):
-        yield {**row(one, one["specimen"], "excluded"), "reason": one["because"]}
-    for one in document["refused"]:
-        error = one["error"]
-        line = "" if error["line"] is None else f"line {error['line']}: "
-        yield {**row(one, None, "refused"), "reason": f"{error['code']}: {line}{error['message']}"}
+    for one in document.study.exclusions if document.study else ():
+        yield {**row(one, one.specimen, "excluded"), "reason": one.because}
+    for refused in document.refused:
+        error = refused.error
+        line = "" if error.line is None else f"line {error.line}: "
+        yield {**row(refused, None, "refused"), "reason": f"{error.code}: {line}{error.message}"}
 
 
-def _longest_hold(rows: Sequence[Mapping[str, Any]]) -> Row:
+def _longest_hold(rows: Sequence[Relaxation]) -> Row:
     if not rows:
         return {"holds": 0}
-    longest = max(rows, key=lambda row: row["window_s"][1] - row["window_s"][0])
+    longest = max(rows, key=lambda row: row.window_s[1] - row.window_s[0])
     found: Row = {
         "holds": len(rows),
-        "hold_start_s": longest["window_s"][0],
-        "hold_end_s": longest["window_s"][1],
-        "hold_peak_force_N": longest["peak_force_N"],
-        "tau_single_s": longest["tau_single_s"],
-        "nrmsd_single": longest["nrmsd_single"],
+        "hold_start_s": longest.window_s[0],
+        "hold_end_s": longest.window_s[1],
+        "hold_peak_force_N": longest.peak_force_N,
+        "tau_single_s": longest.tau_single_s,
+        "nrmsd_single": longest.nrmsd_single,
     }
-    for key in ("double", "triple"):
-        found |= {f"tau_{key}_{i}_s": tau for i, tau in enumerate(longest[f"tau_{key}_s"], start=1)}
+    for key, times in (("double", longest.tau_double_s), ("triple", longest.tau_triple_s)):
+        found |= {f"tau_{key}_{i}_s": tau for i, tau in enumerate(times, start=1)}
     return found
 
 
 # --- loops and quoted numbers ------------------------------------------------------------------------------
 
 
-def _cycle_columns(_document: Mapping[str, Any]) -> list[str]:
+def _cycle_columns(_document: Identification) -> list[str]:
     measures = [column for name in _LOOP_MEASURES for column in (name, f"{name}_stderr")]
     return ["specimen", "path", "sheet", *_LOOP_PLAIN, *measures]
 
 
-def _cycle_rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    found = [(one["specimen"], loop) for one in document["specimens"] for loop in one.get("cycles", ())]
+def _cycle_rows(document: Identification) -> Iterator[Row]:
+    found: list[tuple[str | None, Cycle]]
+    found = [(one.specimen, loop) for one in document.specimens for loop in one.cycles]
     # loops of recordings that could not be fitted have no specimen here
-    found += [(None, loop) for loop in document.get("unfitted_cycles", ())]
+    found += [(None, loop) for loop in document.unfitted_cycles]
     for specimen, loop in found:
-        row = {"specimen": specimen, "path": loop["path"], "sheet": loop["sheet"]}
-        row |= {key: loop[key] for key in _LOOP_PLAIN}
+        row: Row = {"specimen": specimen, "path": loop.path, "sheet": loop.sheet}
+        row |= {key: getattr(loop, key) for key in _LOOP_PLAIN}
         for name in _LOOP_MEASURES:
-            row |= {name: loop[name]["value"], f"{name}_stderr": loop[name]["stderr"]}
+            measure: Measure = getattr(loop, name)
+            row |= {name: measure.value, f"{name}_stderr": measure.stderr}
         yield row
 
 
-def _quantity_columns(_document: Mapping[str, Any]) -> list[str]:
+def _quantity_columns(_document: Identification) -> list[str]:
     return [
         "specimen",
         "kind",
@@ -369,22 +373,22 @@ def _quantity_columns(_document: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _quantity_rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    for specimen in document["specimens"]:
-        quoted = specimen.get("quoted") or {}
-        for kind in _QUANTITY_KINDS:
-            for one in quoted.get(kind, ()):
-                plain = {key: one[key] for key in ("name", "unit", "value", "stderr", "reason")}
-                at = {key: one["at"].get(key) for key in _CONDITIONS}
-                yield {"specimen": specimen["specimen"], "kind": kind, **plain, **at}
-        for row in specimen.get("measured", ()):
-            plain = {key: row[key] for key in ("name", "unit", "time_s", "hold", "sd", "reason")}
-            more = {"kind": "measured", "value": row["mean"], "logs": row["count"]}
-            yield {"specimen": specimen["specimen"], **plain, **more}
+def _quantity_rows(document: Identification) -> Iterator[Row]:
+    for specimen in document.specimens:
+        quoted = specimen.quoted
+        for kind, numbers in (("model", quoted.model), ("moduli", quoted.moduli)) if quoted else ():
+            for one in numbers:
+                plain: Row = {key: getattr(one, key) for key in ("name", "unit", "value", "stderr", "reason")}
+                at: Row = {key: getattr(one.at, key) for key in _CONDITIONS}
+                yield {"specimen": specimen.specimen, "kind": kind, **plain, **at}
+        for row in specimen.measured or ():
+            plain = {key: getattr(row, key) for key in ("name", "unit", "time_s", "hold", "sd", "reason")}
+            more: Row = {"kind": "measured", "value": row.mean, "logs": row.count}
+            yield {"specimen": specimen.specimen, **plain, **more}
 
 
-_Columns = Callable[[Mapping[str, Any]], list[str]]
-_Rows = Callable[[Mapping[str, Any]], Iterator[Row]]
+_Columns = Callable[[Identification], list[str]]
+_Rows = Callable[[Identification], Iterator[Row]]
 
 #: Name -> its columns and its rows.
 TABLES: Mapping[str, tuple[_Columns, _Rows]] = MappingProxyType(

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tissueid.documents import typed
+from tissueid.documents.population import Population
 from tissueid.errors import NotIdentifiedError, printable
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle, population_priors
@@ -87,7 +89,9 @@ def write_population(
         if bundle is not None:
             write_bundle(bundle, run.path(_BUNDLE))
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
+        run.write(
+            _PAGE, render_population(typed(document, Population), bundle, created=created).encode("utf-8")
+        )
         run.commit()
     return WrittenPopulation(document=document, fit=fit, felt=bundle is not None)
 

@@ -21,6 +21,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from msgspec.structs import asdict
+
+from tissueid.documents.identification import StudyRecord
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 
@@ -154,21 +157,26 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
     return _graded(single, several, unmatched)
 
 
-def completeness_of_result(study: Mapping[str, Any] | None) -> Completeness:
+def completeness_of_result(study: StudyRecord | None) -> Completeness:
     """Grade what a result knows of its study.
 
     ``study``: the ``study`` of identification.json; without one nothing is stated.
     """
-    told: Mapping[str, Any] = study or {}
-    about: Mapping[str, Any] = told.get("study", {})
-    single = {"study": about, "calibration": told.get("calibration", {}), "tip": told.get("tip", {})}
-    specimens = {row["specimen"]: {**about, **_stated(row)} for row in told.get("specimens", [])}
-    trials = {str(row["path"]): row for row in told.get("trials", []) if row.get("listed", True)}
+    if study is None:
+        return _graded({"study": {}, "calibration": {}, "tip": {}}, {"specimen": {}, "trial": {}}, ())
+    about = _stated(asdict(study.study))
+    single = {
+        "study": about,
+        "calibration": _stated(asdict(study.calibration)),
+        "tip": _stated(asdict(study.tip)),
+    }
+    specimens = {row.specimen: {**about, **_stated(asdict(row))} for row in study.specimens}
+    trials = {row.path: asdict(row) for row in study.trials if row.listed}
     return _graded(single, {"specimen": specimens, "trial": trials}, ())
 
 
 def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if value not in (None, [], "")}
+    return {key: value for key, value in table.items() if value not in (None, [], (), "")}
 
 
 def _graded(

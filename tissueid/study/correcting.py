@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.errors import UsageError
 from tissueid.ingest import ReadOptions
 from tissueid.ingest.manifest import MANIFEST, study_of
@@ -73,8 +74,8 @@ class CorrectedInspection:
             raise UsageError(msg)
         known = inspection.shown[place].document
         value = _value(str(key), words.get("value"), inspection.shown[place])
-        file = relative_name(known["path"], self.manifest.parent.resolve())
-        correction = Correction(str(key), file, known["sheet"], value, str(words.get("because") or ""))
+        file = relative_name(known.path, self.manifest.parent.resolve())
+        correction = Correction(str(key), file, known.sheet, value, str(words.get("because") or ""))
         content = corrected_text((self._seen or b"").decode("utf-8-sig"), correction).encode("utf-8")
         study = study_of(content, self.manifest)
         if value is None:
@@ -93,8 +94,8 @@ class CorrectedInspection:
             raise UsageError(msg) from error
 
 
-def _read(known: Mapping[str, Any], reading: ReadOptions, study: Study) -> Trial:
-    return read_decided_one(known["path"], known["sheet"], reading, study)
+def _read(known: InspectedTrial, reading: ReadOptions, study: Study) -> Trial:
+    return read_decided_one(known.path, known.sheet, reading, study)
 
 
 def _said(correction: Correction) -> str:
@@ -103,8 +104,8 @@ def _said(correction: Correction) -> str:
     return f"{correction.key} of {correction.file} is written into {MANIFEST}"
 
 
-def _refuse_hand(study: Study, key: str, known: Mapping[str, Any]) -> None:
-    line = stated_by_hand(study, key, known["path"], known["sheet"])
+def _refuse_hand(study: Study, key: str, known: InspectedTrial) -> None:
+    line = stated_by_hand(study, key, known.path, known.sheet)
     if line is not None:
         msg = f"line {line} of {MANIFEST} still says {key}: it was written by hand, so change it there"
         raise UsageError(msg)
@@ -128,7 +129,7 @@ def _value(key: str, value: Any, recording: InspectedRecording) -> float | bool 
 
 def _range(key: str, recording: InspectedRecording) -> tuple[float, float, str]:
     """Smallest and largest value: times of the record, and its travel with as much again on either side."""
-    first, last = (float(recording.document[name]["time_s"]) for name in ("first", "last"))
+    first, last = recording.document.first.time_s, recording.document.last.time_s
     if key != "contact_mm":
         return first, last, "s"
     travel = recording.drawn.displacement_mm

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissueid.documents import typed
+from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
@@ -15,6 +17,7 @@ from tissueid.manifest import Study
 from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
+from tissueid.store.files import plain_json
 from tissueid.trial import Segmentation, Trial
 
 if TYPE_CHECKING:
@@ -38,14 +41,18 @@ def relative_name(path: str, root: Path) -> str:
     return (whole.relative_to(root) if whole.is_relative_to(root) else whole).as_posix()
 
 
-def reader_words(document: dict[str, Any]) -> str:
+def reader_words(document: InspectedTrial) -> str:
     """Words on the reader of a recording, and the reason."""
-    marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
+    marks = (
+        (document.encoding, "{}"),
+        (document.delimiter, "delimiter {!r}"),
+        (document.decimal, "decimal mark {!r}"),
+    )
     text = [
-        f"Read as {document['recipe']} (sure to {document['recipe_confidence']:.0%})",
-        *(form.format(document[key]) for key, form in marks if document[key]),
+        f"Read as {document.recipe} (sure to {document.recipe_confidence:.0%})",
+        *(form.format(mark) for mark, form in marks if mark),
     ]
-    why = document["recipe_reason"]
+    why = document.recipe_reason
     return ", ".join(text) + (f", because {why}" if why else "")
 
 
@@ -53,7 +60,8 @@ def reader_words(document: dict[str, Any]) -> str:
 class _Made:
     """One recording, described."""
 
-    document: dict[str, Any]
+    document: InspectedTrial
+    plain: dict[str, Any]  # the same, as it is printed
     measured: Measured
     drawn: InspectedRecording | None
 
@@ -66,13 +74,14 @@ class Inspection:
 
     def __init__(self, options: SegmentOptions, study: Study | None, root: Path, *, drawn: bool) -> None:
         self.study = study
-        self.described: list[dict[str, Any] | Refusal] = []
+        self.described: list[InspectedTrial | Refusal] = []
+        self.printed: list[dict[str, Any]] = []  # the same, for --json
         self.shown: list[InspectedRecording] = []
         self._options, self._root, self._drawn = options, root, drawn
         self._earlier: dict[str, list[MeasuredPush]] = {}
 
     @property
-    def read(self) -> list[dict[str, Any]]:
+    def read(self) -> list[InspectedTrial]:
         """Recordings that could be described."""
         return [one for one in self.described if not isinstance(one, Refusal)]
 
@@ -86,11 +95,13 @@ class Inspection:
         made = item if isinstance(item, Refusal) else self._made(item, self.study)
         if isinstance(made, Refusal):
             self.described.append(made)
+            self.printed.append(made.as_json())
             return
         self.described.append(made.document)
+        self.printed.append(made.plain)
         push = made.measured.push
-        if made.document["excluded"] is None and push is not None:
-            self._earlier.setdefault(made.document["specimen"], []).append(push)
+        if made.document.excluded is None and push is not None:
+            self._earlier.setdefault(made.document.specimen, []).append(push)
         if made.drawn is not None:
             self.shown.append(made.drawn)
 
@@ -113,9 +124,7 @@ class Inspection:
     def place(self, path: str, sheet: str | None) -> int | None:
         """Position of a recording among those that are shown."""
         documents = [one.document for one in self.shown]
-        return next(
-            (i for i, one in enumerate(documents) if (one["path"], one["sheet"]) == (path, sheet)), None
-        )
+        return next((i for i, one in enumerate(documents) if (one.path, one.sheet) == (path, sheet)), None)
 
     def page(self, *, served: bool = False) -> str:
         """All of it as a page."""
@@ -136,12 +145,14 @@ class Inspection:
             return divided
         measured = measured_of(trial, divided, study)
         earlier = self._earlier.get(trial.specimen, [])
-        document = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
+        described = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
+        plain = plain_json(described)
+        document = typed(plain, InspectedTrial)
         drawn = self._page_of(trial, divided, document, study) if self._drawn else None
-        return _Made(document, measured, drawn)
+        return _Made(document, plain, measured, drawn)
 
     def _page_of(
-        self, trial: Trial, divided: Segmentation, document: dict[str, Any], study: Study | None
+        self, trial: Trial, divided: Segmentation, document: InspectedTrial, study: Study | None
     ) -> InspectedRecording:
         from tissueid.report.inspect_page import inspected_recording
         from tissueid.study.corrections import standing

@@ -11,6 +11,7 @@ nothing is opened and nothing moves.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,6 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.documents import typed
+from tissueid.documents.identification import Identification, Specimen
+from tissueid.documents.session import Scale
+from tissueid.documents.study_check import StudyCheck
 from tissueid.errors import TissueidError
 from tissueid.haptics.registry import reported_devices
 from tissueid.rendering.precheck import Demands, Precheck, check_before_force, demands_of
@@ -29,9 +34,18 @@ from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
 from tissueid.report.page import plotly_script
 from tissueid.report.plain_page import index_row, render_index
+from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.tissue import tissue_of
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, write_file
+from tissueid.store.files import (
+    CURVES,
+    IDENTIFICATION,
+    POSTERIORS,
+    REPORT,
+    json_bytes,
+    plain_json,
+    write_file,
+)
 from tissueid.store.merged import LISTED, SPECIMENS, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -54,57 +68,50 @@ def _devices() -> dict[str, Demands]:
     }
 
 
-def _row(check: Precheck, speeds_mm_s: tuple[float, float]) -> dict[str, Any]:
-    room_mm = MM_PER_M * check.demands.travel_m
-    inside_mm = check.depth_mm * check.scaling.motion
+def _row(name: str, check: Precheck, speeds_mm_s: tuple[float, float]) -> RenderedDevice:
     fastest_mm_s = speeds_mm_s[1] * check.scaling.motion
-    return {
-        "refused": None,
-        **check.as_json(),
-        "travel_mm": inside_mm,
-        "room_mm": room_mm,
-        "outside_share": max(1.0 - inside_mm / room_mm, 0.0),
-        "fastest_hand_mm_s": fastest_mm_s,
-        "faster_than_identified": fastest_mm_s < EXPLORING_MM_S,
-    }
+    return RenderedDevice(
+        name=name,
+        scale=typed(plain_json(check.as_json()), Scale),
+        travel_mm=check.depth_mm * check.scaling.motion,
+        room_mm=MM_PER_M * check.demands.travel_m,
+        fastest_hand_mm_s=fastest_mm_s,
+        faster_than_identified=fastest_mm_s < EXPLORING_MM_S,
+    )
 
 
-def rendering_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> dict[str, Any] | None:
-    """Words of the report on rendering one specimen; ``None`` where its model is not all there.
+def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Rendering | str | None:
+    """Rendering of one specimen; ``None`` where its model is not all there, a word where it has no mm and N.
 
-    ``specimen``: one of ``specimens`` of identification.json.  Returns ``normalised`` (then nothing else),
-    ``passive``, ``draws`` and ``draws_passive``, ``unique``, and ``devices`` with the numbers of each check,
-    or why it is ``refused``.
+    ``specimen``: one of ``specimens`` of identification.json.
     """
-    if (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"):
-        return {"normalised": True}
+    if (specimen.units.length, specimen.units.force) != ("mm", "N"):
+        return NORMALISED
     tissue = tissue_of(specimen, stored)
     if tissue is None:
         return None
     model, theta = tissue.model, tissue.theta
-    slow, fast = (float(value) for value in specimen["validity"]["speeds_mm_s"])
+    slow, fast = (float(value) for value in specimen.validity.speeds_mm_s)
     rendered = RenderedTissue(
         model=model,
         theta=theta,
         speeds_mm_s=(slow, fast),
-        tip_radius_mm=specimen["validity"]["tip_radius_mm"],
+        tip_radius_mm=specimen.validity.tip_radius_mm,
     )
-    rows = []
+    rows: list[RenderedDevice | RefusedDevice] = []
     for name, demands in _devices().items():
         try:
-            row = _row(check_before_force(rendered, demands), (slow, fast))
+            rows.append(_row(name, check_before_force(rendered, demands), (slow, fast)))
         except (TissueidError, ValueError) as error:
-            row = {"refused": str(error)}
-        rows.append({"device": name, **row})
+            rows.append(RefusedDevice(name, str(error)))
     draws = np.zeros((0, theta.size)) if stored is None else _as_rendered(stored, model.parameter_names)
-    return {
-        "normalised": False,
-        "passive": model.is_passive(theta),
-        "draws": len(draws),
-        "draws_passive": int(model.passive(draws).sum()),
-        "unique": model.contact_loss_is_unique(theta),
-        "devices": rows,
-    }
+    return Rendering(
+        passive=model.is_passive(theta),
+        draws=len(draws),
+        draws_passive=int(model.passive(draws).sum()),
+        unique=model.contact_loss_is_unique(theta),
+        devices=tuple(rows),
+    )
 
 
 def _as_rendered(stored: StoredPosterior, names: tuple[str, ...]) -> Any:
@@ -133,6 +140,7 @@ def specimen_page(payload: bytes) -> bytes:
     if record["fitted"] is None:
         return b""
     document = {
+        "schema": "tissueid/identification/1",
         "specimens": [record["fitted"]],
         "refused": record["refused"],
         "unfitted_cycles": record["unfitted_cycles"],
@@ -155,7 +163,7 @@ def fit_with_page(payload: bytes) -> bytes:
 
 
 def report_page(
-    document: Mapping[str, Any],
+    plain: Mapping[str, Any],
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior],
     *,
@@ -164,19 +172,26 @@ def report_page(
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
-    ``document``, ``curves``, ``posteriors``: as :func:`tissueid.store.results.read_results` gives them;
+    ``plain``: identification.json; ``curves``, ``posteriors``: as
+    :func:`tissueid.store.results.read_results` gives them;
     ``graded``: whether the document knows of the study, so that its description can be graded; ``**more``: of
     :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
+    document = typed(plain, Identification)
     return render_report(
         document,
         curves,
         posteriors,
-        renderings=[rendering_of(one, known.get(one["specimen"])) for one in document["specimens"]],
-        metadata=completeness_of_result(document["study"]).as_json("study.toml") if graded else None,
+        renderings=[rendering_of(one, known.get(one.specimen)) for one in document.specimens],
+        metadata=_graded(document) if graded else None,
+        digest=hashlib.sha256(json_bytes(plain)).hexdigest(),
         **more,
     )
+
+
+def _graded(document: Identification) -> StudyCheck:
+    return typed(plain_json(completeness_of_result(document.study).as_json("study.toml")), StudyCheck)
 
 
 def begin_pages(out: Path) -> None:
@@ -230,8 +245,8 @@ def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
 def _refused(run: OutputSet) -> list[str]:
     document = json.loads(run.path(IDENTIFICATION).read_bytes())
     return [
-        f"{entry['path'] if entry['sheet'] is None else entry['path'] + ' [' + entry['sheet'] + ']'}: "
-        f"{entry['error']['message']}"
+        f"{entry.path if entry.sheet is None else entry.path + ' [' + entry.sheet + ']'}: "
+        f"{entry.error.message}"
         for entry in document["refused"]
     ]
 
@@ -242,5 +257,5 @@ def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
         record = load_record(run.out / SPECIMENS / one.file)
         if record["fitted"] is not None:
             page = page_path(run.out, one.file).relative_to(run.out).as_posix()
-            rows.append(index_row(record["fitted"], page))
+            rows.append(index_row(typed(record["fitted"], Specimen), page))
     return render_index(rows, refused, created=created)
