@@ -59,10 +59,9 @@ def cohort_folder(folder: Path, count: int, *, study: bool = True) -> Path:
 
 def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
     """What a study says of these specimens."""
-    from tissueid.store.schema import load_schema
+    from tissueid.documents.identification import StatedSpecimen
 
-    rows = load_schema("identification")["$defs"]["study"]["properties"]["specimens"]["items"]["properties"]
-    row = dict.fromkeys(rows)
+    row = dict.fromkeys(StatedSpecimen.__struct_fields__)
     trial = dict.fromkeys(("site", "protocol", "rest_s", "because", "notes"))
     return {
         "path": "study.toml",

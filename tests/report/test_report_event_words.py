@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typed_call import typed_call
-
+from tissueid.documents.inspect import Units
 from tissueid.report.wording import event_words, took
 
-event_words = typed_call(event_words)
-
-MM_N = {"length": "mm", "force": "N"}
+MM_N = Units(length="mm", force="N", time="s")
 
 
 def test_a_rupture_is_told_in_words_and_units() -> None:
@@ -25,7 +22,7 @@ def test_a_rupture_is_told_in_words_and_units() -> None:
 
 def test_counts_have_no_unit_and_normalised_recordings_their_own() -> None:
     assert event_words({"turns": 3, "force_N": 2.0}, MM_N) == "turns 3, force 2.000 N"
-    assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, {"length": "1", "force": "MPa"}) == (
+    assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, Units(length="1", force="MPa", time="s")) == (
         "falls by 2.000 MPa, depth 0.5"
     )
 

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 from typed_call import typed_call
 
 from tissueid.cli.main import main
+from tissueid.documents import plain
 from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
@@ -130,7 +132,7 @@ def study_of(entry: dict[str, Any]) -> dict[str, Any]:
 
 def test_every_entry_parses_names_the_recording_and_is_valid() -> None:
     file = 'kidney "left"/run 3 [ä] \\ x.csv'
-    found = decisions(recording(ramp_hold(sheet="A")).document | {"sheet": "A"}, file=file)
+    found = decisions(plain(recording(ramp_hold(sheet="A")).document) | {"sheet": "A"}, file=file)
     assert [one.key for one in found] == [
         "columns", "units", "compression", "force", "contact", "hold", "hold_from", "cut", "specimen",
         "exclude",
@@ -147,7 +149,8 @@ def test_the_entry_of_the_contact_point_gives_that_contact_point_back() -> None:
     document = recording(trial).document
     (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
     (table,) = tomllib.loads(entry.toml)["override"]
-    assert table["contact_mm"] == pytest.approx(document["contact"]["displacement_mm"], abs=5e-5)
+    assert document.contact is not None
+    assert table["contact_mm"] == pytest.approx(document.contact.displacement_mm, abs=5e-5)
     assert table["contact_sd_mm"] > 0.0
 
 
@@ -165,7 +168,7 @@ def test_the_entry_of_the_contact_point_gives_that_contact_point_back() -> None:
 def test_the_entry_of_the_contact_point_has_the_digits_that_its_sd_has(
     sd_mm: float, place: str, sd: float
 ) -> None:
-    document = dict(recording(ramp_hold()).document)
+    document = plain(recording(ramp_hold()).document)
     document["contact"] = {**document["contact"], "displacement_mm": 0.14610592799, "sd_mm": sd_mm}
     (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
     assert f"contact_mm = {place}\n" in entry.toml
@@ -254,7 +257,7 @@ def test_what_the_user_decided_is_told_with_the_reason() -> None:
 
 
 def test_a_rupture_can_be_denied() -> None:
-    document = dict(recording(ramp_hold()).document)
+    document = plain(recording(ramp_hold()).document)
     document["events"] = [{"kind": "rupture", "time_s": 2.0, "values": {}}]
     (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "rupture"]
     assert tomllib.loads(entry.toml)["override"][0]["rupture"] is False
@@ -282,9 +285,8 @@ def test_the_most_doubtful_recording_stands_first() -> None:
 
 
 def test_the_index_marks_what_is_excluded() -> None:
-    documents = [dict(one.document) for one in several()]
-    documents[0]["excluded"] = "it slipped"
-    shown = [replace(one, document=d) for one, d in zip(several(), documents, strict=True)]
+    first, *others = several()
+    shown = [replace(first, document=structs.replace(first.document, excluded="it slipped")), *others]
     rows = re.findall(r'<tr data-row="(.*?)"(.*?)</tr>', render_inspection(shown), flags=re.DOTALL)
     assert [name for name, row in rows if "excluded" in row] == ["recording-1"]
 

@@ -56,10 +56,11 @@ def with_profile(fit: SpecimenFit) -> SpecimenFit:
 
 
 def test_trials_of_one_speed_share_a_panel_and_many_speeds_are_merged() -> None:
-    specimen = {"units": {"length": "mm"}}
+    specimen = plain_json(specimen_fit().as_json())
+    trial = specimen["trials"][0]
 
     def groups(*speeds: float) -> list[tuple[str, tuple[int, ...]]]:
-        found = speed_groups(specimen, [{"speed_mm_s": speed} for speed in speeds])
+        found = speed_groups(specimen, [trial | {"speed_mm_s": speed} for speed in speeds])
         return [(one.label, one.members) for one in found]
 
     assert groups(4.0, 0.5, 4.1, 0.51) == [

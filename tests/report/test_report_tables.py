@@ -12,8 +12,10 @@ from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents.session import Scale
 from tissueid.report import render_report
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
+from tissueid.report.rendering_words import RefusedDevice, RenderedDevice, Rendering
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
@@ -227,18 +229,19 @@ def test_the_citation_is_that_of_the_citation_file() -> None:
 
 
 def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
-    device = {
-        "device": "a device", "refused": None, "felt_force_is_measured_over": 152.0,
-        "felt_stiffness_is_measured_over": 760.0, "motion_scale": 5.0, "peak_force_N": 1.8, "clamp_N": 2.0,
-        "required_damping_N_s_per_m": 0.3, "device_damping_N_s_per_m": 0.5, "clipped_share_expected": 0.0,
-        "outside_share": 0.37, "fastest_hand_mm_s": 20.0, "lowered_from_force_scale": 0.01,
-        "known": "assumed", "travel_mm": 30.0, "room_mm": 64.0, "faster_than_identified": True, "remarks": [],
-    }  # fmt: skip
-    rendering = {
-        "normalised": False, "passive": True, "draws": 500, "draws_passive": 499, "unique": True,
-        "devices": [device, {"device": "another", "refused": "needs <more> damping"}],
-    }  # fmt: skip
+    scale = Scale(
+        force_scale=0.0066, motion_scale=5.0, felt_force_is_measured_over=152.0,
+        felt_stiffness_is_measured_over=760.0, peak_force_N=1.8, clamp_N=2.0, required_damping_N_s_per_m=0.3,
+        device_damping_N_s_per_m=0.5, clipped_share_expected=0.0, lowered_from_force_scale=0.01,
+        known="assumed",
+    )  # fmt: skip
+    device = RenderedDevice("a device", scale, 40.32, 64.0, 20.0, faster_than_identified=True)
+    refused = RefusedDevice("another", "needs <more> damping")
+    rendering = Rendering(passive=True, draws=500, draws_passive=499, unique=True, devices=(device, refused))
     metadata = {
+        "schema": "tissueid/study-check/1",
+        "path": "study.toml",
+        "unmatched": [],
         "grade": "D",
         "share": 0.42,
         "missing": [

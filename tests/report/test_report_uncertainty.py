@@ -75,7 +75,7 @@ def test_numbers_that_belong_together_end_at_one_place(
 
 
 def test_parameters_come_in_the_order_of_the_publication() -> None:
-    names = [one["name"] for one in reported_order(document_of(specimen_fit())["parameters"])]
+    names = [one.name for one in reported_order(document_of(specimen_fit())["parameters"])]
     assert [name.split("_")[0] for name in names] == [
         "relaxation", "static", "static", "static", "stiffness", "viscosity",
     ]  # fmt: skip

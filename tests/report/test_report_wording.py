@@ -100,7 +100,8 @@ def test_what_is_not_identified_is_never_a_number() -> None:
 
 
 def test_the_verdict_falls_with_what_is_missing() -> None:
-    clean = document() | {"flags": [], "relaxation": [], "trials": []}
+    clean = document() | {"flags": [], "relaxation": []}
+    clean["trials"] = [one | {"flags": []} for one in clean["trials"]]
     assert verdict(clean).level == "ok"
     assert verdict(document()).level == "caution"
     assert "5 of 6 parameters are identified" in verdict(document(identified=False)).text
@@ -154,5 +155,6 @@ def test_sentences_of_one_flag_are_joined_once_each() -> None:
         {"code": "not_identified", "message": message}
         for message in ("a is open.", "b is open", "a is open.")
     ]
-    (remark,) = remarks(entry | {"trials": [], "relaxation": []})
+    entry["trials"] = [one | {"flags": []} for one in entry["trials"]]
+    (remark,) = remarks(entry | {"relaxation": []})
     assert remark.message == "a is open; b is open"

@@ -83,6 +83,7 @@ def page_environment() -> Environment:
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words
     environment.globals["trial_label"] = trial_label
+    environment.globals["MM_N"] = Units(length="mm", force="N", time="s")
     environment.globals["NOT_IDENTIFIED"] = NOT_IDENTIFIED
     return environment
 
