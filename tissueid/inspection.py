@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.documents import plain
+from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.flags import Flag
 from tissueid.manifest import Study
 from tissueid.measured import measure
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import DEFAULT_POISSON, TipOf, stated_geometry
 from tissueid.measured.verdict import verdict_of
-from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
@@ -128,7 +129,7 @@ def describe_segmented(
             for event in segmentation.events
         ],
         "cycles": [row.as_json() for row in cycle_rows(trial, segmentation)],
-        "measured": measured.as_json(),
+        "measured": plain(measured),
         "verdict": verdict_of(trial, segmentation, measured, earlier).as_json(),
         "flags": [flag.as_json() for flag in flags],
     }

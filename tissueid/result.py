@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
 from tissueid.documents.identification import Model
+from tissueid.documents.measured import Measured, Spread
 from tissueid.errors import printable
 from tissueid.flags import Flag
-from tissueid.measures import Measured, SpreadRow, spread_json
 from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.trial import MM_N, Axes, TipShape
@@ -223,7 +224,7 @@ class TrialFit:
             "speed_mm_s": self.speed_mm_s,
             "depth_mm": self.depth_mm,
             "n_samples": self.n_samples,
-            "measured": None if self.measured is None else self.measured.as_json(),
+            "measured": None if self.measured is None else plain(self.measured),
             "flags": [flag.as_json() for flag in self.flags],
         }
 
@@ -270,7 +271,7 @@ class SpecimenFit(Shown):
     unloading : mapping or None
         How the fit of unloading went; ``None`` where only loading was fitted.
     cycles : tuple of CycleRow
-    measured : tuple of SpreadRow
+    measured : tuple of Spread
         What was measured, no model, with the spread between logs.
     quoted : QuotedNumbers or None
     posterior : Posterior or None
@@ -299,7 +300,7 @@ class SpecimenFit(Shown):
     axes: Axes = MM_N
     unloading: Mapping[str, Any] | None = None
     cycles: tuple[CycleRow, ...] = ()
-    measured: tuple[SpreadRow, ...] = ()
+    measured: tuple[Spread, ...] = ()
     quoted: QuotedNumbers | None = None
     posterior: Posterior | None = None
 
@@ -332,7 +333,7 @@ class SpecimenFit(Shown):
                 None if self.relaxation_window is None else self.relaxation_window.as_json()
             ),
             "cycles": [row.as_json() for row in self.cycles],
-            "measured": spread_json(self.measured),
+            "measured": plain(self.measured),
             "quoted": None if self.quoted is None else self.quoted.as_json(),
             "unloading": None if self.unloading is None else dict(self.unloading),
             "optimisers": dict(self.optimisers),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pushed import pushed
 
+from tissueid.documents.measured import Measured
 from tissueid.flags import Flag
 from tissueid.measured import measure, spread
 from tissueid.measured.comparison import measured_pairs
@@ -15,7 +16,6 @@ from tissueid.measured.geometry import Geometry, TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.measured.spread import programs, ramp_reason
 from tissueid.measured.verdict import verdict_of
-from tissueid.measures import Measured
 from tissueid.model.moduli import Indenter
 from tissueid.segment import segment
 from tissueid.trial import Axes, Contact, Corner, Event, Phase, Protocol, Segmentation, Trial
@@ -196,7 +196,7 @@ def test_a_modulus_is_that_of_the_formula_or_refused_with_its_number():
     stiffness = trial.displacement_mm * 2.0 * 3.0 * 0.01 / 0.75
     flat = replace(trial, force_N=stiffness)
     modulus = measure(flat, divided, geometry=Geometry(Indenter("flat", 10.0))).push.modulus
-    assert modulus.refused == ""
+    assert modulus.refused is None
     # F = 2 a E d / (1 - nu^2)
     assert modulus.loading_kPa == pytest.approx(1000.0 * 0.75 * 0.08 / 20.0, rel=1e-6)
     assert modulus.held_kPa == pytest.approx(modulus.loading_kPa, rel=1e-6)
@@ -239,5 +239,5 @@ def test_verdicts_give_one_reason_and_its_number():
 def test_a_recording_without_phases_has_a_base_alone():
     trial, divided = recording()
     assert measure(trial, replace(divided, phases=(), corners=(), contact=None)) == Measured(
-        measure(trial, replace(divided, phases=(), corners=(), contact=None)).base
+        measure(trial, replace(divided, phases=(), corners=(), contact=None)).base, None, (), ()
     )

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 from pushed import pushed
 
+from tissueid.documents import plain, typed
+from tissueid.documents.measured import MeasuredPush
 from tissueid.ingest.quality import quality_flags
 from tissueid.measured import measure
 from tissueid.measured.verdict import Verdict, verdict_of
-from tissueid.measures import MeasuredPush
 from tissueid.segment import segment
 from tissueid.trial import Trial
 
@@ -28,7 +29,7 @@ def shown(**made: Any) -> MeasuredPush:
     trial = pushed(**made)
     push = measure(trial, segment(trial)).push
     assert push is not None
-    assert MeasuredPush.of_json(push.as_json()) == push
+    assert typed(plain(push), MeasuredPush) == push
     return push
 
 

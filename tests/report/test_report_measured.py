@@ -13,8 +13,7 @@ import pytest
 from fit_factory import identification, specimen_fit
 from typed_call import typed_call
 
-from tissueid.measured import spread
-from tissueid.measures import (
+from tissueid.documents.measured import (
     Base,
     Measured,
     MeasuredForce,
@@ -23,6 +22,7 @@ from tissueid.measures import (
     MeasuredPush,
     MeasuredTau,
 )
+from tissueid.measured import spread
 from tissueid.report import render_report
 from tissueid.report.measured_words import MOST_COLUMNS, measured_view
 from tissueid.report.workbook import report_workbook
@@ -39,15 +39,17 @@ def log(peak_N: float, *, depth_mm: float = 6.0, speed_mm_s: float = 4.0, holds:
     """A log whose force falls to 80 % of the peak at 1 s and to half of it at 10 s."""
     ramp_s = depth_mm / speed_mm_s
     push = MeasuredPush(
-        0.0, ramp_s, ramp_s, speed_mm_s, depth_mm, depth_mm, 0.1, MeasuredPeak(ramp_s, peak_N, peak_N)
+        0.0, ramp_s, ramp_s, speed_mm_s, depth_mm, depth_mm, 0.1, MeasuredPeak(ramp_s, peak_N, peak_N), None
     )
     forces = tuple(
-        MeasuredForce(t, share * peak_N, 0.01, share * peak_N, share * peak_N, share / 0.5, share)
-        for t, share in ((1.0, 0.8), (10.0, 0.5))
+        MeasuredForce(
+            t, share * peak_N, 0.01, share * peak_N, share * peak_N, share / 0.5, share, False, None
+        )
+        for t, share, force in ((1.0, 0.8, 0.8 * peak_N), (10.0, 0.5, 0.5 * peak_N))
     )
-    tau = MeasuredTau((ramp_s, ramp_s + 12.0), 2.0, (), 0.01)
-    hold = MeasuredHold(ramp_s, ramp_s + 12.0, "position", push, forces, 0.5 * peak_N, 0.0, tau)
-    return Measured(Base(0.0, "air"), push, (hold,) * holds)
+    tau = MeasuredTau((ramp_s, ramp_s + 12.0), 2.0, (), 0.01, None)
+    hold = MeasuredHold(ramp_s, ramp_s + 12.0, "position", push, forces, 0.5 * peak_N, 0.0, tau, False)
+    return Measured(Base(0.0, "air"), push, (hold,) * holds, ())
 
 
 def measured_fit(*logs: Measured, speeds: tuple[float, ...] = ()) -> SpecimenFit:

@@ -19,7 +19,7 @@ from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.contrast.document import Compared
-    from tissueid.measures import SpreadRow
+    from tissueid.documents.measured import Spread
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
@@ -125,7 +125,7 @@ def _write(plain: Any, target: Path, *, quiet: int) -> None:
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
 
-def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]]:
+def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
     """The tissue of a bundle, or those of a folder with what was measured of them."""
     from tissueid.store.bundle import load_bundle
 
@@ -134,13 +134,12 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]
             msg = f"{path}: a bundle holds no draws with the machine's calibration; name the output folder"
             raise UsageError(msg)
         return [(_compared(load_bundle(path), None), [])]
-    from tissueid.measures import SpreadRow
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
     document, _, posteriors = read_results(str(path))
     stored = {one.specimen: one for one in posteriors}
-    rows = {one.specimen: [SpreadRow.of(row) for row in one.measured or ()] for one in document.specimens}
+    rows = {one.specimen: list(one.measured or ()) for one in document.specimens}
     names = bundle_names(one.specimen for one in document.specimens)
     return [
         (

@@ -14,7 +14,7 @@ from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.cli.compare_command import CompareFlags
-    from tissueid.measures import SpreadRow
+    from tissueid.documents.measured import Spread
 
 #: Folders with one of these were written by a fit.
 _RESULT = "identification.json"
@@ -68,7 +68,7 @@ def compare_recordings(flags: CompareFlags) -> int:
     return 0
 
 
-def _measured(path: str, flags: CompareFlags) -> Sequence[SpreadRow]:
+def _measured(path: str, flags: CompareFlags) -> Sequence[Spread]:
     """Measured pushes of the recordings of one path."""
     from tissueid.errors import InputError
     from tissueid.inspection import measured_of, segmented

@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from tissueid.documents.inspect import Trial
-from tissueid.documents.measured import Loop, Push
+from tissueid.documents.measured import MeasuredLoop, MeasuredPush
 from tissueid.documents.watch import Watch
 from tissueid.flags import FLAGS, harm_rank
 
@@ -112,13 +112,13 @@ def _numbers(one: Trial | Watch) -> str:
     return "; ".join(parts)
 
 
-def _pushed(push: Push, length: str, force: str) -> str:
+def _pushed(push: MeasuredPush, length: str, force: str) -> str:
     deep = push.travel_mm if push.depth_mm is None else push.depth_mm
     speed = f"{push.speed_mm_s:.3g} {length}/s in {push.ramp_time_s:.3g} s"
     return f"{push.peak.force_N:.{DIGITS}g} {force} at {deep:.3g} {length}, {speed}"
 
 
-def _looped(loops: Sequence[Loop], unit: str) -> str:
+def _looped(loops: Sequence[MeasuredLoop], unit: str) -> str:
     last = loops[-1]
     area = "" if last.area_mJ is None else f", area {last.area_mJ:.{DIGITS}g} {unit}"
     return f"{len(loops)} loops, the last to {last.depth_mm:.3g}{area}"

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator, Sequence
 
 from tissueid.documents.inspect import Trial
-from tissueid.documents.measured import Hold, Push
+from tissueid.documents.measured import MeasuredHold, MeasuredPush
 
 TIMES_S = (0.1, 1.0, 10.0, 100.0)
 _PUSH = ("ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
@@ -59,7 +59,7 @@ def _rows(one: Trial) -> Iterator[dict[str, Cell]]:
         yield common | _of_push(measured.push)
 
 
-def _of_push(push: Push | None) -> dict[str, Cell]:
+def _of_push(push: MeasuredPush | None) -> dict[str, Cell]:
     if push is None:
         return {}
     row: dict[str, Cell] = {name: getattr(push, name) for name in _PUSH}
@@ -67,7 +67,7 @@ def _of_push(push: Push | None) -> dict[str, Cell]:
     return row | {f"modulus_{name}": getattr(push.modulus, name, None) for name in _MODULUS}
 
 
-def _of_hold(hold: Hold) -> dict[str, Cell]:
+def _of_hold(hold: MeasuredHold) -> dict[str, Cell]:
     row: dict[str, Cell] = {"control": hold.control, "start_s": hold.start_s, "end_s": hold.end_s}
     for force in hold.forces:
         at = f"force_{force.time_s:g}s"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tissueid.documents.base import Count, Document, PositiveCount
+from tissueid.documents.base import Count, Document, PositiveCount, Text
 
 
 class Base(Document, frozen=True):
@@ -17,7 +17,7 @@ class Base(Document, frozen=True):
     source: Literal["air", "rest", "recorded"]
 
 
-class Peak(Document, frozen=True):
+class MeasuredPeak(Document, frozen=True):
     """Largest force from max(0.5 s, braking) before the stop to 0.1 s after it.
 
     Of the whole move where nothing is held; a mean over a few samples where they are noisy.
@@ -28,7 +28,7 @@ class Peak(Document, frozen=True):
     recorded_N: float
 
 
-class Modulus(Document, frozen=True):
+class MeasuredModulus(Document, frozen=True):
     """Young's modulus where the tip is known."""
 
     formula: str
@@ -41,7 +41,7 @@ class Modulus(Document, frozen=True):
     refused: str | None  # Limit that is passed, with its number; null within the range
 
 
-class Push(Document, frozen=True):
+class MeasuredPush(Document, frozen=True):
     """One loading move."""
 
     start_s: float  # Where loading begins in contact, as recorded
@@ -51,11 +51,11 @@ class Push(Document, frozen=True):
     travel_mm: float  # Of the whole move, through air too
     depth_mm: float | None  # Below contact at the stop; null where no contact was found
     braking_s: float | None  # From the corner to the stop; null where there is no corner
-    peak: Peak
-    modulus: Modulus | None
+    peak: MeasuredPeak
+    modulus: MeasuredModulus | None
 
 
-class Force(Document, frozen=True):
+class MeasuredForce(Document, frozen=True):
     """The force at one time of a hold."""
 
     time_s: float  # After the stop, or after the peak
@@ -71,7 +71,7 @@ class Force(Document, frozen=True):
     reason: str | None
 
 
-class Tau(Document, frozen=True):
+class MeasuredTau(Document, frozen=True):
     """Relaxation times, which hold for their window alone."""
 
     window_s: tuple[float, float]  # Recorded times of the stop and of the end of the hold
@@ -82,22 +82,32 @@ class Tau(Document, frozen=True):
     log_slope: float | None
 
 
-class Hold(Document, frozen=True):
+class MeasuredHold(Document, frozen=True):
     """Hold, measured from its samples."""
 
     start_s: float  # The stop, as recorded
     end_s: float
     #: force: the load is held and the tool creeps, so that no forces are stated
     control: Literal["position", "force"]
-    push: Push | None  # The loading before it; null after another move
-    forces: tuple[Force, ...]
+    push: MeasuredPush | None  # The loading before it; null after another move
+    forces: tuple[MeasuredForce, ...]
     end_N: float  # Last force, above the base
     creep_mm: float  # How far the tool went on during the hold
-    tau: Tau | None
+    tau: MeasuredTau | None
     after_rupture: bool
 
+    @property
+    def length_s(self) -> float:
+        """Time from the stop to the last sample [s]."""
+        return self.end_s - self.start_s
 
-class Loop(Document, frozen=True):
+    def at(self, time_s: float) -> MeasuredForce | None:
+        """Force at one of the stated times; ``None`` where there is none."""
+        found = next((one for one in self.forces if one.time_s == time_s), None)
+        return None if found is None or found.after_stop_N is None else found
+
+
+class MeasuredLoop(Document, frozen=True):
     """One load-unload loop, closed."""
 
     number: PositiveCount
@@ -114,28 +124,17 @@ class Measured(Document, frozen=True):
     #: The recorded force from which forces count: read in air, at rest before the first move, or the record's
     #: own zero
     base: Base
-    push: Push | None  # The loading with the largest peak; null where nothing was loaded
-    holds: tuple[Hold, ...]  # In time order
-    loops: tuple[Loop, ...]
+    push: MeasuredPush | None  # The loading with the largest peak; null where nothing was loaded
+    holds: tuple[MeasuredHold, ...]  # In time order
+    loops: tuple[MeasuredLoop, ...]
 
 
 class Spread(Document, frozen=True):
     """One measured number over the logs of a specimen."""
 
-    name: Literal[
-        "peak",
-        "depth",
-        "travel",
-        "speed",
-        "ramp_time",
-        "modulus_loading",
-        "modulus_held",
-        "force",
-        "force_over_10s",
-        "force_over_peak",
-        "relaxation_time",
-        "loop_area",
-    ]
+    name: (
+        Text  # peak, depth, travel, speed, ramp_time, modulus_loading, force, relaxation_time, loop_area ...
+    )
     unit: str
     #: Logs of one speed and depth; those with holds first and the deepest of them first
     program: PositiveCount

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
 
+from tissueid.documents.measured import Spread
 from tissueid.measured.spread import programs, ramp_reason
-from tissueid.measures import SpreadRow
 
 #: Numbers that say what was done to the tissue, whatever it answered.
 _OF_THE_PROGRAM = ("depth", "travel", "speed", "ramp_time")
@@ -15,7 +15,7 @@ _OF_THE_PROGRAM = ("depth", "travel", "speed", "ramp_time")
 SAME_DEPTH = 0.1
 
 
-def measured_pairs(sides: Sequence[tuple[str, Sequence[SpreadRow]]]) -> list[dict[str, Any]]:
+def measured_pairs(sides: Sequence[tuple[str, Sequence[Spread]]]) -> list[dict[str, Any]]:
     """All pairs of sides, each with every number that both have.
 
     ``sides``: what was measured of each, with the spread between its logs.  Returns ``pairs`` of
@@ -27,11 +27,11 @@ def measured_pairs(sides: Sequence[tuple[str, Sequence[SpreadRow]]]) -> list[dic
     ]
 
 
-def _key(row: SpreadRow) -> tuple[str, int, float | None]:
+def _key(row: Spread) -> tuple[str, int, float | None]:
     return row.name, row.hold, row.time_s
 
 
-def _numbers(one: Sequence[SpreadRow], other: Sequence[SpreadRow]) -> list[dict[str, Any]]:
+def _numbers(one: Sequence[Spread], other: Sequence[Spread]) -> list[dict[str, Any]]:
     rows = []
     for own, its in _matched(_by_program(one), _by_program(other)):
         found = {_key(row): row for row in its}
@@ -40,14 +40,14 @@ def _numbers(one: Sequence[SpreadRow], other: Sequence[SpreadRow]) -> list[dict[
     return rows
 
 
-def _by_program(rows: Sequence[SpreadRow]) -> list[list[SpreadRow]]:
+def _by_program(rows: Sequence[Spread]) -> list[list[Spread]]:
     numbers = dict.fromkeys(row.program for row in rows)
     return [[row for row in rows if row.program == number] for number in numbers]
 
 
 def _matched(
-    one: Sequence[list[SpreadRow]], other: Sequence[list[SpreadRow]]
-) -> Iterator[tuple[list[SpreadRow], list[SpreadRow]]]:
+    one: Sequence[list[Spread]], other: Sequence[list[Spread]]
+) -> Iterator[tuple[list[Spread], list[Spread]]]:
     """Programs of both sides that ran alike; where each side has one, these, whatever they are."""
     if len(one) == len(other) == 1:
         yield one[0], other[0]
@@ -58,14 +58,14 @@ def _matched(
             yield own, its
 
 
-def _push(rows: Sequence[SpreadRow]) -> tuple[float, float] | None:
+def _push(rows: Sequence[Spread]) -> tuple[float, float] | None:
     """Mean speed and depth of a program."""
     means = {row.name: row.mean for row in rows if row.hold <= 1 and row.mean is not None}
     depth = means.get("depth", means.get("travel"))
     return None if depth is None or "speed" not in means else (means["speed"], depth)
 
 
-def _number(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
+def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
     reason = one.reason or other.reason or _reason(one, other, depths)
     ratio = None
     if not reason and one.mean and other.mean is not None:
@@ -83,7 +83,7 @@ def _number(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, floa
     }
 
 
-def _side(row: SpreadRow) -> dict[str, Any]:
+def _side(row: Spread) -> dict[str, Any]:
     return {
         "mean": row.mean,
         "sd": row.sd,
@@ -92,7 +92,7 @@ def _side(row: SpreadRow) -> dict[str, Any]:
     }
 
 
-def _reason(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, float | None]]) -> str:
+def _reason(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> str:
     """Why two numbers are not compared; empty where they are."""
     if one.name in _OF_THE_PROGRAM or one.name == "loop_area":
         return ""

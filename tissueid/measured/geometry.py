@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.measures import MeasuredModulus
+from tissueid.documents.measured import MeasuredModulus
 from tissueid.model.moduli import FORMULAS, Contact, Indenter, contact_of, formulas_for
 from tissueid.trial import Segmentation, Trial, contact_frame
 
@@ -123,22 +123,20 @@ def modulus_of(
         return None
     formula = formulas_for(geometry.indenter, geometry.thickness_mm)[0]
     contact = geometry.contact(formula, deepest)
-    said = MeasuredModulus(formula, FORMULAS[formula], str(geometry), deepest)
-    if contact is None:
-        return MeasuredModulus(*_head(said), refused="the contact is too wide for the layer")
-    limits = _limits(contact, geometry)
-    if limits:
-        return MeasuredModulus(*_head(said), contact_mm=contact.contact_mm, refused=", ".join(limits))
+    refused = ["the contact is too wide for the layer"] if contact is None else _limits(contact, geometry)
+    held = None
+    if contact is not None and not refused and last is not None:
+        held = KPA_PER_MPA * contact.modulus_MPa(float(force[last]))
     return MeasuredModulus(
-        *_head(said),
-        contact_mm=contact.contact_mm,
-        loading_kPa=_loading(depth[loading], force[loading], formula, geometry),
-        held_kPa=None if last is None else KPA_PER_MPA * contact.modulus_MPa(float(force[last])),
+        formula=formula,
+        doi=FORMULAS[formula],
+        tip=str(geometry),
+        depth_mm=deepest,
+        contact_mm=None if contact is None else contact.contact_mm,
+        loading_kPa=None if refused else _loading(depth[loading], force[loading], formula, geometry),
+        held_kPa=held,
+        refused=", ".join(refused) or None,
     )
-
-
-def _head(said: MeasuredModulus) -> tuple[str, str, str, float]:
-    return said.formula, said.doi, said.tip, said.depth_mm
 
 
 def _limits(contact: Contact, geometry: Geometry) -> list[str]:

@@ -13,11 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.measured.cycles import cycle_rows
-from tissueid.measured.geometry import Geometry, modulus_of
-from tissueid.measured.pushes import Move, braking_before, move_before, moves, peak_of, usable_until
-from tissueid.measured.relaxation import hold_ladder
-from tissueid.measures import (
+from tissueid.documents.measured import (
     Base,
     Measured,
     MeasuredForce,
@@ -26,8 +22,12 @@ from tissueid.measures import (
     MeasuredPeak,
     MeasuredPush,
     MeasuredTau,
-    beyond_ramp,
 )
+from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.geometry import Geometry, modulus_of
+from tissueid.measured.pushes import Move, braking_before, move_before, moves, peak_of, usable_until
+from tissueid.measured.relaxation import hold_ladder
+from tissueid.measures import beyond_ramp
 from tissueid.trial import Phase, Segmentation, Trial
 
 #: Half width of the window over the time, and fewest samples of a parabola.
@@ -214,7 +214,7 @@ def _forces(
                 over_10s=over_10s,
                 over_peak=None if later is None or peak_N is None else later / peak_N,
                 beyond_ramp=push is not None and beyond_ramp(wanted, push.ramp_time_s),
-                reason=reason,
+                reason=reason or None,
             )
         )
     return tuple(rows)

@@ -10,16 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from tissueid.documents.measured import Measured, MeasuredForce, MeasuredHold, MeasuredPush, Spread
 from tissueid.measured.measuring import REFERENCE_S, TIMES_S
-from tissueid.measures import (
-    RAMP_TIMES,
-    Measured,
-    MeasuredForce,
-    MeasuredHold,
-    MeasuredPush,
-    SpreadRow,
-    beyond_ramp,
-)
+from tissueid.measures import RAMP_TIMES, beyond_ramp, predicted_mean
 
 #: Speeds that differ by less than this factor are one setting of a machine.
 SAME_SPEED = 1.12
@@ -94,13 +87,13 @@ def _hold_numbers() -> Iterator[tuple[str, str, float, Callable[[MeasuredForce],
         yield "force_over_peak", "1", time, lambda one: one.over_peak
 
 
-def spread(logs: Sequence[Measured]) -> tuple[SpreadRow, ...]:
+def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
     """Mean and standard deviation between the logs of each program of every measured number.
 
     ``logs``: of one specimen.  Returns program after program; in each the first hold of each log, then the
     second, and so on; logs without a hold give their push.
     """
-    rows: list[SpreadRow] = []
+    rows: list[Spread] = []
     for program, members in enumerate(_programs(logs), 1):
         pushes = [log.push for log in members if log.push is not None and not log.holds]
         rows += _of_pushes((program, 0), pushes)
@@ -132,7 +125,7 @@ def _depth(push: MeasuredPush) -> float:
     return push.travel_mm if push.depth_mm is None else push.depth_mm
 
 
-def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterator[SpreadRow]:
+def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterator[Spread]:
     times = [push.ramp_time_s for push in pushes]
     for name, unit, value in _push_numbers():
         reason = ramp_reason(None, times) if unit in ("N", "kPa") else ""
@@ -141,7 +134,7 @@ def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterat
 
 def _of_holds(
     place: tuple[int, int], holds: Sequence[MeasuredHold], times: Sequence[float]
-) -> Iterator[SpreadRow]:
+) -> Iterator[Spread]:
     for name, unit, time, value in _hold_numbers():
         found = [hold.at(time) for hold in holds]
         reason = ramp_reason(time, times, peak=name == "force_over_peak")
@@ -160,10 +153,12 @@ def _row(
     values: Sequence[float | None],
     ramp_times_s: Sequence[float],
     reason: str = "",
-) -> SpreadRow:
+) -> Spread:
     known = [value for value in values if value is not None]
     pooled = bool(known) and not reason
-    return SpreadRow(
+    mean = float(np.mean(known)) if pooled else None
+    sd = float(np.std(known, ddof=1)) if pooled and len(known) > 1 else None
+    return Spread(
         name=name,
         unit=unit,
         program=place[0],
@@ -171,7 +166,8 @@ def _row(
         time_s=time_s,
         ramp_time_s=(min(ramp_times_s), max(ramp_times_s)) if ramp_times_s else None,
         count=len(known),
-        mean=float(np.mean(known)) if pooled else None,
-        sd=float(np.std(known, ddof=1)) if pooled and len(known) > 1 else None,
-        reason=reason,
+        mean=mean,
+        sd=sd,
+        reason=reason or None,
+        prediction95=predicted_mean(mean, sd, len(known)),
     )

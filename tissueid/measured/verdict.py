@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
 from tissueid.flags import Flag, warning_line
 from tissueid.measured.spread import ramp_reason
-from tissueid.measures import Measured, MeasuredHold, MeasuredPush
 from tissueid.trial import Contact, Segmentation, Trial
 
 #: From good to bad.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tissueid.documents.identification import Identification
-from tissueid.documents.measured import Hold, Measured, Push
+from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
 from tissueid.report.measured_words import measured_name
 from tissueid.report.remarks import trial_label
 from tissueid.report.uncertainty_words import reported_order
@@ -22,7 +22,7 @@ _FORCES = {
 _TIDY = {"trials": "Logs", "cycles": "Loops", "quantities": "Quoted"}
 
 
-_Row = tuple[int | None, Hold | None, Push | None]
+_Row = tuple[int | None, MeasuredHold | None, MeasuredPush | None]
 
 
 def report_workbook(document: Identification, digest: str | None = None) -> bytes:
@@ -106,8 +106,8 @@ def _held(measured: Measured | None) -> list[_Row]:
 
 def _push(
     number: int | None,
-    hold: Hold | None,
-    push: Push | None,
+    hold: MeasuredHold | None,
+    push: MeasuredPush | None,
     times: Sequence[float],
 ) -> list[Cell]:
     forces = {} if hold is None else {one.time_s: one for one in hold.forces}

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from tissueid.documents import typed
 from tissueid.documents.inspect import Trial as InspectedTrial
+from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
-from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.store.files import plain_json

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tissueid.digits import number
+from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.inspection import measured_of, segmented
-from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 

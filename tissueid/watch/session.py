@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.documents import typed
+from tissueid.documents.measured import MeasuredPush
 from tissueid.errors import InputError
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
-from tissueid.measures import MeasuredPush
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
@@ -144,7 +145,7 @@ def judge(
     if isinstance(divided, Refusal):
         return refused_verdict(divided, trial)
     before = [
-        MeasuredPush.of_json(one["measured"]["push"])
+        typed(one["measured"]["push"], MeasuredPush)
         for one in earlier
         if one["specimen"] == trial.specimen and one["excluded"] is None and one["measured"] is not None
         if one["measured"]["push"] is not None
