@@ -17,7 +17,7 @@ from tissueid.documents.identification import Calibration, StatedSpecimen, State
 from tissueid.inference.frame_effect import frame_flags
 from tissueid.inference.order import gain_spread, order_effect, repeated_sites
 from tissueid.inference.specimen import FitOptions, LogHandle
-from tissueid.manifest import Study
+from tissueid.manifest import Study, TomlTable
 from tissueid.result import Estimate, Refusal, SpecimenFit
 
 
@@ -34,7 +34,7 @@ def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> 
     ``collected``: with the study's decision on every trial.
     """
     said = [collected.decisions.get((trial.path, trial.sheet)) for trial in fit.trials]
-    rows: list[Mapping[str, Any]] = [{} if one is None else one.trial for one in said]
+    rows: list[TomlTable] = [{} if one is None else one.trial for one in said]
     frame = None if study is None else study.calibration.frame
     values = {} if study is None else study.calibration.values
     flags = [

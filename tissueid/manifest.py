@@ -19,6 +19,9 @@ from tissueid.notebook import Shown
 from tissueid.priors import PopulationPriors, Priors
 from tissueid.trial import Protocol, frozen_array
 
+#: Table of a study.toml, units in the names of its keys
+TomlTable = Mapping[str, Any]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCurve:
@@ -59,7 +62,7 @@ class Calibration:
     """Stated calibration of the channels."""
 
     #: Keys of ``[calibration]`` in study.toml, units in their names.
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: TomlTable = field(default_factory=dict)
     frame: FrameCurve | None = None  # deflection of the frame; ``None`` where nothing is known of it
 
     def __post_init__(self) -> None:
@@ -76,7 +79,7 @@ class Calibration:
 class Entry:
     """One ``[[trial]]``, ``[[override]]`` or ``[[exclude]]`` table."""
 
-    values: Mapping[str, Any]  # its keys, units in their names
+    values: TomlTable  # its keys, units in their names
     files: tuple[str, ...]  # absolute paths of the recordings that its ``file`` names
     line: int  # line of study.toml at which the table begins
 
@@ -99,9 +102,9 @@ class Decision:
     """Everything the study says of one recording."""
 
     listed: bool  # named under ``[[trial]]``
-    trial: Mapping[str, Any]  # keys of its ``[[trial]]`` tables
-    protocol: Mapping[str, Any]  # keys of its ``[[protocol]]``
-    override: Mapping[str, Any]  # what the user decided; ``because`` gathers the reasons
+    trial: TomlTable  # keys of its ``[[trial]]`` tables
+    protocol: TomlTable  # keys of its ``[[protocol]]``
+    override: TomlTable  # what the user decided; ``because`` gathers the reasons
     excluded: str | None  # why it is not fitted
 
 
@@ -150,14 +153,14 @@ class Study(Shown):
 
     path: str
     sha256: str = ""
-    about: Mapping[str, Any] = field(default_factory=dict)
-    tip: Mapping[str, Any] = field(default_factory=dict)
+    about: TomlTable = field(default_factory=dict)
+    tip: TomlTable = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
     priors: Priors = field(default_factory=Priors)
     model: str | None = None
     population: PopulationPriors | None = None
-    specimens: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    protocols: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    specimens: Mapping[str, TomlTable] = field(default_factory=dict)
+    protocols: Mapping[str, TomlTable] = field(default_factory=dict)
     trials: tuple[Entry, ...] = ()
     overrides: tuple[Entry, ...] = ()
     exclusions: tuple[Entry, ...] = ()

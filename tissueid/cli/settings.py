@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from tissueid.errors import UsageError
+from tissueid.manifest import TomlTable
 
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.
 TYPED_ONLY = frozenset({"because", "force", "help", "no-control", "pseudonym", "token", "version", "yes"})
@@ -43,7 +44,7 @@ class SettingsFile:
     """A configuration file."""
 
     path: Path
-    table: Mapping[str, Any]  # its settings
+    table: TomlTable  # its settings
     inside: tuple[str, ...]  # where they stand in the file: empty, or ``("tool", "tissueid")``
     text: str
 
@@ -196,7 +197,7 @@ def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: 
     return f"{file.at(key)}: {typed!r} {words}; {hint}"
 
 
-def _descend(file: SettingsFile, name: tuple[str, ...]) -> Mapping[str, Any]:
+def _descend(file: SettingsFile, name: tuple[str, ...]) -> TomlTable:
     table: Any = file.table
     for end, part in enumerate(name, start=1):
         table = table.get(part, {})
@@ -207,7 +208,7 @@ def _descend(file: SettingsFile, name: tuple[str, ...]) -> Mapping[str, Any]:
 
 
 def _from_table(
-    file: SettingsFile, command: click.Command, name: tuple[str, ...], table: Mapping[str, Any]
+    file: SettingsFile, command: click.Command, name: tuple[str, ...], table: TomlTable
 ) -> dict[tuple[str, ...], Setting]:
     found: dict[tuple[str, ...], Setting] = {}
     if isinstance(command, click.Group):

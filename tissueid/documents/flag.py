@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.documents.base import JsonSchema
 from tissueid.flags import FLAGS
 
 #: Members of a flag that are not among the numbers behind it.
 _SAID = ("code", "message")
 _PLAIN = {"type": ["number", "string", "boolean", "null"]}
 #: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
-FLAG_SCHEMA: Mapping[str, Any] = {
+FLAG_SCHEMA: JsonSchema = {
     "description": "A stable code, one plain sentence, and the numbers behind it as further members.",
     "type": "object",
     "properties": {

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta, field
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, Sha256, Text
+from tissueid.documents.base import Count, Document, Fraction, JsonSchema, NonNegative, Positive, Sha256, Text
 from tissueid.documents.flag import Flag
 from tissueid.documents.inspect import Refusal, Units
 from tissueid.documents.measured import Measured, Spread
@@ -37,7 +36,7 @@ class Estimate(Document, frozen=True):
     """One parameter. `value` is null where `identified` is false."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
+    RULES: ClassVar[JsonSchema] = {
         "if": {"properties": {"identified": {"const": False}}},
         "then": {
             "properties": {
@@ -244,9 +243,7 @@ class Selection(Document, frozen=True, forbid_unknown_fields=False):
     """
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
-        "additionalProperties": {"type": ["number", "string", "boolean", "null"]}
-    }
+    RULES: ClassVar[JsonSchema] = {"additionalProperties": {"type": ["number", "string", "boolean", "null"]}}
 
     branches: Annotated[int, Meta(ge=0, le=12)]
     stiffness_degree: Literal[0, 1, 2]

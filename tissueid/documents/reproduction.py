@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, NonNegative
+from tissueid.documents.base import Count, Document, JsonSchema, NonNegative
 
 
 class Paper(Document, frozen=True):
@@ -36,7 +35,7 @@ class Item(Document, frozen=True):
     """Printed number and the recomputed one."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
+    RULES: ClassVar[JsonSchema] = {
         "allOf": [
             {
                 "if": {"properties": {"kind": {"enum": ["given", "not reproducible"]}}},

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Document, NonNegative, Positive, Text
+from tissueid.documents.base import Document, JsonSchema, NonNegative, Positive, Text
 
 PositiveNumber = Positive
 
@@ -16,7 +15,7 @@ class Tissue(Document, frozen=True):
     """Tissue that is felt."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {"oneOf": [{"required": ["bundle"]}, {"required": ["preset"]}]}
+    RULES: ClassVar[JsonSchema] = {"oneOf": [{"required": ["bundle"]}, {"required": ["preset"]}]}
 
     bundle: Text | None = None  # Path, from the scene's own folder
     preset: Text | None = None
@@ -43,7 +42,7 @@ class Funnel(Document, frozen=True):
     """Funnel around a planned path."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
+    RULES: ClassVar[JsonSchema] = {
         "not": {
             "required": ["contact_law"],
             "anyOf": [
@@ -109,7 +108,7 @@ class Scene(Document, frozen=True):
     """Scene: what is felt, and where."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
+    RULES: ClassVar[JsonSchema] = {
         "oneOf": [
             {"required": ["tissue"], "not": {"anyOf": [{"required": ["guidance"]}, {"required": ["plan"]}]}},
             {"required": ["guidance", "plan"]},

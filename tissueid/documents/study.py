@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, PositiveCount, Text
+from tissueid.documents.base import (
+    Count,
+    Document,
+    Fraction,
+    JsonSchema,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Text,
+)
 
 
 class NormalPrior(Document, frozen=True):
@@ -146,7 +154,7 @@ class Calibration(Document, frozen=True):
     """Force and displacement channels, machine frame."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {
+    RULES: ClassVar[JsonSchema] = {
         "allOf": [{"not": {"required": ["frame", "frame_stiffness_N_per_mm"]}}],
         "dependentRequired": {
             "frame_stiffness_N_per_mm_sd": ["frame_stiffness_N_per_mm"],
@@ -262,7 +270,7 @@ class Override(Document, frozen=True):
     """Decisions of one recording, and the reason."""
 
     #: Constraints of the JSON Schema beyond types
-    RULES: ClassVar[Mapping[str, Any]] = {"dependentRequired": {"contact_sd_mm": ["contact_mm"]}}
+    RULES: ClassVar[JsonSchema] = {"dependentRequired": {"contact_sd_mm": ["contact_mm"]}}
 
     file: Text  # Path or glob, relative to the folder of this file
     because: Text  # Why; printed wherever the decision shows

@@ -13,7 +13,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
@@ -25,7 +25,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.stated import canonical_key, in_unit, unit_of
 from tissueid.ingest.stated_priors import PriorError, plain_priors, population_of, priors_of
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
-from tissueid.manifest import Calibration, Entry, FrameCurve, Study
+from tissueid.manifest import Calibration, Entry, FrameCurve, Study, TomlTable
 from tissueid.model.frame import linear_frame
 from tissueid.priors import Priors
 from tissueid.result import Refusal
@@ -166,7 +166,7 @@ def study_of(content: bytes, file: Path) -> Study:
     return study
 
 
-def _model(table: Mapping[str, Any], refuser: _Refuser) -> str:
+def _model(table: TomlTable, refuser: _Refuser) -> str:
     """The contact model, or those to choose among, as ``fit --model`` takes them."""
     # loaded here: the laws bring a compiler, and a look at a file needs none
     from tissueid.model.grammar import ModelNameError, candidates
@@ -230,27 +230,27 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
         ) from error
 
 
-def _properties(*where: str | int) -> Mapping[str, Any]:
+def _properties(*where: str | int) -> TomlTable:
     """Keys that a table of the manifest may hold, from the schema; empty where it says nothing."""
     schema = load_schema("study")
 
-    def referred(node: Mapping[str, Any]) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = node
+    def referred(node: TomlTable) -> TomlTable:
+        found: TomlTable = node
         if "$ref" in node:
             found = schema["$defs"][node["$ref"].rpartition("/")[2]]
         return found
 
-    node: Mapping[str, Any] = schema
+    node: TomlTable = schema
     for part in where:
         node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
         node = referred(node)
-    found: Mapping[str, Any] = referred(node.get("items", node)).get("properties", {})
+    found: TomlTable = referred(node.get("items", node)).get("properties", {})
     return found
 
 
-def _normalised(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
+def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
     """The same document with one key for one quantity, numbers in the key's unit, dates as text."""
-    top: Mapping[str, Any] = load_schema("study")["properties"]
+    top: TomlTable = load_schema("study")["properties"]
     document: dict[str, Any] = {}
     for name, value in table.items():
         if name not in top:
@@ -271,14 +271,14 @@ def _normalised(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
     return document
 
 
-def _plain_priors(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
+def _plain_priors(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
     try:
         return plain_priors(table, _properties("priors"))
     except PriorError as problem:
         refuser.refuse(("priors", *problem.where), str(problem))
 
 
-def _priors(plain: Mapping[str, Any], refuser: _Refuser) -> Priors:
+def _priors(plain: TomlTable, refuser: _Refuser) -> Priors:
     try:
         return priors_of(plain)
     except PriorError as problem:
@@ -286,7 +286,7 @@ def _priors(plain: Mapping[str, Any], refuser: _Refuser) -> Priors:
         refuser.refuse(where, f"{_place(where)}: {problem}")
 
 
-def _table(table: Mapping[str, Any], where: TomlPath, refuser: _Refuser) -> dict[str, Any]:
+def _table(table: TomlTable, where: TomlPath, refuser: _Refuser) -> dict[str, Any]:
     known = _properties(*where)
     plain: dict[str, Any] = {}
     for written, raw in table.items():
@@ -305,7 +305,7 @@ def _table(table: Mapping[str, Any], where: TomlPath, refuser: _Refuser) -> dict
     return plain
 
 
-def _check_schema(document: Mapping[str, Any], refuser: _Refuser) -> None:
+def _check_schema(document: TomlTable, refuser: _Refuser) -> None:
     problem = first_problem(document, "study")
     if problem is None:
         return
@@ -343,7 +343,7 @@ def _place(where: TomlPath) -> str:
     return " ".join([f"[{name}]", *(str(part) for part in rest)]) if rest else str(name)
 
 
-def _check_names(document: Mapping[str, Any], refuser: _Refuser) -> None:
+def _check_names(document: TomlTable, refuser: _Refuser) -> None:
     """Names are unique, and what is referred to exists."""
     for table, reference in (("specimen", "specimen"), ("protocol", "protocol")):
         names: dict[str, int] = {}
@@ -361,7 +361,7 @@ def _check_names(document: Mapping[str, Any], refuser: _Refuser) -> None:
             refuser.refuse(("trial", i, reference), f'{reference} = "{said}" has no [[{table}]]; {hint}')
 
 
-def _check_reading(document: Mapping[str, Any], refuser: _Refuser) -> None:
+def _check_reading(document: TomlTable, refuser: _Refuser) -> None:
     """Columns, units and axes make sense to the readers."""
     for i, entry in enumerate(document.get("override", ())):
         for key in _READING:
@@ -371,7 +371,7 @@ def _check_reading(document: Mapping[str, Any], refuser: _Refuser) -> None:
                 refuser.refuse(("override", i, key), error.message)
 
 
-def _calibration(table: Mapping[str, Any], folder: Path, refuser: _Refuser) -> Calibration:
+def _calibration(table: TomlTable, folder: Path, refuser: _Refuser) -> Calibration:
     frame: FrameCurve | None = None
     stiffness = table.get("frame_stiffness_N_per_mm")
     values = {key: value for key, value in table.items() if key != "frame"}
@@ -387,8 +387,8 @@ def _calibration(table: Mapping[str, Any], folder: Path, refuser: _Refuser) -> C
     return Calibration(values, frame)
 
 
-def _entries(document: Mapping[str, Any], table: str, folder: Path, refuser: _Refuser) -> tuple[Entry, ...]:
-    listed: Sequence[Mapping[str, Any]] = document.get(table, ())
+def _entries(document: TomlTable, table: str, folder: Path, refuser: _Refuser) -> tuple[Entry, ...]:
+    listed: Sequence[TomlTable] = document.get(table, ())
     return tuple(
         Entry(entry, tuple(_files(entry["file"], folder)), refuser.line((table, i)))
         for i, entry in enumerate(listed)

@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 from tissueid.ingest.stated import in_unit, unit_of, without_unit
+from tissueid.manifest import TomlTable
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 
 #: Keys of a prior that are in the unit of its parameter.
@@ -41,7 +42,7 @@ def _bare(name: str) -> str:
     return without_unit(_BRANCH.sub("", name)) + (branch[0] if branch else "")
 
 
-def _known_name(written: str, known: Mapping[str, Any]) -> str:
+def _known_name(written: str, known: TomlTable) -> str:
     """The name of a prior; a unit is never guessed.
 
     Raises PriorError: there is no such name: the nearest is given.
@@ -72,7 +73,7 @@ def _numbers(table: Any, name: str, where: Place) -> Any:
     return plain
 
 
-def plain_priors(table: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+def plain_priors(table: TomlTable, known: TomlTable) -> dict[str, Any]:
     """The table with known names and plain numbers, ready for the schema.
 
     ``table``: as parsed; ``known``: names of the schema.  Raises PriorError.
@@ -87,7 +88,7 @@ def plain_priors(table: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str
     return plain
 
 
-def priors_of(plain: Mapping[str, Any]) -> Priors:
+def priors_of(plain: TomlTable) -> Priors:
     """Priors from a table that the schema has passed.
 
     ``plain``: from :func:`plain_priors`; what is missing keeps its default.  Raises PriorError: limits in the
@@ -116,7 +117,7 @@ def priors_of(plain: Mapping[str, Any]) -> Priors:
     )
 
 
-def population_of(plain: Mapping[str, Any]) -> PopulationPriors:
+def population_of(plain: TomlTable) -> PopulationPriors:
     """Priors of the population from a ``[population]`` table that the schema has passed.
 
     ``plain``: what is missing keeps its default.

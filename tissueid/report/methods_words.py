@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from tissueid.digits import number
-from tissueid.documents.identification import Identification, Specimen
+from tissueid.documents.identification import Identification, Provenance, Specimen
 from tissueid.report.sentences import tissue_sentence
 
 #: As in CITATION.cff.
@@ -91,12 +91,12 @@ def _model_words(specimen: Specimen) -> str:
     )
 
 
-def _choice_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+def _choice_words(specimen: Specimen, run: Provenance) -> str:
     """Words on the choice of branches and of the degree of K."""
     if specimen.model.key != "kelvin-voigt":
         return "The contact model was set in advance."
     wanted = {"branches": "the number of branches", "stiffness_degree": "the degree of K"}
-    free = [words for key, words in wanted.items() if options.get(key, "auto") == "auto"]
+    free = [words for key, words in wanted.items() if run.options.get(key, "auto") == "auto"]
     if not free or not specimen.selection:
         return "The number of branches and the degree of K were set in advance."
     words = " and ".join(free)
@@ -105,10 +105,10 @@ def _choice_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
     return f"{told} that were held out" + "".join(f"; {one} was set in advance" for one in given) + "."
 
 
-def _noise_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+def _noise_words(specimen: Specimen, run: Provenance) -> str:
     noise = specimen.noise
     assumed = _NOISE[noise.model] if noise is not None else _NOISE["white"]
-    found = " (found from the residuals)" if options.get("noise") == "auto" else ""
+    found = " (found from the residuals)" if run.options.get("noise") == "auto" else ""
     return f"under {assumed} of the force{found}"
 
 
@@ -125,32 +125,32 @@ def _missed_words(specimen: Specimen) -> str:
     )
 
 
-def _decided_words(options: Mapping[str, Any]) -> str:
+def _decided_words(run: Provenance) -> str:
     """Words on settings of the user that change the numbers."""
     told = []
-    if options.get("contact_displacement_mm") is not None:
-        told.append(f"Contact was set at {options['contact_displacement_mm']:g} mm.")
-    if options.get("compression_sign") is not None:
-        sign = "positive" if options["compression_sign"] > 0 else "negative"
+    if run.options.get("contact_displacement_mm") is not None:
+        told.append(f"Contact was set at {run.options['contact_displacement_mm']:g} mm.")
+    if run.options.get("compression_sign") is not None:
+        sign = "positive" if run.options["compression_sign"] > 0 else "negative"
         told.append(f"Compression was set as {sign} displacement.")
-    if options.get("unloading"):
+    if run.options.get("unloading"):
         told.append("Retracts and cycles were fitted as well.")
     return "".join(f" {one}" for one in told)
 
 
-def _fit_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+def _fit_words(specimen: Specimen, run: Provenance) -> str:
     model = specimen.model
     return (
-        f"The static force was {_POOLING[model.static_pooling]}. {_choice_words(specimen, options)} The "
+        f"The static force was {_POOLING[model.static_pooling]}. {_choice_words(specimen, run)} The "
         f"model was fitted to the recorded displacement through its whole history by "
-        f"{specimen.optimisers.method}, {_noise_words(specimen, options)}, within the set of passive "
+        f"{specimen.optimisers.method}, {_noise_words(specimen, run)}, within the set of passive "
         "tissues (F_s and K nowhere negative on the fitted depth). A relaxation time is reported where its "
         "95 % profile-likelihood interval is closed and narrower than a factor e."
-        f"{_missed_words(specimen)}{_decided_words(options)}"
+        f"{_missed_words(specimen)}{_decided_words(run)}"
     )
 
 
-def _sampling_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
+def _sampling_words(specimen: Specimen, run: Provenance) -> str:
     sampler = specimen.sampler
     if sampler is None:
         return "Errors are standard errors at the optimum; no posterior was sampled."
@@ -158,9 +158,9 @@ def _sampling_words(specimen: Specimen, options: Mapping[str, Any]) -> str:
     worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
     least = min((entry.ess_bulk for entry in known if entry.ess_bulk is not None), default=None)
     told = [f"{sampler.draws:,} draws"]
-    if options.get("draws") is not None:
-        told[0] += f", for {options['draws']:,} effective ones"
-    seed = sampler.detail.get("seed", options.get("seed"))
+    if run.options.get("draws") is not None:
+        told[0] += f", for {run.options['draws']:,} effective ones"
+    seed = sampler.detail.get("seed", run.options.get("seed"))
     if seed is not None:
         told.append(f"seed {seed}")
     if worst is not None:
@@ -212,7 +212,7 @@ def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
     """
     if specimen.model.key != "kelvin-voigt":
         return _other_law(specimen, run)
-    degree, options = specimen.model.stiffness_degree, run.provenance.options
+    degree, made = specimen.model.stiffness_degree, run.provenance
     before = (
         f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
         f"{_model_words(specimen)}:"
@@ -221,8 +221,8 @@ def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
         "where x is the depth of the tool below the contact point, F_s the static force and s_j the stretch "
         "of the spring of branch j, zero at rest; the viscosity of a branch is η_j = τ_j K_j"
         + (", at half the fitted depth. " if degree else ". ")
-        + _fit_words(specimen, options),
-        _sampling_words(specimen, options),
+        + _fit_words(specimen, made),
+        _sampling_words(specimen, made),
         _result_words(specimen),
     ]
     terms = [
@@ -241,10 +241,10 @@ def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
 
 def _other_law(specimen: Specimen, run: Identification) -> dict[str, Any]:
     """The paragraph of a law that is not the paper's: without its equations."""
-    options = run.provenance.options
+    made = run.provenance
     before = (
         f"{_recordings(specimen, run)} Contact force was described by the contact model "
         f"{specimen.model.key} (static law, stiffness and relaxation as tissueid models lists them)."
     )
-    after = [_fit_words(specimen, options), _sampling_words(specimen, options), _result_words(specimen)]
+    after = [_fit_words(specimen, made), _sampling_words(specimen, made), _result_words(specimen)]
     return {"before": before, "after": after, "degree": None, "plain": _plain(before, [], after)}

@@ -15,7 +15,7 @@ from typing import Any
 from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST, SCHEMA
 from tissueid.ingest.toml_lines import lines_of_toml
-from tissueid.manifest import Entry, Study
+from tissueid.manifest import Entry, Study, TomlTable
 from tissueid.report.inspect_decisions import toml_value
 
 #: Comment behind the header of a table that was written here.
@@ -56,7 +56,7 @@ class Correction:
         own = {} if self.key == "exclude" else {self.key: self.value}
         return {**self.where, **own, "because": self.because.strip()}
 
-    def made(self, entry: Mapping[str, Any]) -> bool:
+    def made(self, entry: TomlTable) -> bool:
         """True where a table is an earlier one of this decision."""
         keys = {*self.where, "because", *({self.key} - {"exclude"})}
         return set(entry) == keys and all(entry[key] == value for key, value in self.where.items())
@@ -90,7 +90,7 @@ def _lines(text: str) -> list[str]:
     return [line for line in re.split(r"(?<=\n)", text) if line]
 
 
-def _checked(text: str, wanted: Mapping[str, Any], table: str) -> str:
+def _checked(text: str, wanted: TomlTable, table: str) -> str:
     """A text, once it was seen to say what it should and nothing else."""
     try:
         found = tomllib.loads(text)
@@ -124,7 +124,7 @@ def _take_out(lines: list[str], span: range) -> None:
     lines[span.start : stop] = [line for line in lines[span.start : stop] if line.lstrip().startswith("#")]
 
 
-def _append(lines: list[str], table: str, entry: Mapping[str, Any], end: str) -> None:
+def _append(lines: list[str], table: str, entry: TomlTable, end: str) -> None:
     if lines and not lines[-1].endswith("\n"):
         lines[-1] += end
     if lines and lines[-1].strip():
