@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from msgspec import structs
 
 from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
@@ -156,7 +157,9 @@ def _print(one: Trial) -> None:
         echo(f"  excluded    because: {one.excluded}", fg="yellow")
     echo(
         "  columns     "
-        + ", ".join(f"{key} = {value}" for key, value in asdict(one.columns).items() if value is not None)
+        + ", ".join(
+            f"{key} = {value}" for key, value in structs.asdict(one.columns).items() if value is not None
+        )
     )
     sign = "positive" if one.compression_sign > 0 else "negative"
     echo(f"  samples     {one.n_samples}, compression is {sign} displacement")

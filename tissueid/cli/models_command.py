@@ -72,7 +72,7 @@ def _each(rows: list[dict[str, Any]]) -> None:
         if position:
             echo()
         echo(f"{row['key']} ({row['kind']}): {row['equation']}")
-        names = ", ".join(f"{one.symbol} [{one.unit}]" for one in row["parameters"])
+        names = ", ".join(f"{one['symbol']} [{one['unit']}]" for one in row["parameters"])
         for label, text in (
             ("parameters", names or "none of its own"),
             ("for", row["purpose"]),

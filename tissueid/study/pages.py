@@ -243,11 +243,10 @@ def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
 
 
 def _refused(run: OutputSet) -> list[str]:
-    document = json.loads(run.path(IDENTIFICATION).read_bytes())
+    document = typed(json.loads(run.path(IDENTIFICATION).read_bytes()), Identification)
     return [
-        f"{entry.path if entry.sheet is None else entry.path + ' [' + entry.sheet + ']'}: "
-        f"{entry.error.message}"
-        for entry in document["refused"]
+        f"{one.path if one.sheet is None else f'{one.path} [{one.sheet}]'}: {one.error.message}"
+        for one in document.refused
     ]
 
 
