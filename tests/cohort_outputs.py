@@ -85,6 +85,6 @@ def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
 
 
 def _calibration() -> list[str]:
-    from tissueid.store.schema import load_schema
+    from tissueid.documents.identification import Calibration
 
-    return list(load_schema("identification")["$defs"]["calibration"]["properties"])
+    return list(Calibration.__struct_fields__)

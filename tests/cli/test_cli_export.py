@@ -16,6 +16,7 @@ from fit_factory import STATIC, identification, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents.identification import Calibration, StatedSpecimen
 from tissueid.result import SpecimenFit
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
@@ -56,12 +57,14 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+SILENT = dict.fromkeys(StatedSpecimen.__struct_fields__)
 STUDY: dict[str, Any] = {
-    "path": "study.toml", "sha256": "", "study": {}, "tip": {},
+    "path": "study.toml", "sha256": "", "study": {}, "tip": {}, "priors": {},
+    "calibration": dict.fromkeys(Calibration.__struct_fields__),
     "specimens": [
-        {"specimen": "kidney 3", "species": "pig", "sex": "f", "thickness_mm": 18.5, "site": "pole",
+        SILENT | {"specimen": "kidney 3", "species": "pig", "sex": "f", "thickness_mm": 18.5, "site": "pole",
          "notes": None},
-        {"specimen": "spleen 1", "species": "goat", "sex": None, "thickness_mm": None, "site": None,
+        SILENT | {"specimen": "spleen 1", "species": "goat", "sex": None, "thickness_mm": None, "site": None,
          "notes": "torn"},
     ],
     "trials": [
@@ -188,7 +191,7 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
              tidy_table(given, "cycles").columns]  # fmt: skip
     loop: dict[str, Any] = dict.fromkeys(names, measure)
     loop |= {"path": "a.csv", "sheet": None, "number": 2, "kind": "cycle", "start_s": 1.0, "peak_s": 2.0,
-             "end_s": 3.0, "floor_mm": 0.0, "peak_depth_mm": 4.0}  # fmt: skip
+             "end_s": 3.0, "floor_mm": 0.0, "peak_depth_mm": 4.0, "at_depths": []}  # fmt: skip
     given["specimens"][0]["cycles"] = [loop]
     (row,) = table("cycles", given)
     assert (row["specimen"], row["number"], float(row["hysteresis"])) == ("kidney 3", "2", 0.25)
@@ -199,7 +202,10 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
     ]
     quantity = {"name": "fraction_relaxed", "unit": "1", "at": {"time_s": 10.0}, "value": None,
                 "stderr": None, "reason": "the hold lasts 5 s"}  # fmt: skip
-    given["specimens"][0]["quoted"] = {"model": [quantity], "moduli": []}
+    given["specimens"][0]["quoted"] = {
+        "window_s": 5.0, "resolution_s": 0.02, "noise": "white", "model": [quantity], "moduli": [],
+        "spectra": [], "assumptions": {},
+    }  # fmt: skip
     (row,) = table("quantities", given)
     assert (row["kind"], row["name"], row["time_s"], row["value"]) == (
         "model",

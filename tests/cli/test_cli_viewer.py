@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from command_line import run, start
 from session_heads import head_of, records_of, summary_of
 
 from tissueid.cli import viewer_serving
-from tissueid.cli.render_command import _CHOICES, _choose_demonstration
+from tissueid.cli.render_command import RenderFlags, _demonstrated
 from tissueid.cli.viewer_serving import open_browser, telling_stop
 from tissueid.rendering.recorder import Recorder
 
@@ -52,22 +53,15 @@ def test_a_log_is_served_until_it_is_told_to_end(tmp_path: Path) -> None:
     assert process.returncode == 0
 
 
-def flags(**given: Any) -> dict[str, Any]:
-    asked = {
-        "bundle": None,
-        "preset": None,
-        "environment": None,
-        "replay": None,
-        "script": None,
-        "scene": None,
-    }
-    return {**asked, **dict.fromkeys(_CHOICES), "name": "auto", "virtual": False, "viewer": False, **given}
+def flags(**given: Any) -> RenderFlags:
+    asked: dict[str, Any] = dict.fromkeys(one.name for one in fields(RenderFlags))
+    return RenderFlags(**asked | {"name": "auto", "virtual": False, "viewer": False} | given)
 
 
 def test_nothing_asked_for_opens_a_tissue_without_motors() -> None:
     asked = flags()
-    _choose_demonstration(asked)
-    assert (asked["preset"], asked["name"], asked["viewer"]) == ("paper-a", "sim", True)
+    found = _demonstrated(asked)
+    assert (found.preset, found.name, found.viewer) == ("paper-a", "sim", True)
 
 
 @pytest.mark.parametrize(
@@ -75,8 +69,7 @@ def test_nothing_asked_for_opens_a_tissue_without_motors() -> None:
 )
 def test_whatever_was_asked_for_is_not_replaced(given: dict[str, Any]) -> None:
     asked = flags(**given)
-    _choose_demonstration(asked)
-    assert asked == flags(**given)
+    assert _demonstrated(asked) == flags(**given)
 
 
 def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:

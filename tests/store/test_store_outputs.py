@@ -50,7 +50,7 @@ def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
     run = write(tmp_path, "a", "b")
     document, curves, posteriors = read_results(tmp_path)
     assert posteriors == ()
-    assert [entry["specimen"] for entry in document["specimens"]] == ["a", "b"]
+    assert [entry.specimen for entry in document.specimens] == ["a", "b"]
     for entry, fit in zip(curves, run.specimens, strict=True):
         expected = fit.trials[0].curve
         for name in ("time_s", "depth_mm", "force_N", "model_N", "fitted"):
@@ -85,7 +85,7 @@ def test_a_run_that_fails_leaves_the_old_set(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="stopped"):
         stop_half_way()
     validate_outputs(tmp_path)
-    assert read_results(tmp_path)[0]["specimens"][0]["specimen"] == "old"
+    assert read_results(tmp_path)[0].specimens[0].specimen == "old"
 
 
 def test_an_interrupted_refresh_is_finished_by_the_next_command(
@@ -158,7 +158,7 @@ def test_the_lock_of_a_dead_process_is_no_lock(tmp_path: Path) -> None:
     (tmp_path / ".lock").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
     write(tmp_path, "a")
     document, *_ = read_results(tmp_path)
-    assert [entry["specimen"] for entry in document["specimens"]] == ["a"]
+    assert [entry.specimen for entry in document.specimens] == ["a"]
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
@@ -188,7 +188,8 @@ def test_a_mixed_set_is_refused(tmp_path: Path, name: str) -> None:
 def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_path: Path) -> None:
     run = identification([specimen_fit("a", trials=1, samples=40)])
     with OutputSet(tmp_path) as outputs:
-        document = write_results(outputs, run)
+        write_results(outputs, run)
+        document = json.loads(outputs.path("identification.json").read_bytes())
         document["specimens"][0]["sigma_N"] = 0.7
         outputs.write("identification.json", json.dumps(document).encode())
         outputs.commit()
@@ -234,7 +235,7 @@ def whole_sets(out: Path, delays: list[float]) -> int:
         writer.wait()
         validate_outputs(out)
         document, *_ = read_results(out)
-        shown = {int(entry["specimen"].split("-")[0][1:]) for entry in document["specimens"]}
+        shown = {int(entry.specimen.split("-")[0][1:]) for entry in document.specimens}
         assert len(shown) == 1
         (seen,) = shown
         # committed sets are never lost; the set being written may have been committed before it was counted
@@ -285,7 +286,7 @@ def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pyt
                 write(out, "new")
         committed = (out / ".current") in done
         validate_outputs(out)
-        assert read_results(out)[0]["specimens"][0]["specimen"] == ("new" if committed else "old")
+        assert read_results(out)[0].specimens[0].specimen == ("new" if committed else "old")
     run = current_run(out)
     assert run is not None
     assert committed, "the last stop must lie behind the commit"

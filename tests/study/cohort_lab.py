@@ -48,7 +48,7 @@ def numbers_of(out: Path) -> dict[str, Any]:
         arrays = [getattr(one.curve, name) for one in curves for name in ("time_s", "force_N", "model_N")]
         if posterior is not None:
             arrays += [posterior.draws, posterior.chain]
-        found[document["specimen"]] = [np.ascontiguousarray(array).tobytes() for array in arrays]
+        found[document.specimen] = [np.ascontiguousarray(array).tobytes() for array in arrays]
     return found
 
 

@@ -141,9 +141,9 @@ def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch:
         assert f"pages/{key}.html" in page
     assert main(["report", str(out), "-q"]) == 0
     document, curves, posteriors = read_results(out)
-    assert len(curves) == sum(len(one["trials"]) for one in document["specimens"]) == 6
+    assert len(curves) == sum(len(one.trials) for one in document.specimens) == 6
     assert posteriors == ()
-    assert [one["specimen"] for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
+    assert [one.specimen for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
 
 
 def test_a_page_made_with_a_fit_is_that_made_of_its_file(

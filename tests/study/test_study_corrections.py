@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tissueid.documents.inspect import Phase
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import ReadOptions, read_trials
 from tissueid.ingest.manifest import read_study
@@ -139,10 +140,10 @@ def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because:
     return shown.decide(words)
 
 
-def hold_of(shown: CorrectedInspection) -> dict[str, Any]:
+def hold_of(shown: CorrectedInspection) -> Phase:
     assert shown._inspection is not None
     document = shown._inspection.shown[0].document
-    return next(phase for phase in document["phases"] if phase["kind"] == "hold")
+    return next(phase for phase in document.phases if phase.kind == "hold")
 
 
 def test_a_decision_is_written_and_the_recording_segmented_anew(lab: Path) -> None:
@@ -151,8 +152,8 @@ def test_a_decision_is_written_and_the_recording_segmented_anew(lab: Path) -> No
     decide(shown, lab, "contact_mm", 1.25, "the film")
     decide(shown, lab, "hold_from_s", 4.5)
     decide(shown, lab, "end_s", 12.0)
-    assert hold_of(shown)["start_s"] == pytest.approx(4.5)
-    assert hold_of(shown)["end_s"] == pytest.approx(12.0)
+    assert hold_of(shown).start_s == pytest.approx(4.5)
+    assert hold_of(shown).end_s == pytest.approx(12.0)
     study = read_study(lab)
     said = study.decision(str(lab / "a.csv"), None).override
     assert (said["contact_mm"], said["hold_from_s"], said["end_s"]) == (1.25, 4.5, 12.0)
@@ -231,6 +232,6 @@ def test_a_folder_that_takes_no_file_is_said(lab: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("tissueid.study.correcting.write_file", full)
     with pytest.raises(UsageError, match="No space left"):
         decide(shown, lab, "exclude", True)
-    assert "excluded" not in hold_of(shown)
+    assert hold_of(shown).kind == "hold"
     assert shown._inspection is not None
-    assert shown._inspection.shown[0].document["excluded"] is None
+    assert shown._inspection.shown[0].document.excluded is None

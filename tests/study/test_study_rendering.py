@@ -10,10 +10,13 @@ from fit_factory import THETA, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
 from tissueid.haptics.limits import GuardLimits
+from tissueid.ingest.stated import unit_of
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering.precheck import Demands, check_before_force
 from tissueid.rendering.tissue_block import Tissue
+from tissueid.report.rendering_words import NORMALISED
 from tissueid.result import SpecimenFit
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
@@ -25,7 +28,7 @@ completeness_of_result = typed_call(completeness_of_result)
 rendering_of = typed_call(rendering_of)
 
 
-def rendering(fit: SpecimenFit) -> dict[str, Any]:
+def rendering(fit: SpecimenFit) -> Any:
     posteriors = posteriors_of_fits([fit])
     found = rendering_of(plain_json(fit.as_json()), posteriors[0] if posteriors else None)
     assert found is not None
@@ -38,14 +41,14 @@ def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
     tissue = Tissue(model=model, theta=THETA, speeds_mm_s=(0.5, 4.0), tip_radius_mm=3.0)
     clamp = GuardLimits.simulated().clamp_N
     check = check_before_force(tissue, Demands(clamp, 0.5, 1.5, travel_m=0.064))
-    _, simulated = found["devices"]
-    assert simulated["force_scale"] == pytest.approx(check.scaling.force)
-    assert simulated["required_damping_N_s_per_m"] == pytest.approx(check.required_damping_N_s_per_m)
+    _, simulated = found.devices
+    assert simulated.scale.force_scale == pytest.approx(check.scaling.force)
+    assert simulated.scale.required_damping_N_s_per_m == pytest.approx(check.required_damping_N_s_per_m)
     # 6 mm at five-fold motion are 30 of the 40 mm that a session on it has
-    assert simulated["outside_share"] == pytest.approx(1 - 30 / 40)
-    assert simulated["fastest_hand_mm_s"] == pytest.approx(20.0)
-    assert (found["passive"], found["unique"]) == (True, True)
-    assert found["draws"] == found["draws_passive"] == 500
+    assert simulated.outside_share == pytest.approx(1 - 30 / 40)
+    assert simulated.fastest_hand_mm_s == pytest.approx(20.0)
+    assert (found.passive, found.unique) == (True, True)
+    assert found.draws == found.draws_passive == 500
 
 
 def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
@@ -54,15 +57,15 @@ def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
         replace(one, detail={"estimate": -3.0}) if one.name == "stiffness_0_N_per_mm" else one
         for one in fit.parameters
     )
-    assert rendering(replace(fit, parameters=sinking))["passive"] is False
-    assert rendering(replace(fit, axes=Axes("1", "MPa"))) == {"normalised": True}
+    assert rendering(replace(fit, parameters=sinking)).passive is False
+    assert rendering(replace(fit, axes=Axes("1", "MPa"))) == NORMALISED
 
 
 def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
     monkeypatch.setattr("tissueid.study.pages._devices", lambda: weak)
-    (row,) = rendering(specimen_fit())["devices"]
-    assert "can't be felt on this device" in row["refused"]
+    (row,) = rendering(specimen_fit()).devices
+    assert "can't be felt on this device" in row.why
 
 
 def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries() -> None:
@@ -75,14 +78,30 @@ def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_car
         "specimen": {},
         "trial": {},
     }
+    frame: dict[str, Any] = dict.fromkeys(("path", "sha256", "range_N"))
+    frame |= dict.fromkeys(("force_N", "compliance_mm_per_N", "covariance"), ())
+    words: dict[str, Any] = {
+        "authors": ["stated"],
+        "shape": "sphere",
+        "freeze_thaw_cycles": 1,
+        "run": 1,
+        "frame": frame,
+    }
     for item in ITEMS:
-        tables[item.table][item.keys[0]] = "stated"
+        key = item.keys[0]
+        tables[item.table][key] = words.get(key, 1.0 if unit_of(key) or "class" in key else "stated")
+    row = dict.fromkeys(StatedSpecimen.__struct_fields__) | tables["specimen"]
+    trial = dict.fromkeys(StatedTrial.__struct_fields__) | {"listed": True, "overridden": []}
     result = {
+        "path": "study.toml",
+        "sha256": "",
+        "priors": {},
+        "exclusions": [],
         "study": tables["study"],
-        "calibration": tables["calibration"],
+        "calibration": dict.fromkeys(Calibration.__struct_fields__) | tables["calibration"],
         "tip": tables["tip"],
-        "specimens": [{"specimen": "a", **tables["specimen"]}, {"specimen": "b", **tables["specimen"]}],
-        "trials": [{"path": "x.csv", "listed": True, **tables["trial"]}],
+        "specimens": [row | {"specimen": "a"}, row | {"specimen": "b"}],
+        "trials": [trial | {"path": "x.csv", "specimen": "a", **tables["trial"]}],
     }
     assert completeness_of_result(result).grade == "A"
     result["specimens"][1]["storage"] = None

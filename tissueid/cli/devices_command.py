@@ -211,7 +211,7 @@ def calibrate_force(flags: CalibrateForceFlags) -> int:
     with opened(made) as device:
         device.home()
         found = weigh(device, flags.mass * GRAM, hang_mass(flags.mass, quiet=flags.quiet))
-    before = float(made.facts()["calibration"].units_per_Nm)
+    before = float(made.facts()["calibration"]["units_per_Nm"])
     units = before * found.ratio
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}
     if flags.as_json:

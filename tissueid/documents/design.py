@@ -172,7 +172,7 @@ class Front(Document, frozen=True):
 
 
 class Work(Document, frozen=True):
-    """How much was looked at."""
+    """Amount of what was looked at."""
 
     paths: Count
     protocols: Count

@@ -1,4 +1,4 @@
-"""What the sub-commands of devices print with --json, one definition each."""
+"""Output of the sub-commands of devices with --json, one definition each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `tissueid fit` found (identification.json)."""
+"""Result of `tissueid fit` (identification.json)."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class TipGeometry(Document, frozen=True):
 
 
 class Validity(Document, frozen=True):
-    """Where the model is claimed to hold: depths up to depth_mm.
+    """Claim of the model: depths up to depth_mm.
 
     Loading speeds between the slowest and fastest fitted, this tip.
     """
@@ -134,7 +134,7 @@ class Frame(Document, frozen=True):
 
 
 class Calibration(Document, frozen=True):
-    """What was stated of the channels; null: not stated."""
+    """Statements on the channels; null: not stated."""
 
     load_cell_capacity_N: float | None
     load_cell_class: float | None
@@ -161,7 +161,7 @@ class StudyInputs(Document, frozen=True):
 
 
 class Provenance(Document, frozen=True):
-    """What is needed to repeat the run; no time stamps, so that the same run gives the same bytes."""
+    """Inputs and options to repeat the run by; no time stamps: the same run gives the same bytes."""
 
     tissueid: str  # Version that wrote this
     options: dict[str, Any]  # Options of the run that change its numbers, the seed among them
@@ -230,7 +230,7 @@ class RelaxationWindow(Document, frozen=True):
 
 
 class Optimisers(Document, frozen=True, forbid_unknown_fields=False):
-    """What Levenberg-Marquardt and variable projection reached, and whether they agree."""
+    """Optima of Levenberg-Marquardt and variable projection, and their agreement."""
 
     agree: bool | None
     method: str | None = None
@@ -255,7 +255,7 @@ class Selection(Document, frozen=True, forbid_unknown_fields=False):
 
 
 class Sampler(Document, frozen=True):
-    """How a posterior was sampled."""
+    """Sampling of a posterior."""
 
     name: Literal["emcee", "exact"]  # `exact` stands in documents of earlier versions only
     converged: bool  # Whether the stopping rule was reached
@@ -293,7 +293,7 @@ class Prior(Document, frozen=True):
 
 
 class Budget(Document, frozen=True):
-    """What one source adds to the uncertainty of one parameter."""
+    """Share of one source in the uncertainty of one parameter."""
 
     parameter: Text
     #: `total` and `cluster bootstrap` stand beside the sources
@@ -451,7 +451,7 @@ class Exclusion(Document, frozen=True):
 
 
 class StudyRecord(Document, frozen=True):
-    """What study.toml adds; everything is flat, so that a table can be joined on path and sheet.
+    """Rows that study.toml adds; everything is flat, so that a table can be joined on path and sheet.
 
     And on specimen.
     """

@@ -1,4 +1,4 @@
-"""What `tissueid inspect --json` prints."""
+"""Output of `tissueid inspect --json`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle
 
 #: Why an input was refused: REFUSAL_CODES of tissueid.ingest.refusals, and those that only a fit finds
-#: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range).
+#: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range), or that end a job.
 RefusalCode = Literal[
     "unreadable_file",
     "empty_file",
@@ -19,6 +19,9 @@ RefusalCode = Literal[
     "unreadable_archive",
     "reader_failed",
     "job_failed",
+    "out_of_memory",
+    "worker_killed",
+    "other_versions",
     "no_trial_sheet",
     "unknown_sheet",
     "no_recording",
@@ -70,7 +73,7 @@ class Refusal(Document, frozen=True):
 
 
 class Columns(Document, frozen=True):
-    """Which column was taken for which quantity, named as printed in the file."""
+    """Columns that were taken, by quantity, named as printed in the file."""
 
     time: str | None = None
     displacement: str | None = None
@@ -86,7 +89,7 @@ class Point(Document, frozen=True):
 
 
 class Contact(Document, frozen=True):
-    """Where the tool met the tissue, in recorded displacement; null where it did not."""
+    """Contact of tool and tissue, in recorded displacement; null where there was none."""
 
     displacement_mm: float
     sd_mm: NonNegative
@@ -134,7 +137,7 @@ class Verdict(Document, frozen=True):
 
 
 class Units(Document, frozen=True):
-    """What displacement and force are: mm and N, or normalised.
+    """Units of displacement and force: mm and N, or normalised.
 
     Keys keep their names; every `unit` is written in these.
     """

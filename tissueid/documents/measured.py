@@ -1,4 +1,4 @@
-"""What one recording showed, no model."""
+"""Measures of one recording, no model."""
 
 from __future__ import annotations
 

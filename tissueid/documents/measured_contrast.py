@@ -1,4 +1,4 @@
-"""What recordings showed beside each other, no model."""
+"""Recordings beside each other, no model."""
 
 from __future__ import annotations
 

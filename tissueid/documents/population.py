@@ -1,4 +1,4 @@
-"""What `tissueid cohort` says of the specimens of a fit (population.json)."""
+"""Cohort of the specimens of a fit (population.json)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class DegreesOfFreedom(Document, frozen=True):
 
 
 class Effect(Document, frozen=True):
-    """What a group or covariate does to one quantity."""
+    """Effect of a group or covariate on one quantity."""
 
     name: str
     covariate: str

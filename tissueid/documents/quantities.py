@@ -128,7 +128,7 @@ class Quoted(Document, frozen=True):
 
 
 class Unloading(Document, frozen=True):
-    """How the fit of unloading went: rounds, and residuals of a direct simulation with contact loss."""
+    """Fit of unloading: rounds, and residuals of a direct simulation with contact loss."""
 
     rounds: PositiveCount
     converged: bool

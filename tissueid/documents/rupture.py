@@ -1,4 +1,4 @@
-"""What tissueid rupture says of a cohort (rupture.json)."""
+"""Ruptures of a cohort (rupture.json)."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ def _comments(module: ModuleType) -> Mapping[tuple[str, str], str]:
 
 
 def _without_null(definition: dict[str, Any]) -> None:
-    """What may be left out of a file that people write is never null there."""
+    """Keep null out of a file that people write: what is left out has no second spelling."""
     for key, node in definition.get("properties", {}).items():
         if node.pop("default", 0) is None and "anyOf" in node:
             kept = [one for one in node.pop("anyOf") if one != {"type": "null"}]

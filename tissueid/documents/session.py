@@ -95,7 +95,7 @@ class Summary(Document, frozen=True):
 
 
 class Session(Document, frozen=True):
-    """What `tissueid render --log` writes: the head before the first tick, the summary after the last.
+    """Log of `tissueid render`: the head before the first tick, the summary after the last.
 
     It names no person.
     """

@@ -49,7 +49,7 @@ class GainSd(Document, frozen=True):
 
 
 class Priors(Document, frozen=True):
-    """What was known before the data."""
+    """Knowledge before the data."""
 
     #: Normal prior of one coefficient, cut to the passive set [N/mm]
     static_1_N_per_mm: NormalPrior | None = None
@@ -243,7 +243,7 @@ class Trial(Document, frozen=True):
 
 
 class Columns(Document, frozen=True):
-    """Which column is what, by name or "#2"."""
+    """Columns by name, or by number as "#2"."""
 
     time: Text | None = None
     displacement: Text | None = None
@@ -259,7 +259,7 @@ class Units(Document, frozen=True):
 
 
 class Axes(Document, frozen=True):
-    """What a channel holds where it is not mm or N, such as strain or stress."""
+    """Content of channels that are not in mm or N, such as strain or stress."""
 
     time: Text | None = None
     displacement: Text | None = None

@@ -1,4 +1,4 @@
-"""What tissueid study check --json prints."""
+"""Output of tissueid study check --json."""
 
 from __future__ import annotations
 
