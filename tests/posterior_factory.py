@@ -10,19 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 from fit_factory import STIFFNESS, TAU_S, THETA, THETA_NAMES
+from msgspec import structs
 
-from tissueid.result import SpecimenFit
-from tissueid.uncertainty import (
+from tissueid.documents.identification import (
     BudgetRow,
     ComparisonRow,
     MisfitAlarm,
     MisfitCheck,
     NoiseFit,
-    ParameterUncertainty,
-    Posterior,
     PriorRow,
     SamplerReport,
 )
+from tissueid.result import SpecimenFit
+from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 CORRELATION = -0.98
 #: Total standard deviation over the statistical one.
@@ -125,7 +125,7 @@ def sampled(
     found = posterior(seed=seed, misfit=misfit, total=total)
     if not converged:
         detail = {**found.sampler.detail, "reason": "R-hat of ln_tau_1 is 1.08 after 20,000 steps"}
-        found = replace(found, sampler=replace(found.sampler, converged=False, detail=detail))
+        found = replace(found, sampler=structs.replace(found.sampler, converged=False, detail=detail))
     bands = {
         (trial.path, trial.sheet): np.stack(
             [trial.curve.model_N - 0.6, trial.curve.model_N, trial.curve.model_N + 0.6]

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.documents.quantities import Cycle
 from tissueid.errors import InputError
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.tip import beyond_calibration
 from tissueid.inference.window import fitted_log
 from tissueid.manifest import Decision, Study
 from tissueid.measured.cycles import cycle_rows
-from tissueid.quantities import CycleRow
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.signal_noise import quantum
@@ -150,7 +150,7 @@ class Collected:
     sources: list[tuple[str, Source]] = field(default_factory=list)
     inputs: list[dict[str, Any]] = field(default_factory=list)
     left_out: list[Refusal] = field(default_factory=list)
-    unfitted_cycles: list[CycleRow] = field(default_factory=list)
+    unfitted_cycles: list[Cycle] = field(default_factory=list)
     decisions: dict[tuple[str, str | None], Decision] = field(default_factory=dict)
     excluded: list[Excluded] = field(default_factory=list)
 

@@ -128,7 +128,7 @@ def describe_segmented(
             {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
             for event in segmentation.events
         ],
-        "cycles": [row.as_json() for row in cycle_rows(trial, segmentation)],
+        "cycles": plain(cycle_rows(trial, segmentation)),
         "measured": plain(measured),
         "verdict": verdict_of(trial, segmentation, measured, earlier).as_json(),
         "flags": [flag.as_json() for flag in flags],

@@ -11,101 +11,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from tissueid.documents import plain
+from tissueid.documents.quantities import Spectrum
 from tissueid.flags import Flag
-
-
-@dataclass(frozen=True, slots=True)
-class Measure:
-    """One measured number and its standard error; ``None`` where it can't be had."""
-
-    value: float | None = None
-    stderr: float | None = None
-
-    def as_json(self) -> dict[str, float | None]:
-        """``{"value", "stderr"}``."""
-        return {"value": self.value, "stderr": self.stderr}
-
-
-@dataclass(frozen=True, slots=True)
-class DepthStiffness:
-    """Stiffness of one loading at a stated depth [N/mm]."""
-
-    depth_mm: float
-    secant: Measure
-    tangent: Measure
-
-    def as_json(self) -> dict[str, Any]:
-        """The object of ``schemas/quantities.schema.json``."""
-        return {
-            "depth_mm": self.depth_mm,
-            "secant_N_per_mm": self.secant.as_json(),
-            "tangent_N_per_mm": self.tangent.as_json(),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class CycleRow:
-    """One load-unload loop, measured directly from its samples."""
-
-    #: Trial.
-    path: str
-    sheet: str | None
-    number: int  # 1 for the first loop of the trial
-    #: ``cycle``, ``ramp-retract``, or ``ramp-hold-retract`` (its area includes what relaxed in the hold).
-    kind: str
-    #: Recorded times of its start, of the end of its loading and of its end.
-    start_s: float
-    peak_s: float
-    end_s: float
-    #: Depth from which the loop is closed: the shallowest that loading and unloading both reach.
-    floor_mm: float
-    peak_depth_mm: float  # below the contact point
-    #: Force at the end of loading, from a quadratic in depth over the end of loading: the largest single
-    #: sample is biased by noise.
-    peak_force_N: Measure
-    #: Work of loading, and area of the closed loop [mJ = N mm].
-    loading_work_mJ: Measure
-    dissipated_mJ: Measure
-    hysteresis: Measure  # area over work of loading
-    #: At the end of loading: force over depth, and slope of loading.
-    secant_N_per_mm: Measure
-    tangent_N_per_mm: Measure
-    #: Depth at which unloading falls to 1 % of the peak force (or three sd of the noise, if larger).
-    residual_depth_mm: Measure
-    #: Loop area above the residual depth over the integral of v^2 dt: eta in the limit v tau << depth.
-    viscosity_N_s_per_mm: Measure
-    #: eta for which the fitted model, its relaxation times kept, has the measured loop area.
-    viscosity_model_N_s_per_mm: Measure = Measure()
-    #: Change against the loop before (fraction); ``None`` for the first and for another amplitude.
-    peak_force_change: Measure = Measure()
-    dissipated_change: Measure = Measure()
-    at_depths: tuple[DepthStiffness, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``cycle`` object of ``schemas/quantities.schema.json``."""
-        plain = ("path", "sheet", "number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
-        document: dict[str, Any] = {name: getattr(self, name) for name in plain}
-        for name in MEASURES:
-            document[name] = getattr(self, name).as_json()
-        document["at_depths"] = [one.as_json() for one in self.at_depths]
-        return document
-
-
-#: Fields of a cycle that carry a standard error.
-MEASURES = (
-    "peak_force_N",
-    "loading_work_mJ",
-    "dissipated_mJ",
-    "hysteresis",
-    "secant_N_per_mm",
-    "tangent_N_per_mm",
-    "residual_depth_mm",
-    "viscosity_N_s_per_mm",
-    "viscosity_model_N_s_per_mm",
-    "peak_force_change",
-    "dissipated_change",
-)
-
 
 #: From this slope d ln tau / d ln T on a relaxation time is one of its window, where the slope is known to
 #: so many standard errors.
@@ -205,38 +113,6 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
-    """Regularised relaxation spectrum of one hold: F = plateau + sum A_k exp(-t / tau_k), A_k >= 0."""
-
-    #: Trial.
-    path: str
-    sheet: str | None
-    #: Recorded times of the window.
-    start_s: float
-    end_s: float
-    plateau_N: float
-    #: Grid of relaxation times and the force that relaxes at each.
-    tau_s: tuple[float, ...]
-    amplitude_N: tuple[float, ...]
-    smoothing: float  # weight of the second differences
-    rmse_N: float
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``spectrum`` object of ``schemas/quantities.schema.json``."""
-        return {
-            "path": self.path,
-            "sheet": self.sheet,
-            "start_s": self.start_s,
-            "end_s": self.end_s,
-            "plateau_N": self.plateau_N,
-            "tau_s": list(self.tau_s),
-            "amplitude_N": list(self.amplitude_N),
-            "smoothing": self.smoothing,
-            "rmse_N": self.rmse_N,
-        }
-
-
-@dataclass(frozen=True, slots=True)
 class QuotedNumbers:
     """Everything derived from one specimen's fit and its holds."""
 
@@ -259,6 +135,6 @@ class QuotedNumbers:
             "noise": "white",
             "model": [one.as_json() for one in self.model],
             "moduli": [one.as_json() for one in self.moduli],
-            "spectra": [one.as_json() for one in self.spectra],
+            "spectra": plain(self.spectra),
             "assumptions": dict(self.assumptions),
         }

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
-from tissueid.documents.identification import Model
+from tissueid.documents.identification import Model, Nrmsd
 from tissueid.documents.measured import Measured, Spread
+from tissueid.documents.quantities import Cycle
 from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
-from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow, RelaxationWindow
+from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.trial import MM_N, Axes, TipShape
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
@@ -166,19 +167,6 @@ class ModelChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class Nrmsd:
-    """Root-mean-square deviation, three ways (fractions, not percent)."""
-
-    range: float  # RMSD over (max - min) of the measured force
-    mean: float  # RMSD over the mean measured force
-    rmse_N: float  # RMSD [N]
-
-    def as_json(self) -> dict[str, float]:
-        """The ``nrmsd`` object of the schema."""
-        return {"range": self.range, "mean": self.mean, "rmse_N": self.rmse_N}
-
-
-@dataclass(frozen=True, slots=True)
 class Curve:
     """A recording with its model, every sample of it or, of a long one, the extremes of its bins."""
 
@@ -270,7 +258,7 @@ class SpecimenFit(Shown):
         Every ``unit`` in the JSON is written in these; keys keep their names.
     unloading : mapping or None
         How the fit of unloading went; ``None`` where only loading was fitted.
-    cycles : tuple of CycleRow
+    cycles : tuple of Cycle
     measured : tuple of Spread
         What was measured, no model, with the spread between logs.
     quoted : QuotedNumbers or None
@@ -299,7 +287,7 @@ class SpecimenFit(Shown):
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
     unloading: Mapping[str, Any] | None = None
-    cycles: tuple[CycleRow, ...] = ()
+    cycles: tuple[Cycle, ...] = ()
     measured: tuple[Spread, ...] = ()
     quoted: QuotedNumbers | None = None
     posterior: Posterior | None = None
@@ -318,7 +306,7 @@ class SpecimenFit(Shown):
             "units": self.axes.as_json(),
             "model": self.model.as_json(),
             "parameters": [estimate.as_json() for estimate in self.parameters],
-            "nrmsd": self.nrmsd.as_json(),
+            "nrmsd": plain(self.nrmsd),
             "sigma_N": self.sigma_N,
             "n_samples": self.n_samples,
             "validity": {
@@ -332,7 +320,7 @@ class SpecimenFit(Shown):
             "relaxation_window": (
                 None if self.relaxation_window is None else self.relaxation_window.as_json()
             ),
-            "cycles": [row.as_json() for row in self.cycles],
+            "cycles": plain(self.cycles),
             "measured": plain(self.measured),
             "quoted": None if self.quoted is None else self.quoted.as_json(),
             "unloading": None if self.unloading is None else dict(self.unloading),
@@ -407,7 +395,7 @@ class Identification(Shown):
         Versions, options, seed and the inputs with their hashes.
     study : mapping or None
         The ``study`` object of the schema: covariates, calibration, exclusions; ``None`` without a study.
-    unfitted_cycles : tuple of CycleRow
+    unfitted_cycles : tuple of Cycle
         Loops of trials that were read but could not be fitted.
     exclusions : tuple of mapping
         Recordings that were left out, each with its reason; the study repeats them in the document.
@@ -418,7 +406,7 @@ class Identification(Shown):
     exit: Exit
     provenance: Mapping[str, Any] = field(default_factory=dict)
     study: Mapping[str, Any] | None = None
-    unfitted_cycles: tuple[CycleRow, ...] = ()
+    unfitted_cycles: tuple[Cycle, ...] = ()
     exclusions: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
@@ -430,7 +418,7 @@ class Identification(Shown):
             "schema": "tissueid/identification/1",
             "specimens": [specimen.as_json() for specimen in self.specimens],
             "refused": [refusal.as_json() for refusal in self.refused],
-            "unfitted_cycles": [row.as_json() for row in self.unfitted_cycles],
+            "unfitted_cycles": plain(self.unfitted_cycles),
             "study": None if self.study is None else dict(self.study),
             "provenance": dict(self.provenance),
             "exit": self.exit.as_json(),

@@ -14,6 +14,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
+from tissueid.documents.identification import (
+    BudgetRow,
+    ComparisonRow,
+    MisfitAlarm,
+    NoiseFit,
+    PriorRow,
+    SamplerReport,
+)
 from tissueid.notebook import Shown
 
 
@@ -26,62 +35,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite(child) for child in value]
     return value
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseFit:
-    """The noise of a specimen's force."""
-
-    model: str  # ``white``, ``ar1`` or ``white+ar1``
-    sigma_N: float  # standard deviation of the whole noise [N]
-    phi: float  # correlation of the correlated part over one reference step
-    reference_step_s: float
-    #: theta of e_n = r_n - phi r_(n-1) + theta e_(n-1); 0 unless the model is ``white+ar1``.
-    moving_average: float = 0.0
-    #: Standard deviation that quiet stretches of the recordings show [N]; ``None`` where nobody looked.
-    measured_N: float | None = None
-    #: Samples that one independent sample stands for; above 1 where the model misses more than the noise of
-    #: the recordings, and ``sigma_N`` is then the size of that miss.
-    samples_per_independent: float = 1.0
-
-    @property
-    def discrepant(self) -> bool:
-        """True where the model misses more than the noise of the recordings."""
-        return self.samples_per_independent > 1.0
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``noise`` object of the schema."""
-        return {
-            "model": self.model,
-            "sigma_N": self.sigma_N,
-            "phi": self.phi,
-            "reference_step_s": self.reference_step_s,
-            "moving_average": self.moving_average,
-            "measured_N": self.measured_N,
-            "samples_per_independent": self.samples_per_independent,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class SamplerReport:
-    """Sampling of a posterior."""
-
-    name: str  # ``emcee``; ``exact`` in sets of earlier versions
-    converged: bool
-    draws: int  # draws kept (of all walkers)
-    acceptance: float  # accepted proposals, as a fraction
-    #: steps, walkers, autocorrelation time, seed, wall time, the reason where not converged.
-    detail: Mapping[str, Any] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``sampler`` object of the schema."""
-        return {
-            "name": self.name,
-            "converged": self.converged,
-            "draws": self.draws,
-            "acceptance": self.acceptance,
-            "detail": _finite(self.detail),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,116 +96,6 @@ class ParameterUncertainty:
             prediction95=None if later is None else (later[0], later[1]),
             **diagnostics,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class PriorRow:
-    """One prior beside its posterior."""
-
-    name: str  # a parameter or a calibration nuisance
-    prior: str  # in words, with its numbers
-    stated: bool  # true where the study states it, False for a default
-    posterior_mean: float
-    posterior_sd: float
-    shrinkage: float  # 1 - (posterior sd / prior sd); below 0.1 the data said little
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``priors`` row of the schema."""
-        return {
-            "name": self.name,
-            "prior": self.prior,
-            "stated": self.stated,
-            "posterior_mean": _finite(self.posterior_mean),
-            "posterior_sd": _finite(self.posterior_sd),
-            "shrinkage": _finite(self.shrinkage),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class BudgetRow:
-    """Share of one source in the uncertainty of one parameter."""
-
-    parameter: str  # its name
-    #: ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``, ``time
-    #: skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in sets
-    #: of earlier versions.
-    source: str
-    sd: float  # standard deviation [unit of the parameter]
-    #: Of the total variance; NaN-free, ``None`` in JSON for rows that are no part of a sum.
-    share: float | None
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``budget`` row of the schema."""
-        return {
-            "parameter": self.parameter,
-            "source": self.source,
-            "sd": _finite(self.sd),
-            "share": _finite(self.share),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class ComparisonRow:
-    """One model beside the others."""
-
-    model: str  # in words: ``1 branch, K of degree 1, partial static``
-    #: Natural logarithm of the marginal likelihood, difference to the best, and its Monte-Carlo error.
-    log_evidence: float | None
-    log_evidence_se: float | None
-    #: Log predictive density of held-out logs, and of held-out speeds, difference to the best.
-    elpd_log: float | None
-    elpd_log_se: float | None
-    elpd_speed: float | None
-    elpd_speed_se: float | None
-    #: ``chosen``, ``undecided`` (as good as the chosen one) or ``worse``; ``beside`` for models that can't be
-    #: rendered and are compared only.
-    verdict: str
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``model_comparison`` row of the schema."""
-        return {
-            "model": self.model,
-            "log_evidence": _finite(self.log_evidence),
-            "log_evidence_se": _finite(self.log_evidence_se),
-            "elpd_log": _finite(self.elpd_log),
-            "elpd_log_se": _finite(self.elpd_log_se),
-            "elpd_speed": _finite(self.elpd_speed),
-            "elpd_speed_se": _finite(self.elpd_speed_se),
-            "verdict": self.verdict,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class MisfitCheck:
-    """One posterior predictive check."""
-
-    name: str  # what is looked at, as ``early hold``
-    statistic: float
-    p_value: float
-    message: str  # one plain sentence
-    raised: bool
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``misfit.checks``."""
-        return {
-            "name": self.name,
-            "statistic": _finite(self.statistic),
-            "p_value": _finite(self.p_value),
-            "message": self.message,
-            "raised": self.raised,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class MisfitAlarm:
-    """Alarm of residuals that the model and its noise can't make."""
-
-    raised: bool
-    checks: tuple[MisfitCheck, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``misfit`` object of the schema."""
-        return {"raised": self.raised, "checks": [check.as_json() for check in self.checks]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,10 +171,10 @@ class Posterior(Shown):
     def as_json(self) -> dict[str, Any]:
         """The keys that a specimen gains."""
         return {
-            "sampler": self.sampler.as_json(),
-            "noise": self.noise.as_json(),
-            "priors": [row.as_json() for row in self.priors],
-            "budget": [row.as_json() for row in self.budget],
-            "model_comparison": [row.as_json() for row in self.comparison],
-            "misfit": None if self.misfit is None else self.misfit.as_json(),
+            "sampler": _finite(plain(self.sampler)),
+            "noise": plain(self.noise),
+            "priors": _finite(plain(self.priors)),
+            "budget": _finite(plain(self.budget)),
+            "model_comparison": _finite(plain(self.comparison)),
+            "misfit": _finite(plain(self.misfit)),
         }

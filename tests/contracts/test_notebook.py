@@ -16,10 +16,10 @@ from posterior_factory import sampled
 from rendered_tissues import PAPER_A, bundle_of
 
 import tissueid
+from tissueid.documents.identification import MisfitAlarm
 from tissueid.flags import Flag
 from tissueid.notebook import MOST_ROWS, drawing, table
 from tissueid.trial import Axes, Trial
-from tissueid.uncertainty import MisfitAlarm
 
 WILD = "<script>alert('x')</script>"
 

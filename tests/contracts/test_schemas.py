@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
 from jsonschema import Draft202012Validator
+from msgspec import structs
 from posterior_factory import sampled
 
 from tissueid.documents.schemas import ROOTS, schema_of
@@ -145,7 +146,7 @@ def test_what_could_not_be_worked_out_is_null_and_loses_nothing_else() -> None:
     fit = sampled(specimen_fit())
     assert fit.posterior is not None
     first, *others = fit.posterior.budget
-    budget = (replace(first, sd=float("nan")), *others)
+    budget = (structs.replace(first, sd=float("nan")), *others)
     known = fit.parameters[0].uncertainty
     assert known is not None
     odd = replace(fit.parameters[0], uncertainty=replace(known, ci95_total=(1.0, float("inf"))))

@@ -9,11 +9,12 @@ import pytest
 from inference_cases import handles_for
 from scipy.stats import binomtest
 
+from tissueid.documents import plain
+from tissueid.documents.identification import NoiseFit
 from tissueid.inference.misfit import block_covariance, misfit_alarm, shared_structure
 from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.synth import Branch, recipe, simulate
-from tissueid.uncertainty import NoiseFit
 
 #: Specimens a rate is counted on.
 MANY = 300
@@ -150,7 +151,7 @@ def test_a_slow_mode_left_out_raises_the_alarm_with_its_reason():
     assert set(named) == {"shared structure"} | within
     assert named["shared structure"].raised
     assert "log to log" in named["shared structure"].message
-    assert alarm.as_json()["checks"][0]["p_value"] == named["shared structure"].p_value
+    assert plain(alarm)["checks"][0]["p_value"] == named["shared structure"].p_value
 
 
 @pytest.mark.system

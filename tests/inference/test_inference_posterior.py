@@ -136,7 +136,7 @@ def test_a_law_that_lacks_a_branch_has_the_generalised_posterior():
     state = fitted(lacking)
     assert state.identified.discrepant
     found = sampled(state)
-    assert found.posterior.sampler.as_json()["detail"]["density"] == "generalised"
+    assert found.posterior.sampler.detail["density"] == "generalised"
     assert found.posterior.noise.samples_per_independent > 1.0
     plain = state.fit.parameter("static_1_N_per_mm").detail["estimate_stderr"]
     assert found.parameter("static_1_N_per_mm").uncertainty.sd > 1.5 * plain

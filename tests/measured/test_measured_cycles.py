@@ -72,9 +72,9 @@ def test_an_elastic_loop_loses_nothing_and_its_work_is_that_of_the_curve():
     assert row.tangent_N_per_mm.value == pytest.approx(SLOPE + 1.6 * 4.0, rel=1e-9)
     assert row.secant_N_per_mm.value == pytest.approx(SLOPE + 0.8 * 4.0, rel=1e-9)
     at = {one.depth_mm: one for one in row.at_depths}
-    assert at[1.0].secant.value == pytest.approx(SLOPE + 0.8, rel=1e-9)
-    assert at[3.0].tangent.value == pytest.approx(SLOPE + 4.8, rel=1e-9)
-    assert at[9.0].secant.value is None
+    assert at[1.0].secant_N_per_mm.value == pytest.approx(SLOPE + 0.8, rel=1e-9)
+    assert at[3.0].tangent_N_per_mm.value == pytest.approx(SLOPE + 4.8, rel=1e-9)
+    assert at[9.0].secant_N_per_mm.value is None
     assert (row.kind, row.number) == ("cycle", 1)
     assert row.peak_s == pytest.approx(2.0)
 

@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 from fit_factory import identification, specimen_fit
+from msgspec import structs
 from typed_call import typed_call
 
-from tissueid.quantities import CycleRow, DepthStiffness, Measure, Quantity, QuotedNumbers, Spectrum
+from tissueid.documents.quantities import AtDepth, Cycle, Measure, Spectrum
+from tissueid.quantities import Quantity, QuotedNumbers
 from tissueid.report import render_report
 from tissueid.report.quoted_words import MOST_ROWS, cycle_table, quoted_tables
 from tissueid.store.curves import curves_of_fits
@@ -20,17 +22,18 @@ cycle_table = typed_call(cycle_table)
 quoted_tables = typed_call(quoted_tables)
 
 
-def loop(number: int = 1, **changes: Any) -> CycleRow:
-    one = CycleRow(
+def loop(number: int = 1, **changes: Any) -> Cycle:
+    one = Cycle(
         path="lab/loops.csv", sheet=None, number=number, kind="cycle", start_s=0.0, peak_s=2.0, end_s=4.0,
         floor_mm=0.0, peak_depth_mm=4.0, peak_force_N=Measure(52.7391, 0.0132),
         loading_work_mJ=Measure(281.3, 0.2), dissipated_mJ=Measure(118.57, 0.31),
         hysteresis=Measure(0.42158, 0.0011), secant_N_per_mm=Measure(13.18, 0.01),
         tangent_N_per_mm=Measure(15.1, 0.4), residual_depth_mm=Measure(),
-        viscosity_N_s_per_mm=Measure(37.27, 0.09),
-        at_depths=(DepthStiffness(2.0, Measure(11.0, 0.1), Measure(12.0, 0.2)),),
+        viscosity_N_s_per_mm=Measure(37.27, 0.09), viscosity_model_N_s_per_mm=Measure(),
+        peak_force_change=Measure(), dissipated_change=Measure(),
+        at_depths=(AtDepth(2.0, Measure(11.0, 0.1), Measure(12.0, 0.2)),),
     )  # fmt: skip
-    return replace(one, **changes)
+    return structs.replace(one, **changes)
 
 
 def numbers() -> QuotedNumbers:
@@ -115,7 +118,7 @@ def test_spectrum_is_told_by_decades() -> None:
 
 
 def test_many_loops_are_cut_to_the_first_and_last() -> None:
-    table = cycle_table([loop(k).as_json() for k in range(1, 31)])
+    table = cycle_table([loop(k) for k in range(1, 31)])
     assert table is not None
     assert len(table.rows) == MOST_ROWS
     assert table.left_out == 30 - MOST_ROWS

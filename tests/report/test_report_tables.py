@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from fit_factory import identification, specimen_fit
+from msgspec import structs
 from posterior_factory import sampled
 from typed_call import typed_call
 
@@ -179,8 +180,8 @@ def test_methods_are_read_back_as_the_options_of_the_run(
     made = fit if sampler == "none" else sampled(fit, seed=seed)
     made = replace(made, model=replace(made.model, branches=branches, stiffness_degree=degree))
     if made.posterior is not None:
-        report = replace(made.posterior.sampler, name=sampler)
-        found = replace(made.posterior.noise, model=noise)
+        report = structs.replace(made.posterior.sampler, name=sampler)
+        found = structs.replace(made.posterior.noise, model=noise)
         made = replace(made, posterior=replace(made.posterior, sampler=report, noise=found))
     if given == (2, 2):
         made = replace(made, selection=())

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
+from msgspec import structs
 from posterior_factory import SHARES, SOURCES, posterior, sampled
 from typed_call import typed_call
 
@@ -191,7 +192,7 @@ def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() ->
     assert fit.posterior is not None
     sampler = fit.posterior.sampler
     total = {"converged": False, "worth": 2.2, "tail_shape": 15.9}
-    told = replace(sampler, detail={**sampler.detail, "total": total})
+    told = structs.replace(sampler, detail={**sampler.detail, "total": total})
     text = sure_section(page(replace(fit, posterior=replace(fit.posterior, sampler=told))))
     assert "No total interval is given" in text
     assert "the draws are worth 2.2 independent ones" in text
@@ -209,8 +210,8 @@ def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences(
     assert fit.posterior is not None
     own = replace(
         fit.posterior,
-        sampler=replace(fit.posterior.sampler, name="exact", acceptance=0.97),
-        noise=replace(fit.posterior.noise, model="white", phi=0.0),
+        sampler=structs.replace(fit.posterior.sampler, name="exact", acceptance=0.97),
+        noise=structs.replace(fit.posterior.noise, model="white", phi=0.0),
     )
     text = sure_section(page(replace(fit, posterior=own)))
     assert "Noise of the force: white, 0.300 N" in residual_section(page(replace(fit, posterior=own)))
@@ -223,7 +224,8 @@ def test_null_diagnostics_and_rows_are_dashes() -> None:
     fit = sampled(specimen_fit(samples=60))
     assert fit.posterior is not None
     rows = tuple(
-        replace(row, shrinkage=float("nan"), posterior_sd=float("nan")) for row in fit.posterior.priors
+        structs.replace(row, shrinkage=float("nan"), posterior_sd=float("nan"))
+        for row in fit.posterior.priors
     )
     text = sure_section(page(replace(fit, posterior=replace(fit.posterior, priors=rows))))
     assert "by the study – ± – –" in text

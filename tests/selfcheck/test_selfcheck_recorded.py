@@ -11,6 +11,7 @@ import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 
+from tissueid.documents.identification import NoiseFit
 from tissueid.errors import InputError, UsageError
 from tissueid.manifest import Calibration, Entry, Study
 from tissueid.model.frame import linear_frame
@@ -18,7 +19,6 @@ from tissueid.selfcheck.protocol import Centre, Protocol
 from tissueid.selfcheck.recorded import Recordings, of_bundle_inputs, of_fit, of_recordings, white_share
 from tissueid.store.bundle import bundle_from_fit
 from tissueid.trial import Source, Trial
-from tissueid.uncertainty import NoiseFit
 
 TIME = np.arange(0.0, 6.0, 0.01)
 #: 1 s in air, 4 mm at 4 mm/s, held for 2 s, and back.

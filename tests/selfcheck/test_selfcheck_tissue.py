@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from coverage_cases import CASES
 from identify_stand_ins import conjugate, conjugate_draws, of_draws, of_prior, stand_in
+from msgspec import structs
 
 from tissueid.flags import Flag
 from tissueid.model.channels import ChannelModel
@@ -186,7 +187,7 @@ def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch: pyt
     whole = of_draws(MODEL, np.tile(THETA, (399, 1)))
     (fit,) = whole.specimens
     flag = Flag("sampler_not_converged", "standard errors only", {"reason": "R-hat is 1.2"})
-    stuck = replace(fit.posterior, sampler=replace(fit.posterior.sampler, converged=False))
+    stuck = replace(fit.posterior, sampler=structs.replace(fit.posterior.sampler, converged=False))
     ends = {
         "standard errors only: R-hat is 1.2": replace(
             whole, specimens=(replace(fit, posterior=None, flags=(flag,)),)

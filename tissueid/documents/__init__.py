@@ -30,10 +30,19 @@ def _flag(kind: type[Any], document: Any) -> Any:
 
 def plain(document: Any) -> Any:
     """Rewrite a document, or any part of one, in plain dicts, lists and values."""
-    return msgspec.to_builtins(document, enc_hook=_members)
+    return _listed(msgspec.to_builtins(document, enc_hook=_members))
+
+
+def _listed(value: Any) -> Any:
+    """The same value with lists in place of tuples, as JSON reads them."""
+    if isinstance(value, dict):
+        return {key: _listed(child) for key, child in value.items()}
+    return [_listed(child) for child in value] if isinstance(value, list | tuple) else value
 
 
 def _members(value: Any) -> Any:
     if isinstance(value, Flag):
         return {"code": value.code, "message": value.message, **value.values}
-    raise NotImplementedError
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.tolist()  # numbers and arrays of numpy

@@ -254,7 +254,7 @@ class Selection(Document, frozen=True, forbid_unknown_fields=False):
     tau_s: float | None = None
 
 
-class Sampler(Document, frozen=True):
+class SamplerReport(Document, frozen=True, omit_defaults=False):
     """Sampling of a posterior."""
 
     name: Literal["emcee", "exact"]  # `exact` stands in documents of earlier versions only
@@ -264,7 +264,7 @@ class Sampler(Document, frozen=True):
     detail: dict[str, Any]  # Steps, walkers, autocorrelation time, seed, and why it is not converged
 
 
-class Noise(Document, frozen=True):
+class NoiseFit(Document, frozen=True, omit_defaults=False):
     """Noise of the force."""
 
     model: Literal["white", "ar1", "white+ar1"]
@@ -273,15 +273,20 @@ class Noise(Document, frozen=True):
     reference_step_s: NonNegative  # Reference step [s]
     #: Coefficient of the innovation before, in the innovations of white noise beside AR(1); 0 unless the
     #: model is white+ar1
-    moving_average: float
+    moving_average: float = 0.0
     #: Standard deviation that quiet stretches of the recordings show [N]; null where nobody looked
-    measured_N: NonNegative | None
+    measured_N: NonNegative | None = None
     #: Samples that one independent sample stands for; above 1 where the model misses more than the noise of
     #: the recordings, and sigma_N is then the size of that miss
-    samples_per_independent: Annotated[float, Meta(ge=1)]
+    samples_per_independent: Annotated[float, Meta(ge=1)] = 1.0
+
+    @property
+    def discrepant(self) -> bool:
+        """True where the model misses more than the noise of the recordings."""
+        return self.samples_per_independent > 1.0
 
 
-class Prior(Document, frozen=True):
+class PriorRow(Document, frozen=True, omit_defaults=False):
     """One prior beside its posterior."""
 
     name: Text  # A parameter or a calibration nuisance
@@ -292,29 +297,33 @@ class Prior(Document, frozen=True):
     shrinkage: float | None  # 1 - posterior sd / prior sd; below 0.1 the data said little
 
 
-class Budget(Document, frozen=True):
+#: Source of uncertainty
+Source = Literal[
+    "noise",
+    "scatter between logs",
+    "contact points",
+    "force gain",
+    "displacement gain",
+    "time skew",
+    "force filter",
+    "frame",
+    "total",
+    "cluster bootstrap",
+]
+
+
+class BudgetRow(Document, frozen=True, omit_defaults=False):
     """Share of one source in the uncertainty of one parameter."""
 
     parameter: Text
     #: `total` and `cluster bootstrap` stand beside the sources
-    source: Literal[
-        "noise",
-        "scatter between logs",
-        "contact points",
-        "force gain",
-        "displacement gain",
-        "time skew",
-        "force filter",
-        "frame",
-        "total",
-        "cluster bootstrap",
-    ]
+    source: Source
     #: Standard deviation, in the unit of the parameter; null where it could not be worked out
     sd: NonNegative | None
     share: NonNegative | None  # Of the total variance; null for rows that are no part of the sum
 
 
-class Comparison(Document, frozen=True):
+class ComparisonRow(Document, frozen=True, omit_defaults=False):
     """One model beside the others."""
 
     model: Text  # In words
@@ -328,7 +337,7 @@ class Comparison(Document, frozen=True):
     verdict: Literal["chosen", "undecided", "worse", "beside"]
 
 
-class Check(Document, frozen=True):
+class MisfitCheck(Document, frozen=True, omit_defaults=False):
     """One check."""
 
     name: Text
@@ -338,11 +347,11 @@ class Check(Document, frozen=True):
     raised: bool
 
 
-class Misfit(Document, frozen=True):
+class MisfitAlarm(Document, frozen=True, omit_defaults=False):
     """Posterior predictive checks."""
 
     raised: bool  # Whether any check was raised: the intervals then can't be believed
-    checks: tuple[Check, ...]
+    checks: tuple[MisfitCheck, ...] = ()
 
 
 class Specimen(Document, frozen=True):
@@ -365,13 +374,13 @@ class Specimen(Document, frozen=True):
     unloading: Unloading | None  # null where only loading was fitted
     optimisers: Optimisers  # What Levenberg-Marquardt and variable projection reached, and whether they agree
     selection: tuple[Selection, ...]
-    sampler: Sampler | None  # How the posterior was sampled; null where none was
-    noise: Noise | None  # Noise of the force in the posterior; null where none was sampled
-    priors: tuple[Prior, ...]  # Priors beside their posteriors
-    budget: tuple[Budget, ...]  # Which source adds how much to the uncertainty of which parameter
-    model_comparison: tuple[Comparison, ...]  # Candidate models by evidence and by held-out data
+    sampler: SamplerReport | None  # How the posterior was sampled; null where none was
+    noise: NoiseFit | None  # Noise of the force in the posterior; null where none was sampled
+    priors: tuple[PriorRow, ...]  # Priors beside their posteriors
+    budget: tuple[BudgetRow, ...]  # Which source adds how much to the uncertainty of which parameter
+    model_comparison: tuple[ComparisonRow, ...]  # Candidate models by evidence and by held-out data
     #: Whether the residuals show what the model and its noise can't make; null where it was not looked at
-    misfit: Misfit | None
+    misfit: MisfitAlarm | None
     flags: tuple[Flag, ...]
     #: The relaxation time of the one-branch model with holds cut to T, T/2 and T/4; null where no hold
     #: determines it

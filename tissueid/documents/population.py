@@ -138,9 +138,9 @@ class CohortSize(Document, frozen=True):
     name: str
     precision: NonNegative  # Half width of a 95 % interval, relative
     mean: Count
-    mean_range: tuple[Count, ...]
+    mean_range: tuple[Count, Count]
     sd: Count
-    sd_range: tuple[Count, ...]
+    sd_range: tuple[Count, Count]
 
 
 class Predictive(Document, frozen=True):

@@ -7,11 +7,11 @@ from typing import Literal
 from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
 
 
-class Measure(Document, frozen=True):
+class Measure(Document, frozen=True, omit_defaults=False):
     """A measured number and its standard error under white force noise; null where it can't be had."""
 
-    value: float | None
-    stderr: NonNegative | None
+    value: float | None = None
+    stderr: NonNegative | None = None
 
 
 class AtDepth(Document, frozen=True):
@@ -20,6 +20,9 @@ class AtDepth(Document, frozen=True):
     depth_mm: float
     secant_N_per_mm: Measure
     tangent_N_per_mm: Measure
+
+
+CycleKind = Literal["cycle", "ramp-retract", "ramp-hold-retract"]
 
 
 class Cycle(Document, frozen=True):
@@ -32,7 +35,7 @@ class Cycle(Document, frozen=True):
     sheet: str | None  # Workbook sheet, null where the file has none
     number: PositiveCount
     #: The area of a loop with a hold includes what relaxed in the hold
-    kind: Literal["cycle", "ramp-retract", "ramp-hold-retract"]
+    kind: CycleKind
     start_s: float
     peak_s: float
     end_s: float

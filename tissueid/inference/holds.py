@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from tissueid.arrays import FloatArray
-from tissueid.quantities import Spectrum
+from tissueid.documents.quantities import Spectrum
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 MIN_SAMPLES = 12

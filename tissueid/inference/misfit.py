@@ -26,8 +26,8 @@ from scipy import stats
 from scipy.linalg import solve_triangular
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
 from tissueid.inference.residual_blocks import ResidualBlocks
-from tissueid.uncertainty import MisfitAlarm, MisfitCheck, NoiseFit
 
 #: Probability with which each check may be raised by noise.
 LEVELS = {"shared structure": 0.008, "within logs": 0.004, "early hold": 0.003, "ramp start": 0.003}

@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import ComparisonRow, SamplerReport
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
@@ -38,7 +39,7 @@ from tissueid.inference.verdict import outside, posterior_flags, unidentified, w
 from tissueid.model.base import scaled_theta
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
-from tissueid.uncertainty import ComparisonRow, ParameterUncertainty, Posterior, SamplerReport
+from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 SAMPLERS = ("emcee", "none")
 #: Draws that a bundle and a report keep.

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import PriorRow
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import MACHINE
 from tissueid.inference.target import SpecimenTarget
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
-from tissueid.uncertainty import PriorRow
 
 #: Standard deviation of a half-normal in its scale, and range of ln sigma.
 HALF_NORMAL_SD, LOG_SIGMA_RANGE = math.sqrt(1.0 - 2.0 / math.pi), 12.0 * math.log(10.0)

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.quantities import Spectrum
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
 from tissueid.model import functionals
 from tissueid.model.channels import ChannelModel
-from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
+from tissueid.quantities import Quantity, QuotedNumbers
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].
 FREQUENCIES_HZ = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)

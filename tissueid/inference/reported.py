@@ -18,6 +18,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import BudgetRow, Source
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.optimum import minimise
@@ -28,7 +29,6 @@ from tissueid.measures import predicted
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
 from tissueid.result import SpecimenFit
-from tissueid.uncertainty import BudgetRow
 
 #: Ends of the central 95 % interval, and the end of the one that begins at an active bound.
 CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95
@@ -112,9 +112,9 @@ def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
     return out
 
 
-TOTAL = "total"
+TOTAL: Source = "total"
 #: Names of the machine's coordinates as sources.
-SOURCES = {
+SOURCES: Mapping[str, Source] = {
     "frame_compliance_mm_per_N": "frame",
     "skew_s": "time skew",
     "force_filter_s": "force filter",
@@ -129,7 +129,8 @@ def uncertainty_budget(
 
     ``vectors`` (n, size); ``gains`` (n, 2); ``draws``: reported parameter -> draws with the machine open.
     """
-    columns, names = [gains[:, 0], gains[:, 1]], ["force gain", "displacement gain"]
+    columns = [gains[:, 0], gains[:, 1]]
+    names: list[Source] = ["force gain", "displacement gain"]
     for k, name in enumerate(target.names):
         if name in SOURCES and target.free[k]:
             columns.append(vectors[:, k])
@@ -144,8 +145,8 @@ def uncertainty_budget(
         slope, *_ = np.linalg.lstsq(matrix / spread, centred, rcond=1e-8)
         parts = np.minimum(slope**2, variance)
         left = max(variance - float(parts.sum()), 0.0)
-        shares = [(name, float(part)) for name, part in zip(names, parts, strict=True)]
-        shares = [("noise", left), *shares]
+        shares: list[tuple[Source, float]] = [("noise", left)]
+        shares += [(name, float(part)) for name, part in zip(names, parts, strict=True)]
         whole = sum(part for _, part in shares) or 1.0
         rows += [BudgetRow(parameter, name, float(np.sqrt(part)), part / whole) for name, part in shares]
         rows.append(BudgetRow(parameter, TOTAL, float(np.sqrt(variance)), None))

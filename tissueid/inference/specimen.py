@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
@@ -38,7 +39,6 @@ from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
 from tissueid.quantities import QuotedNumbers, RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
-from tissueid.uncertainty import NoiseFit
 
 __all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
 
@@ -206,7 +206,7 @@ def noise_of(identified: Identified, worth: float) -> NoiseFit:
         identified.optimum.noise,
         min(float(np.median(one.step_s)) for one in identified.system.logs),
     )
-    kind = "white"
+    kind: Literal["white", "ar1", "white+ar1"] = "white"
     if found.memory.time_s > 0.0:
         kind = "white+ar1" if found.memory.white > 0.0 else "ar1"
     phi = found.memory.phi(step)

@@ -15,10 +15,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import NoiseFit
+from tissueid.documents.quantities import Cycle, Measure
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
@@ -31,10 +34,9 @@ from tissueid.measured.geometry import NO_TIP, TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.channels import ChannelModel
 from tissueid.own_process import threads
-from tissueid.quantities import CycleRow, Measure, RelaxationRow
+from tissueid.quantities import RelaxationRow
 from tissueid.result import Nrmsd, ResidualSummary, TrialFit
 from tissueid.trial import Segmentation, Trial, contact_frame
-from tissueid.uncertainty import NoiseFit
 
 #: Factors of K that are tried: outside, the model has another kind of loop than the tissue.
 FACTORS = np.geomspace(0.1, 10.0, 13)
@@ -42,7 +44,7 @@ FACTORS = np.geomspace(0.1, 10.0, 13)
 REFERENCE_DEPTH = 0.5
 
 
-def _ranges(time_s: FloatArray, rows: Sequence[CycleRow]) -> list[slice]:
+def _ranges(time_s: FloatArray, rows: Sequence[Cycle]) -> list[slice]:
     """Samples of each loop."""
     return [
         slice(int(np.searchsorted(time_s, row.start_s)), int(np.searchsorted(time_s, row.end_s, "right")))
@@ -53,11 +55,11 @@ def _ranges(time_s: FloatArray, rows: Sequence[CycleRow]) -> list[slice]:
 def with_model_viscosity(
     trial: Trial,
     segmentation: Segmentation,
-    rows: Sequence[CycleRow],
+    rows: Sequence[Cycle],
     model: ChannelModel,
     theta: FloatArray,
     adjustment: Adjustment,
-) -> tuple[CycleRow, ...]:
+) -> tuple[Cycle, ...]:
     """Loops of one trial with ``viscosity_model_N_s_per_mm`` filled where the model reaches their area.
 
     ``trial``, ``segmentation``: the recording; has a contact; ``rows``: its loops; ``model``, ``theta``: the
@@ -85,7 +87,7 @@ def with_model_viscosity(
     return tuple(_filled(row, areas[:, k], eta) for k, row in enumerate(rows))
 
 
-def _filled(row: CycleRow, areas: FloatArray, eta: float) -> CycleRow:
+def _filled(row: Cycle, areas: FloatArray, eta: float) -> Cycle:
     """One loop: the factor at which the area is the measured one, by interpolation in ln(area)."""
     wanted, spread = row.dissipated_mJ.value, row.dissipated_mJ.stderr
     grows = bool((np.diff(areas) > 0.0).all()) and areas[0] > 0.0
@@ -95,7 +97,7 @@ def _filled(row: CycleRow, areas: FloatArray, eta: float) -> CycleRow:
     curve = PchipInterpolator(logs, np.log(FACTORS))
     factor, slope = float(np.exp(curve(at))), float(curve(at, 1))
     error = eta * factor * slope * spread / wanted
-    return replace(row, viscosity_model_N_s_per_mm=Measure(eta * factor, error))
+    return structs.replace(row, viscosity_model_N_s_per_mm=Measure(eta * factor, error))
 
 
 #: Bins of the histogram, and half its width in standard deviations of the noise.
@@ -168,7 +170,7 @@ class Summaries:
 
     trials: tuple[TrialFit, ...]
     relaxation: tuple[RelaxationRow, ...]
-    cycles: tuple[CycleRow, ...]
+    cycles: tuple[Cycle, ...]
     holds: tuple[HoldNumbers, ...]  # one a trial
     nrmsd: Nrmsd  # over all fitted samples
     blocks: tuple[ResidualBlocks, ...]  # one a log: what a check for misfit looks at
@@ -180,7 +182,7 @@ class _OneLog(NamedTuple):
     totals: ResidualTotals
     trial: TrialFit
     relaxation: tuple[RelaxationRow, ...]
-    cycles: tuple[CycleRow, ...]
+    cycles: tuple[Cycle, ...]
     holds: HoldNumbers
     blocks: ResidualBlocks
 

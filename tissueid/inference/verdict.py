@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
 from tissueid.result import Estimate, Nrmsd, SpecimenFit, TrialFit
-from tissueid.uncertainty import MisfitAlarm, MisfitCheck, NoiseFit, ParameterUncertainty, Posterior
+from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
@@ -359,7 +360,7 @@ def _machine(posterior: Posterior) -> list[Flag]:
         return []
     rows = [row for row in posterior.budget if row.parameter == VISCOSITY and row.share is not None]
     parts = [row for row in rows if row.source not in {"total", "noise"}]
-    worst = max(parts, key=lambda row: row.sd).source if parts else "the machine"
+    worst = max(parts, key=lambda row: row.sd or 0.0).source if parts else "the machine"
     return [
         Flag(
             "calibration_dominates",

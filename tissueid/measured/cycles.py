@@ -17,13 +17,14 @@ dissipates without being viscous (plastic flow, adhesion, poroelastic drainage) 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from msgspec import structs
 
 from tissueid.arrays import FloatArray
-from tissueid.quantities import CycleRow, DepthStiffness, Measure
+from tissueid.documents.quantities import AtDepth, Cycle, CycleKind, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Shares of a loop's depth, up to its deepest point, over which loading is described by a quadratic: the
@@ -53,7 +54,7 @@ LOADING = ("ramp", "hold", "creep")
 class Loop:
     """Sample numbers of one loop: ``[start, stop)`` with the end of its loading between."""
 
-    kind: str
+    kind: CycleKind
     start: int
     peak: int
     stop: int
@@ -193,7 +194,7 @@ def _viscosity(
 
 def _at_depths(
     depth: FloatArray, force: FloatArray, loop: Loop, first: int, depths_mm: Sequence[float], noise: float
-) -> tuple[DepthStiffness, ...]:
+) -> tuple[AtDepth, ...]:
     """Secant and tangent of loading at stated depths that it passes."""
     rows = []
     x, f = depth[first : loop.peak + 1], force[first : loop.peak + 1]
@@ -203,7 +204,7 @@ def _at_depths(
         if x.min() <= at <= x[-1]:
             near = np.abs(x - at) <= half
             value, slope = polynomial_at(x[near], f[near], at, noise)
-        rows.append(DepthStiffness(depth_mm=float(at), secant=_over(value, at), tangent=slope))
+        rows.append(AtDepth(float(at), secant_N_per_mm=_over(value, at), tangent_N_per_mm=slope))
     return tuple(rows)
 
 
@@ -221,7 +222,7 @@ def _row(
     loop: Loop,
     number: int,
     depths_mm: Sequence[float],
-) -> CycleRow | None:
+) -> Cycle | None:
     depth, force = frame
     contact, noise = segmentation.contact, segmentation.force_noise_N
     assert contact is not None  # noqa: S101  (the caller has looked)
@@ -243,7 +244,7 @@ def _row(
     let_go = max(floor, float(depth[attached])) if residual.value is not None else floor
     deepest = float(depth[loop.peak])
     norm = np.linalg.norm
-    return CycleRow(
+    return Cycle(
         path=trial.source.path,
         sheet=trial.source.sheet,
         number=number,
@@ -265,6 +266,9 @@ def _row(
         viscosity_N_s_per_mm=Measure()
         if held
         else _viscosity(trial.time_s, depth, force, loop, let_go, noise),
+        viscosity_model_N_s_per_mm=Measure(),
+        peak_force_change=Measure(),
+        dissipated_change=Measure(),
         at_depths=_at_depths(depth, force, loop, first, depths_mm, noise),
     )
 
@@ -278,14 +282,14 @@ def _change(now: Measure, before: Measure) -> Measure:
     return Measure(ratio - 1.0, float(spread))
 
 
-def _with_changes(rows: list[CycleRow]) -> tuple[CycleRow, ...]:
+def _with_changes(rows: list[Cycle]) -> tuple[Cycle, ...]:
     """Each loop against the one before, where both go equally deep."""
     done = rows[:1]
     for before, now in pairwise(rows):
         changed = now
         spans = [row.peak_depth_mm - row.floor_mm for row in (before, now)]
         if before.kind == now.kind and abs(spans[1] - spans[0]) <= SAME_AMPLITUDE * max(spans):
-            changed = replace(
+            changed = structs.replace(
                 now,
                 peak_force_change=_change(now.peak_force_N, before.peak_force_N),
                 dissipated_change=_change(now.dissipated_mJ, before.dissipated_mJ),
@@ -302,7 +306,7 @@ def _touches(force: FloatArray, loop: Loop, noise: float) -> bool:
 
 def cycle_rows(
     trial: Trial, segmentation: Segmentation, *, depths_mm: Sequence[float] = ()
-) -> tuple[CycleRow, ...]:
+) -> tuple[Cycle, ...]:
     """One row for every load-unload loop; none where there is no contact or no unloading.
 
     ``depths_mm``: depths below contact at which stiffness is wanted as well.
@@ -311,7 +315,7 @@ def cycle_rows(
     if contact is None:
         return ()
     frame = contact_frame(trial, segmentation)
-    rows: list[CycleRow] = []
+    rows: list[Cycle] = []
     for loop in loops(segmentation, frame[0]):
         if not frame[0][loop.peak] > 0.0:
             continue

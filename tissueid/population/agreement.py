@@ -23,6 +23,7 @@ import numpy as np
 from scipy import stats
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.population import Order, Repeatability
 from tissueid.population.members import Member, TrialRow
 
 #: Speeds and depths that differ by less are one protocol.
@@ -32,28 +33,6 @@ Z95 = 1.959963984540054
 #: Fewest pairs of repeats for limits, and logs beyond the specimens for a slope.
 FEWEST_PAIRS = 3
 FEWEST_FREE = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Repeatability:
-    """Within against between."""
-
-    #: Repeats, sets of them, and degrees of freedom.
-    logs: int
-    groups: int
-    freedom: int
-    within_cv: float
-    within_cv_ci95: tuple[float, float]
-    between_cv: float
-    between_cv_ci95: tuple[float, float]
-    icc: float
-    icc_ci95: tuple[float, float]
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``repeatability`` object of the schema."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,21 +58,6 @@ class Agreement:
             {"specimen": name, "force_N": force, "ln_ratio": change} for name, force, change in self.pairs
         ]
         return document | {"pairs": rows}
-
-
-@dataclass(frozen=True, slots=True)
-class OrderEffect:
-    """Change of force with the order of testing, pooled over specimens."""
-
-    per_run: float  # change of ln force from one run to the next
-    ci95: tuple[float, float]
-    p_value: float
-    logs: int
-    specimens: int
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``order`` object of the schema."""
-        return asdict(self) | {"ci95": list(self.ci95)}
 
 
 def _same(one: float, other: float) -> bool:
@@ -201,7 +165,7 @@ def agreement(members: Sequence[Member], force_N: Mapping[str, float]) -> Agreem
     )
 
 
-def order_effect(members: Sequence[Member]) -> OrderEffect | None:
+def order_effect(members: Sequence[Member]) -> Order | None:
     """Slope of ln gain on the run, each specimen with a level of its own.
 
     Returns ``None`` where runs are not stated or leave nothing to judge a slope by.
@@ -227,4 +191,4 @@ def order_effect(members: Sequence[Member]) -> OrderEffect | None:
     error = math.sqrt(float(left @ left) / freedom / float(x @ x))
     reach = float(stats.t.ppf(0.975, freedom)) * error
     p = float(2.0 * stats.t.sf(abs(slope) / error, freedom)) if error > 0.0 else 0.0
-    return OrderEffect(slope, (slope - reach, slope + reach), p, int(x.size), specimens)
+    return Order(slope, (slope - reach, slope + reach), p, int(x.size), specimens)

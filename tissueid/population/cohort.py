@@ -12,34 +12,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.population import CohortSize, Effect, Order, Quantity, Repeatability, Specimen
 from tissueid.flags import Flag
-from tissueid.population.agreement import (
-    Agreement,
-    OrderEffect,
-    Repeatability,
-    agreement,
-    order_effect,
-    repeatability,
-)
+from tissueid.population.agreement import Agreement, agreement, order_effect, repeatability
 from tissueid.population.confounding import Confounding, speed_confounding
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described, design_of
 from tissueid.population.held_out import HeldOut, held_out
 from tissueid.population.members import FEWEST_SPECIMENS, LeftOut, Member, fit_for_cohort, model_of, stage_one
-from tissueid.population.rows import (
-    EffectRow,
-    QuantityRow,
-    SpecimenRow,
-    effect_rows,
-    quantity_rows,
-    shared_instrument,
-    specimen_rows,
-)
+from tissueid.population.rows import effect_rows, quantity_rows, shared_instrument, specimen_rows
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT, PopulationDraws, SamplerOptions, sample_population
 from tissueid.population.stage_one import StageOne
 from tissueid.priors import PopulationPriors
@@ -132,7 +117,7 @@ def _listed(names: Sequence[str]) -> str:
 def population_flags(
     draws: PopulationDraws,
     predictive: Predictive,
-    specimens: Sequence[SpecimenRow],
+    specimens: Sequence[Specimen],
     described: Described,
     floored: Mapping[str, int],
 ) -> list[Flag]:
@@ -187,7 +172,7 @@ def _of_chains(draws: PopulationDraws) -> list[Flag]:
     return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
 
 
-def _of_outliers(specimens: Sequence[SpecimenRow]) -> list[Flag]:
+def _of_outliers(specimens: Sequence[Specimen]) -> list[Flag]:
     outliers = [row for row in specimens if row.outlier is not None]
     if not outliers:
         return []
@@ -207,29 +192,6 @@ PRECISIONS = (0.02, 0.05, 0.10)
 Z95 = 1.959963984540054
 
 
-@dataclass(frozen=True, slots=True)
-class SizeRow:
-    """Specimens for one quantity and one precision: median, and at the ends of the interval of D."""
-
-    name: str
-    precision: float
-    mean: int
-    mean_range: tuple[int, int]
-    sd: int
-    sd_range: tuple[int, int]
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``cohort_size``."""
-        return {
-            "name": self.name,
-            "precision": self.precision,
-            "mean": self.mean,
-            "mean_range": list(self.mean_range),
-            "sd": self.sd,
-            "sd_range": list(self.sd_range),
-        }
-
-
 def specimens_for_mean(between_sd: float, own_sd: float, precision: float) -> int:
     """Specimens for a relative half width of the 95 % interval of the mean; at least 3."""
     half = math.log1p(precision)
@@ -242,7 +204,7 @@ def specimens_for_sd(between_sd: float, own_sd: float, precision: float) -> int:
     return max(math.ceil(1.0 + 0.5 * (Z95 * inflated / precision) ** 2), 3)
 
 
-def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[SizeRow, ...]:
+def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[CohortSize, ...]:
     """A row a quantity and precision.
 
     ``sd`` (n, p): draws of D; ``own_sd`` (p,): typical standard deviation of one specimen's ln quantity.
@@ -256,7 +218,7 @@ def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tup
             ]
             sds = [specimens_for_sd(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)]
             rows.append(
-                SizeRow(name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds)))
+                CohortSize(name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds)))
             )
     return tuple(rows)
 
@@ -280,12 +242,12 @@ class Population:
     described: Described
     draws: PopulationDraws
     predictive: Predictive
-    quantities: tuple[QuantityRow, ...]
-    specimens: tuple[SpecimenRow, ...]
-    effects: tuple[EffectRow, ...]
+    quantities: tuple[Quantity, ...]
+    specimens: tuple[Specimen, ...]
+    effects: tuple[Effect, ...]
     held_out: HeldOut | None
     repeatability: Repeatability | None
-    sizes: tuple[SizeRow, ...]
+    sizes: tuple[CohortSize, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,7 +259,7 @@ class CohortFit:
     population: Population | None
     reason: str | None  # why there is no population
     agreement: Agreement | None
-    order: OrderEffect | None
+    order: Order | None
     confounding: Confounding | None
     flags: tuple[Flag, ...]
 

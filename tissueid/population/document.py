@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from tissueid import __version__
+from tissueid.documents import plain
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT
@@ -140,7 +141,7 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[
         "reason": fit.reason,
         "population": None if found is None else _population(found),
         "agreement": None if fit.agreement is None else fit.agreement.as_json(),
-        "order": None if fit.order is None else fit.order.as_json(),
+        "order": plain(fit.order),
         "confounding": None if fit.confounding is None else fit.confounding.as_json(),
         "flags": [flag.as_json() for flag in fit.flags],
         "provenance": {
@@ -167,17 +168,17 @@ def _population(found: Population) -> dict[str, Any]:
             "stiffness_degree": coordinates.model.stiffness_degree,
         },
         "depth_mm": coordinates.depth_mm,
-        "quantities": [row.as_json() for row in found.quantities],
+        "quantities": plain(found.quantities),
         "correlation": np.clip(correlation, -1.0, 1.0).tolist(),
         "degrees_of_freedom": (
             {"median": float(np.median(draws.nu)), "ci95": [float(low), float(high)]} if heavy else None
         ),
         "groups": list(found.described.groups),
-        "effects": [row.as_json() for row in found.effects],
-        "specimens": [row.as_json() for row in found.specimens],
-        "repeatability": None if found.repeatability is None else found.repeatability.as_json(),
+        "effects": plain(found.effects),
+        "specimens": plain(found.specimens),
+        "repeatability": plain(found.repeatability),
         "held_out": None if found.held_out is None else found.held_out.as_json(),
-        "cohort_size": [row.as_json() for row in found.sizes],
+        "cohort_size": plain(found.sizes),
         "predictive": {
             "specimens": len(found.predictive.theta),
             "refused": found.predictive.refused,

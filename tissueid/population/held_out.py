@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
+from tissueid.documents.population import Trial
 from tissueid.model.base import ContactPath
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described
@@ -33,32 +35,11 @@ FEWEST_SAMPLES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOutRow:
-    """Prediction of one log of a specimen that was left out; fractions, not percent."""
-
-    specimen: str
-    path: str
-    sheet: str | None
-    nrmsd_range: float
-    nrmsd_mean: float
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``held_out.trials``."""
-        return {
-            "specimen": self.specimen,
-            "path": self.path,
-            "sheet": self.sheet,
-            "nrmsd_range": self.nrmsd_range,
-            "nrmsd_mean": self.nrmsd_mean,
-        }
-
-
-@dataclass(frozen=True, slots=True)
 class HeldOut:
     """All predictions."""
 
     folds: int
-    rows: tuple[HeldOutRow, ...]
+    rows: tuple[Trial, ...]
 
     def as_json(self) -> dict[str, Any]:
         """The ``held_out`` object of the schema."""
@@ -67,7 +48,7 @@ class HeldOut:
             values = np.array([getattr(row, key) for row in self.rows])
             low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
             document[key] = {"median": float(middle), "low68": float(low), "high68": float(high)}
-        return document | {"trials": [row.as_json() for row in self.rows]}
+        return document | {"trials": plain(self.rows)}
 
 
 def prediction_error(
@@ -138,5 +119,5 @@ def held_out(
             for trial in members[i].trials:
                 error = prediction_error(coordinates, theta, trial)
                 if error is not None:
-                    rows.append(HeldOutRow(members[i].specimen, trial.path, trial.sheet, *error))
+                    rows.append(Trial(members[i].specimen, trial.path, trial.sheet, *error))
     return HeldOut(len(folds), tuple(rows)) if rows else None

@@ -10,13 +10,13 @@ Where specimens were measured by several machines this is too much, by up to the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.population import Effect, Level, Quantity, Specimen
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described
 from tissueid.population.members import Member
@@ -79,37 +79,9 @@ OUTLIER_PROBABILITY = 0.5
 MOST_PAIRED = 4
 
 
-def _plain(row: Any) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(row).items()}
-
-
 def _interval(values: FloatArray) -> Interval:
     low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
-
-
-@dataclass(frozen=True, slots=True)
-class QuantityRow:
-    """One quantity of the population."""
-
-    name: str
-    words: str
-    unit: str
-    median: float  # of the typical tissue
-    #: Statistical, and with the machine that measured all; the latter ``None`` where it is not known.
-    ci95: Interval
-    ci95_total: Interval | None
-    #: D: standard deviation of the natural logarithm between specimens, in the core of the distribution.
-    sd_ln: float
-    sd_ln_ci95: Interval
-    cv: float  # coefficient of variation of that core
-    cv_ci95: Interval
-    #: Level -> standard deviation of ln between its groups, with its interval.
-    levels: dict[str, dict[str, Any]]
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``quantities``."""
-        return _plain(self)
 
 
 def quantity_rows(
@@ -118,7 +90,7 @@ def quantity_rows(
     described: Described,
     instrument: SharedInstrument | None,
     rng: np.random.Generator,
-) -> tuple[QuantityRow, ...]:
+) -> tuple[Quantity, ...]:
     """Mean and spread of each quantity."""
     p = coordinates.size
     mean, sd = draws.mean, draws.sd.reshape(-1, p)
@@ -128,7 +100,7 @@ def quantity_rows(
     for k, name in enumerate(coordinates.names):
         cv = np.sqrt(np.expm1(np.minimum(sd[:, k], 5.0) ** 2))
         rows.append(
-            QuantityRow(
+            Quantity(
                 name=name,
                 words=coordinates.words[k],
                 unit=coordinates.units[k],
@@ -140,38 +112,12 @@ def quantity_rows(
                 cv=float(np.median(cv)),
                 cv_ci95=_interval(cv),
                 levels={
-                    key: {"sd_ln": float(np.median(one)), "ci95": list(_interval(one))}
+                    key: Level(float(np.median(one)), _interval(one))
                     for key, one in zip(described.design.levels, level_sd[:, :, k].T, strict=True)
                 },
             )
         )
     return tuple(rows)
-
-
-@dataclass(frozen=True, slots=True)
-class SpecimenRow:
-    """One specimen, alone and as one of the population."""
-
-    specimen: str
-    #: Median of each quantity from its own logs, and with the population.
-    separate: tuple[float, ...]
-    separate_ci95: tuple[Interval, ...]
-    pooled: tuple[float, ...]
-    pooled_ci95: tuple[Interval, ...]
-    shrinkage: tuple[float, ...]  # share of its variance (of the logarithm) that the population takes away
-    far: float  # probability that it is beyond the 99 % of a normal core
-    outlier: str | None  # the quantity in which it is farthest, where it is an outlier
-    #: Of that quantity, in standard deviations between specimens; of the farthest one where it is none.
-    deviation: float
-    smoothed: bool  # its likelihood was written as a mixture of normals
-    worth: float  # effective stage-1 draws under the population
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``specimens``."""
-        document = _plain(self)
-        for key in ("separate_ci95", "pooled_ci95"):
-            document[key] = [list(one) for one in getattr(self, key)]
-        return document
 
 
 def _intervals(values: FloatArray) -> tuple[Interval, ...]:
@@ -181,7 +127,7 @@ def _intervals(values: FloatArray) -> tuple[Interval, ...]:
 
 def specimen_rows(
     members: Sequence[Member], stage: StageOne, draws: PopulationDraws, coordinates: Coordinates
-) -> tuple[SpecimenRow, ...]:
+) -> tuple[Specimen, ...]:
     """Every specimen, alone and pooled."""
     smoothed = set(draws.smoothed.tolist())
     rows = []
@@ -191,7 +137,7 @@ def specimen_rows(
         farthest = int(np.abs(draws.deviation[i]).argmax())
         spread = np.maximum(own.var(axis=0), 1e-300)
         rows.append(
-            SpecimenRow(
+            Specimen(
                 specimen=one.specimen,
                 separate=tuple(np.exp(np.median(own, axis=0)).tolist()),
                 separate_ci95=_intervals(np.exp(own)),
@@ -208,31 +154,10 @@ def specimen_rows(
     return tuple(rows)
 
 
-@dataclass(frozen=True, slots=True)
-class EffectRow:
-    """Effect of a covariate, or of another group, on one quantity."""
-
-    name: str  # of the quantity
-    covariate: str
-    #: Groups; ``None`` for a number.
-    of: str | None
-    against: str | None
-    per: float | None  # change of the covariate that the ratio is of: one standard deviation
-    ratio: float
-    ci95: Interval
-    probability: float  # that the ratio is above 1
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``effects``."""
-        return _plain(self)
-
-
-def effect_rows(
-    draws: PopulationDraws, coordinates: Coordinates, described: Described
-) -> tuple[EffectRow, ...]:
+def effect_rows(draws: PopulationDraws, coordinates: Coordinates, described: Described) -> tuple[Effect, ...]:
     """Ratios between groups, and for one standard deviation of each number."""
     coefficient = draws.coefficient.reshape(-1, *draws.coefficient.shape[2:])
-    rows: list[EffectRow] = []
+    rows: list[Effect] = []
 
     def add(
         values: FloatArray, covariate: str, of: str | None, against: str | None, per: float | None
@@ -241,7 +166,7 @@ def effect_rows(
             ratio = np.exp(values[:, k])
             above = float((values[:, k] > 0.0).mean())
             rows.append(
-                EffectRow(name, covariate, of, against, per, float(np.median(ratio)), _interval(ratio), above)
+                Effect(name, covariate, of, against, per, float(np.median(ratio)), _interval(ratio), above)
             )
 
     titles = list(described.design.column_names)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
-from tissueid.documents.identification import Budget, Estimate, Model, Specimen
+from tissueid.documents.identification import BudgetRow, Estimate, Model, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
@@ -295,7 +295,7 @@ def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
 
 def _budget(specimen: Specimen) -> dict[str, Any] | None:
     """Sources by parameter: shares for the stacked bars, standard deviations for the table."""
-    found: dict[str, dict[str, Budget]] = {}
+    found: dict[str, dict[str, BudgetRow]] = {}
     for row in specimen.budget:
         found.setdefault(row.parameter, {})[row.source] = row
     every = [entry for entry in reported_order(specimen.parameters) if entry.name in found]

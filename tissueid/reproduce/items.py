@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from tissueid.documents import plain
+
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
 
@@ -112,28 +114,8 @@ class Item:
 
     def as_json(self) -> dict[str, Any]:
         """The ``items`` object of ``schemas/reproduction.schema.json``."""
-        return {
-            "item": self.item,
-            "paper": self.paper,
-            "where": self.where,
-            "words": self.words,
-            "unit": self.unit,
-            "published": _listed(self.published),
-            "recomputed": _listed(self.recomputed),
-            "interval": _listed(self.interval),
-            "agrees": self.agrees,
-            "kind": str(self.kind),
-            "rule": self.rule,
-            "reading": self.reading,
-            "inputs": list(self.inputs),
-            "assumed": list(self.assumed),
-            "instrument": self.instrument,
-            "note": self.note,
-        }
-
-
-def _listed(value: Value | None) -> float | list[float] | None:
-    return list(value) if isinstance(value, tuple) else value
+        document: dict[str, Any] = plain(self)
+        return document
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,16 +152,5 @@ class Figure:
 
     def as_json(self) -> dict[str, Any]:
         """The ``figures`` object of the schema."""
-        return {
-            "key": self.key,
-            "paper": self.paper,
-            "where": self.where,
-            "title": self.title,
-            "kind": str(self.kind),
-            "caption": self.caption,
-            "x_title": self.x_title,
-            "y_title": self.y_title,
-            "x_log": self.x_log,
-            "traces": [trace.as_json() for trace in self.traces],
-            "drawing": self.drawing,
-        }
+        document: dict[str, Any] = plain(self)
+        return document | {"traces": [trace.as_json() for trace in self.traces]}

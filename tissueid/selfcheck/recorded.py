@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from tissueid import IdentifyOptions, PosteriorOptions, identify
 from tissueid.collection import display_names
 from tissueid.decided import decided_options, decided_trial, why_excluded
+from tissueid.documents.identification import NoiseFit
 from tissueid.errors import InputError, UsageError
 from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Study
@@ -27,7 +28,6 @@ from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.store.files import sha256_of
 from tissueid.trial import Contact, Segmentation, Source, Trial, contact_frame
-from tissueid.uncertainty import NoiseFit
 
 #: A bundle's contact points were refined by its fit: depths may differ by a little.
 DEPTH_TOLERANCE = 0.02
