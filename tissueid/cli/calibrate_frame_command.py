@@ -10,7 +10,7 @@ from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo, echo_json, note, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.documents import typed
-from tissueid.documents.frame import Frame
+from tissueid.documents.folder import Frame
 
 EPILOG = """\b
 Examples:

@@ -13,8 +13,7 @@ from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 from tissueid.cli.reading import ReadingFlags
 from tissueid.documents import typed
-from tissueid.documents.contrast import Contrast
-from tissueid.documents.measured_contrast import MeasuredPair
+from tissueid.documents.contrast import Contrast, MeasuredPair
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tissueid.cli.output import echo, echo_json, note, write_output
 from tissueid.cli.reading import read_in_order, read_options, segment_options
 from tissueid.documents import typed
-from tissueid.documents.measured_contrast import MeasuredContrast, MeasuredNumber, MeasuredPair, Side
+from tissueid.documents.contrast import MeasuredContrast, MeasuredNumber, MeasuredPair, Side
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:

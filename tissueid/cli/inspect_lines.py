@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
 
-from tissueid.documents.inspect import Trial
+from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredLoop, MeasuredPush
-from tissueid.documents.watch import Watch
 from tissueid.flags import FLAGS, harm_rank
 
 #: What a level asks for, and its colour.

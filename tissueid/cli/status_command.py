@@ -11,7 +11,7 @@ import click
 from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo_json, echo_lines
 from tissueid.documents import typed
-from tissueid.documents.status import Status
+from tissueid.documents.folder import Status
 
 EPILOG = """\b
 Examples:

@@ -13,8 +13,8 @@ import click
 from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo_json, echo_lines, note, write_output
 from tissueid.documents import typed
-from tissueid.documents.training import Attempt as AttemptDocument
-from tissueid.documents.training import Training
+from tissueid.documents.session import Attempt as AttemptDocument
+from tissueid.documents.session import Training
 
 if TYPE_CHECKING:
     from tissueid.training.measures import Attempt

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import click
 
@@ -14,6 +14,15 @@ Examples:
   tissueid validate out
   tissueid validate kidney.h5 --json
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Validated:
+    """A target, and what is wrong with it."""
+
+    path: str
+    valid: bool
+    problem: str | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +47,7 @@ def command(flags: ValidateFlags) -> int:
     from tissueid.store.bundle import load_bundle
     from tissueid.store.results import validate_outputs
 
-    results = []
+    results: list[Validated] = []
     for target in flags.targets:
         if not Path(target).exists():
             msg = f"{target}: no such file or folder"
@@ -51,13 +60,13 @@ def command(flags: ValidateFlags) -> int:
                 load_bundle(target)
         except BundleError as error:
             problem = error.message
-        results.append({"path": str(target), "valid": problem is None, "problem": problem})
+        results.append(Validated(str(target), problem is None, problem))
     if flags.as_json:
-        echo_json(results)
+        echo_json([asdict(one) for one in results])
     else:
         for one in results:
-            if one["valid"] and not flags.quiet:
-                echo(f"{one['path']}: valid")
-            elif not one["valid"]:
-                echo(f"tissueid: {one['problem']}", err=True)
-    return 0 if all(one["valid"] for one in results) else 6
+            if one.valid and not flags.quiet:
+                echo(f"{one.path}: valid")
+            elif not one.valid:
+                echo(f"tissueid: {one.problem}", err=True)
+    return 0 if all(one.valid for one in results) else 6

@@ -18,7 +18,7 @@ from tissueid.cli.output import draw, echo, echo_json_text, note
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
-from tissueid.documents.watch import Parameter, Watch
+from tissueid.documents.inspect import Parameter, Watch
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:

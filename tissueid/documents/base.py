@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeVar
 
+import msgspec
 from msgspec import Meta, Struct
+
+from tissueid.flags import FLAGS
 
 #: JSON Schema, or a part of one
 JsonSchema = Mapping[str, Any]
@@ -33,3 +36,75 @@ class Placed(Protocol):
     @property
     def sheet(self) -> str | None:
         """Sheet of a workbook; ``None`` where the file has none."""
+
+
+#: Members of a flag that are not among the numbers behind it.
+_SAID = ("code", "message")
+_PLAIN = {"type": ["number", "string", "boolean", "null"]}
+#: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
+FLAG_SCHEMA: JsonSchema = {
+    "description": "A stable code, one plain sentence, and the numbers behind it as further members.",
+    "type": "object",
+    "properties": {
+        "code": {"enum": list(FLAGS)},
+        "message": {"type": "string", "minLength": 1, "description": "One plain sentence with its numbers"},
+    },
+    "required": list(_SAID),
+    "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
+}
+
+
+class Flag:
+    """Code, sentence, and the numbers behind it, which stand beside both in the file."""
+
+    __slots__ = ("code", "message", "values")
+
+    def __init__(self, code: str, message: str, values: Mapping[str, Any]) -> None:
+        self.code = code
+        self.message = message
+        self.values = values
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Flag:
+        """Read one from its members."""
+        values = {key: value for key, value in document.items() if key not in _SAID}
+        return cls(document["code"], document["message"], values)
+
+
+_T = TypeVar("_T")
+
+
+def typed(document: Any, kind: type[_T]) -> _T:
+    """Read a document that was parsed, or that is about to be written, as its type.
+
+    ``document``: plain dicts, lists and values; ``kind``: a record of this package, or tuples and mappings of
+    such.  Raises msgspec.ValidationError: it is none, with the place.
+    """
+    return msgspec.convert(document, kind, dec_hook=_flag)
+
+
+def _flag(kind: type[Any], document: Any) -> Any:
+    if kind is Flag and isinstance(document, Mapping):
+        return Flag.of(document)
+    msg = f"a document holds no {kind.__name__}"
+    raise NotImplementedError(msg)
+
+
+def plain(document: Any) -> Any:
+    """Rewrite a document, or any part of one, in plain dicts, lists and values."""
+    return _listed(msgspec.to_builtins(document, enc_hook=_members))
+
+
+def _listed(value: Any) -> Any:
+    """The same value with lists in place of tuples, as JSON reads them."""
+    if isinstance(value, dict):
+        return {key: _listed(child) for key, child in value.items()}
+    return [_listed(child) for child in value] if isinstance(value, list | tuple) else value
+
+
+def _members(value: Any) -> Any:
+    if isinstance(value, Flag):
+        return {"code": value.code, "message": value.message, **value.values}
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.tolist()  # numbers and arrays of numpy

@@ -6,8 +6,17 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta, field
 
-from tissueid.documents.base import Count, Document, Fraction, JsonSchema, NonNegative, Positive, Sha256, Text
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import (
+    Count,
+    Document,
+    Flag,
+    Fraction,
+    JsonSchema,
+    NonNegative,
+    Positive,
+    Sha256,
+    Text,
+)
 from tissueid.documents.inspect import Refusal, Units
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, Unloading

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, PositiveCount, Text
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, PositiveCount, Text
 from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle
 
@@ -184,3 +183,44 @@ class Trial(Document, frozen=True):
 #: One object a trial, in the order of the command line; a file or sheet that was refused stands among them
 #: with its error.
 Inspect = tuple[Trial | Refusal, ...]
+
+
+class Judged(Document, frozen=True):
+    """As `inspect` says it; refused where the file can't be used."""
+
+    level: Literal["good", "look", "repeat", "refused"]
+    reason: str | None
+
+
+class Parameter(Document, frozen=True):
+    """Parameter of a first fit."""
+
+    name: str
+    unit: str
+    value: float | None
+    stderr: float | None
+
+
+class Fit(Document, frozen=True):
+    """First fit of a recording."""
+
+    nrmsd: NonNegative
+    parameters: tuple[Parameter, ...]
+
+
+class Watch(Document, frozen=True):
+    """Judged on a recording that arrived."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
+    specimen: str | None
+    excluded: str | None
+    units: Units | None
+    contact: Contact | None
+    measured: Measured | None
+    verdict: Judged  # As `inspect` says it; refused where the file can't be used
+    flags: tuple[Flag, ...]
+    digest: str | None  # SHA-256 of the samples; null for a file that was refused
+    error: Error | None
+    #: With --fit: the test fitted alone, one branch and constant stiffness; null where it was not
+    fit: Fit | None

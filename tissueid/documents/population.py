@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, Positive
 
 
 class LeftOut(Document, frozen=True):

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, PositiveCount
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, Positive, PositiveCount
 from tissueid.documents.identification import Provenance
 from tissueid.documents.population import Confounding
 

@@ -15,24 +15,24 @@ from typing import Any
 
 import msgspec
 
-from tissueid.documents.flag import FLAG_SCHEMA, Flag
+from tissueid.documents.base import FLAG_SCHEMA, Flag
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: Root type of every schema, as MODULE.TYPE of this package; where several are given, a document is one of
 #: them, and those behind a star are the items of a list.
 ROOTS: Mapping[str, str] = {
-    "bundle": "bundle.Bundle",
+    "bundle": "folder.Bundle",
     "contrast": "contrast.Contrast",
     "control": "control.Control",
     "design": "design.Design",
     "devices": "devices.List devices.Info devices.Home devices.Test devices.Force devices.Damping",
-    "flag": "flag.Flag",
-    "frame": "frame.Frame",
+    "flag": "base.Flag",
+    "frame": "folder.Frame",
     "identification": "identification.Identification",
     "inspect": "*inspect.Trial inspect.Refusal",
     "measured": "measured.Measured",
-    "measured-contrast": "measured_contrast.MeasuredContrast",
-    "outputs": "outputs.Outputs",
+    "measured-contrast": "contrast.MeasuredContrast",
+    "outputs": "folder.Outputs",
     "population": "population.Population",
     "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading",
     "reproduction": "reproduction.Reproduction",
@@ -40,11 +40,11 @@ ROOTS: Mapping[str, str] = {
     "scene": "scene.Scene",
     "selfcheck": "selfcheck.SelfCheck",
     "session": "session.Session",
-    "status": "status.Status",
+    "status": "folder.Status",
     "study": "study.StudyFile",
-    "study-check": "study_check.StudyCheck",
-    "training": "training.Training",
-    "watch": "watch.Watch",
+    "study-check": "study.StudyCheck",
+    "training": "session.Training",
+    "watch": "inspect.Watch",
 }
 #: Files that people write: TOML has no null, so that what is left out has no second spelling.
 _WRITTEN_BY_HAND = {"scene", "study"}
@@ -73,7 +73,7 @@ def schema_of(name: str) -> dict[str, Any]:
         _describe(definition, kind)
         if name in _WRITTEN_BY_HAND:
             _without_null(definition)
-    title = (import_module(roots[0].__module__).__doc__ or "").split("\n")[0].rstrip(".")
+    title = (roots[0].__doc__ or "").split("\n")[0].rstrip(".")
     head["title"] = title
     references = [_rewritten(one) for one in outer]
     if len(roots) == 1:

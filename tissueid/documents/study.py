@@ -16,6 +16,7 @@ from tissueid.documents.base import (
     PositiveCount,
     Text,
 )
+from tissueid.documents.inspect import Refusal
 
 
 class NormalPrior(Document, frozen=True):
@@ -313,3 +314,24 @@ class StudyFile(Document, frozen=True):
     trial: tuple[Trial, ...] | None = None  # Recordings and what the files do not say
     override: tuple[Override, ...] | None = None  # Decisions of the user in place of the data's
     exclude: tuple[Exclude, ...] | None = None  # Recordings that are not fitted
+
+
+class Missing(Document, frozen=True):
+    """Keys that are missing."""
+
+    table: Literal["study", "calibration", "tip", "specimen", "trial"]
+    keys: Annotated[tuple[str, ...], Meta(min_length=1)]  # Any one of them will do
+    weight: Literal[1, 2, 3]  # 3: essential; 2: a reviewer asks for it; 1: it helps
+    why: str
+    where: tuple[str, ...]  # Specimens or trials without it; empty where none has it
+
+
+class StudyCheck(Document, frozen=True):
+    """Completeness of a study file."""
+
+    schema: Literal["tissueid/study-check/1"]
+    path: str  # study.toml as it was named
+    grade: Literal["A", "B", "C", "D", "E", "F"]
+    share: Fraction  # Share of the weights that is stated
+    missing: tuple[Missing, ...]  # What is not stated, the weightiest first
+    unmatched: tuple[Refusal, ...]

@@ -25,9 +25,9 @@ from tissueid.inference.optimum import minimise
 from tissueid.inference.prior import prior_rows
 from tissueid.inference.system import Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
-from tissueid.measures import predicted
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
+from tissueid.quantities import predicted
 from tissueid.result import SpecimenFit
 
 #: Ends of the central 95 % interval, and the end of the one that begins at an active bound.

@@ -27,7 +27,7 @@ from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import Geometry, modulus_of
 from tissueid.measured.pushes import Move, braking_before, move_before, moves, peak_of, usable_until
 from tissueid.measured.relaxation import hold_ladder
-from tissueid.measures import beyond_ramp
+from tissueid.quantities import beyond_ramp
 from tissueid.trial import Phase, Segmentation, Trial
 
 #: Half width of the window over the time, and fewest samples of a parabola.

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissueid.documents.measured import Measured, MeasuredForce, MeasuredHold, MeasuredPush, Spread
 from tissueid.measured.measuring import REFERENCE_S, TIMES_S
-from tissueid.measures import RAMP_TIMES, beyond_ramp, predicted_mean
+from tissueid.quantities import RAMP_TIMES, beyond_ramp, predicted_mean
 
 #: Speeds that differ by less than this factor are one setting of a machine.
 SAME_SPEED = 1.12

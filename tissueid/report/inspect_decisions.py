@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import number, with_error
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import Flag
 from tissueid.documents.inspect import Trial
 
 BECAUSE = "say why"

@@ -24,7 +24,7 @@ from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
 from tissueid.documents import plain
 from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
-from tissueid.documents.study_check import StudyCheck
+from tissueid.documents.study import StudyCheck
 from tissueid.errors import UsageError
 from tissueid.report.figures import curve_payload, curves_by_trial
 from tissueid.report.groups import curve_groups
@@ -72,19 +72,23 @@ def page_environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_function"] = partial(json.dumps, default=plain)
-    environment.filters["number"] = number
-    environment.filters["rounded_to"] = rounded_to
-    environment.filters["unit"] = unit_words
-    environment.filters["symbol"] = symbol_words
-    environment.filters["in_units"] = in_units
-    environment.filters["event_words"] = event_words
-    environment.filters["took"] = took
-    environment.filters["subscripted"] = subscripted
-    environment.globals["with_error"] = with_error
-    environment.globals["parameter_words"] = parameter_words
-    environment.globals["trial_label"] = trial_label
-    environment.globals["MM_N"] = Units(length="mm", force="N", time="s")
-    environment.globals["NOT_IDENTIFIED"] = NOT_IDENTIFIED
+    environment.filters |= {
+        "number": number,
+        "rounded_to": rounded_to,
+        "unit": unit_words,
+        "symbol": symbol_words,
+        "in_units": in_units,
+        "event_words": event_words,
+        "took": took,
+        "subscripted": subscripted,
+    }
+    environment.globals |= {
+        "with_error": with_error,
+        "parameter_words": parameter_words,
+        "trial_label": trial_label,
+        "MM_N": Units(length="mm", force="N", time="s"),
+        "NOT_IDENTIFIED": NOT_IDENTIFIED,
+    }
     return environment
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents.identification import Specimen
 from tissueid.documents.session import Scale
-from tissueid.documents.study_check import StudyCheck
+from tissueid.documents.study import StudyCheck
 from tissueid.report.study_words import key_words
 
 #: Missing items that are listed; the others are counted.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.digits import number
-from tissueid.documents.training import Attempt, Learning, Training
+from tissueid.documents.session import Attempt, Learning, Training
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
 #: Measures that practice is looked for in: words and unit.

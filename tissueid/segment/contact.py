@@ -12,7 +12,7 @@ from tissueid.segment.hinge import HingeFit, fit_contact
 from tissueid.segment.motion import Piece
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.own_air import left_air, rises, without_kick
-from tissueid.segment.spikes import without_spikes
+from tissueid.signal_noise import without_spikes
 from tissueid.trial import Contact
 
 #: Fewest samples in air, while moving, that show the tool in air; where the load cell reads more than

@@ -16,7 +16,7 @@ from tissueid.flags import Flag
 from tissueid.segment.cycles import Loop
 from tissueid.segment.edges import corner_near
 from tissueid.segment.motion import Piece
-from tissueid.segment.spikes import running_median
+from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
 #: A ramp that ends this share short of the stated depth was aborted.

@@ -19,7 +19,7 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.edges import leaves_line, straight_line
 from tissueid.segment.motion import Piece
-from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
+from tissueid.signal_noise import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
 #: A fall is at least this share of the force before it ...

@@ -20,9 +20,8 @@ from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import drift_in_air, signs
-from tissueid.segment.spikes import without_spikes
 from tissueid.segment.stop import placed_stops, settlings, speed_flags, travel_line, with_braking
-from tissueid.signal_noise import white_noise_sd
+from tissueid.signal_noise import white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
 #: A hold may begin in these kinds of phase.

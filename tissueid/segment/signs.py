@@ -13,8 +13,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.options import SegmentOptions
-from tissueid.segment.spikes import without_spikes
-from tissueid.signal_noise import white_noise_sd
+from tissueid.signal_noise import white_noise_sd, without_spikes
 from tissueid.trial import Contact, Phase, Trial
 
 #: The other excursion reaches this share of the dominant one: the direction is doubtful.

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from tissueid.documents.base import Placed
-from tissueid.documents.flag import Flag
+from tissueid.documents.base import Flag, Placed
 from tissueid.documents.identification import (
     Exclusion,
     Identification,

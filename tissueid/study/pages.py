@@ -25,7 +25,7 @@ import numpy as np
 from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
-from tissueid.documents.study_check import StudyCheck
+from tissueid.documents.study import StudyCheck
 from tissueid.errors import TissueidError
 from tissueid.haptics.registry import reported_devices
 from tissueid.rendering.precheck import Demands, Precheck, check_before_force, demands_of
