@@ -55,8 +55,8 @@ class DesignFlags(OutputFlags):
     )
     wants: tuple[str, ...] = option(
         "--want", multiple=True, metavar="NAME=PERCENT%",
-        help="Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
-            "reaches, or 5 % of every relaxation time and viscosity.",
+        help="Standard deviation that an estimate shall have at the most; repeat it. Default: what "
+            "--against reaches, or 5 % of every relaxation time and viscosity.",
     )
     against: str | None = option(
         "--against", metavar="RECIPE",

@@ -47,10 +47,8 @@ class ExportFlags(OutputFlags):
         "--format", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
         show_default=True,
         help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted "
-            "number; "
-            "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue "
-            "as a C "
-            "header with its step, or as a Prony series for FEBio or Abaqus.",
+            "number; the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one "
+            "tissue as a C header with its step, or as a Prony series for FEBio or Abaqus.",
     )
     specimen: str | None = option(
         "--specimen", metavar="NAME", help="Which one, where a single tissue is written.",

@@ -71,9 +71,9 @@ class FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
     )
     model: str | None = option(
         "--model", metavar="NAME", show_default=KELVIN_VOIGT,
-        help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws "
-            "in "
-            "tissueid models; auto, or several with | between them, takes the one that predicts best.",
+        help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the "
+            "laws in tissueid models; auto, or several with | between them, takes the one that predicts "
+            "best.",
     )
     branches: str = option(
         "--branches", type=_count("123"), default="auto", show_default=True,

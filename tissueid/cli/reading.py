@@ -61,8 +61,8 @@ class ReadingFlags:
     )
     sheet: str | None = option(
         "--sheet", metavar="NAME",
-        help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one"
-            " file.",
+        help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one "
+            "file.",
     )
     delimiter: str | None = option(
         "--delimiter", type=click.Choice(list(DELIMITERS)),
