@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tissueid.inference.profile import ProfileInterval
 from tissueid.inference.verdict import specimen_flags
@@ -19,7 +20,7 @@ AGREE = {"agree": True, "relative_difference": 0.0, "lm_converged": True}
 
 def flags(
     *, tau=0.5, stiffness=30.0, interval=CLOSED, bounded=False, step=0.01, speeds=((1.0,), (5.0,)), hold=True,
-    sigma=0.1, acf=0.0, optimisers=AGREE, missing=(),
+    sigma=0.1, acf=0.0, optimisers=AGREE, missing=(), slope=None,
 ):  # fmt: skip
     parameters = tuple(
         Estimate(name, name, "s", None if name in missing else 1.0, None, name not in missing)
@@ -29,6 +30,9 @@ def flags(
         model=MODEL, theta=np.array([20.0, -1.0, 0.3, stiffness, tau]), intervals=(interval,),
         bounded=bounded, parameters=parameters,
     )  # fmt: skip
+    if slope is not None:
+        tissue.model = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=4.0)
+        tissue.theta = np.array([20.0, -1.0, 0.3, stiffness, slope, tau])
     facts = [SimpleNamespace(speeds_mm_s=one, depth_mm=4.0, has_hold=hold, step_s=step) for one in speeds]
     trials = [SimpleNamespace(residual_acf1=acf) for _ in speeds]
     found = specimen_flags(tissue, facts, trials, sigma_N=sigma, optimisers=optimisers)
@@ -66,6 +70,17 @@ def test_amplitude_against_its_noise():
     assert found.values["amplitude_N"] == pytest.approx(amplitude)
     assert found.values["needed_N"] == pytest.approx(1.01 * amplitude)
     assert "amplitude_small" not in flags(sigma=0.99 * need)
+
+
+def test_amplitude_of_a_stiffness_that_ends_at_zero():
+    """K = 30 - 7.5 x has none at 4 mm; its force is largest on the way, where its slope is none."""
+    length = 5.0 * 0.5
+    on_the_way = brentq(lambda x: (4.0 - x) * np.exp(-x / length) + length * np.expm1(-x / length), 0.1, 3.9)
+    amplitude = 7.5 * (4.0 - on_the_way) * length * -np.expm1(-on_the_way / length)
+    need = amplitude / (3.0 * np.sqrt(8.0 * 0.01 / 0.5))
+    found = flags(sigma=1.01 * need, slope=-7.5)["amplitude_small"]
+    assert found.values["amplitude_N"] == pytest.approx(amplitude, rel=1e-3)
+    assert "amplitude_small" not in flags(sigma=0.99 * need, slope=-7.5)
 
 
 def test_times_that_instruments_imitate():

@@ -21,6 +21,8 @@ from tissueid.uncertainty import ParameterUncertainty, Posterior
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
 CORRELATED = 0.5
+#: Depths at which the force of a branch is looked at.
+DEPTHS = 65
 #: Symbols named in one sentence.
 LONGEST_LIST = 4
 
@@ -29,6 +31,16 @@ def _listed(symbols: Sequence[str], of: int) -> str:
     """``eta, tau (2 of 6)``: the first few of a list, and how many there are."""
     shown = ", ".join(symbols[:LONGEST_LIST])
     return f"{shown}{', ...' if len(symbols) > LONGEST_LIST else ''} ({len(symbols)} of {of} parameters)"
+
+
+def _relaxing_N(tissue: TissueEstimate, branch: int, log: FittedLog) -> float:
+    """Largest force of a branch on a ramp to the depth of a log [N]; K may fall towards its end."""
+    depth = np.linspace(0.0, log.depth_mm, DEPTHS)
+    length = max(log.speeds_mm_s) * float(tissue.model.times(tissue.theta)[branch])
+    if length <= 0.0:
+        return 0.0
+    state = -length * np.expm1(-depth / length)
+    return float(np.max(tissue.model.stiffness(tissue.theta, depth)[branch] * state))
 
 
 def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_N: float) -> list[Flag]:
@@ -58,12 +70,7 @@ def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_
                     {"branch": j + 1, "tau_s": value, "step_s": h},
                 )
             )
-        amplitude = 0.0
-        for log in facts:
-            length = max(log.speeds_mm_s) * value
-            depth = np.array([log.depth_mm])
-            state = length * -np.expm1(-log.depth_mm / length) if length > 0.0 else 0.0
-            amplitude = max(amplitude, float(tissue.model.stiffness(tissue.theta, depth)[j, 0]) * state)
+        amplitude = max(_relaxing_N(tissue, j, log) for log in facts)
         need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
         if amplitude < need:
             flags.append(
