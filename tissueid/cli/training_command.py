@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import click
+from msgspec.structs import asdict
 
 from tissueid.cli.flags import OutputFlags, argument, option, takes
 from tissueid.cli.output import echo_json, echo_lines, note, write_output
-from tissueid.documents import typed
-from tissueid.documents.session import Attempt as AttemptDocument
-from tissueid.documents.session import Training
-
-if TYPE_CHECKING:
-    from tissueid.training.measures import Attempt
+from tissueid.documents import plain
+from tissueid.documents.session import Attempt, Learning, Refused, Training
 
 EPILOG = """\b
 Examples:
@@ -26,7 +22,11 @@ Examples:
   tissueid training P17-*.h5 --cone-entry 30 --html P17.html
 """
 #: Measures that practice is looked for in, with their words.
-LEARNED = {"end_error_mm": "end error", "angle_deg": "angle", "seconds": "time"}
+LEARNED: Mapping[Literal["end_error_mm", "angle_deg", "seconds"], str] = {
+    "end_error_mm": "end error",
+    "angle_deg": "angle",
+    "seconds": "time",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +57,7 @@ def command(flags: TrainingFlags) -> int:
     """
     from tissueid.errors import UsageError, exit_code
 
-    written, tracks = _measured(flags)
-    document = typed(written, Training)
+    document, tracks = _measured(flags)
     if not document.attempts and not document.refused:
         msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
         raise UsageError(msg)
@@ -68,7 +67,7 @@ def command(flags: TrainingFlags) -> int:
         write_output(flags.html, render_training(document, tracks).encode())
         note(f"wrote {flags.html}", quiet=flags.quiet)
     if flags.as_json:
-        echo_json(written)
+        echo_json(plain(document))
     elif not flags.quiet:
         echo_lines(_lines(document))
     for one in document.refused:
@@ -76,36 +75,31 @@ def command(flags: TrainingFlags) -> int:
     return exit_code({7} if document.refused else set())
 
 
-def _measured(flags: TrainingFlags) -> tuple[dict[str, Any], dict[str, Any]]:
+def _measured(flags: TrainingFlags) -> tuple[Training, dict[str, Any]]:
     """The document, and the ways of attempts where a page is wanted."""
     from tissueid.errors import BundleError
     from tissueid.store.session_log import read_session_log
     from tissueid.training.measures import measured, track
 
-    rows: list[dict[str, Any]] = []
-    refused: list[dict[str, str]] = []
+    rows: list[Attempt] = []
+    refused: list[Refused] = []
     tracks: dict[str, Any] = {}
     for path in _files(flags.logs):
         try:
             log = read_session_log(path)
-            attempt = measured(log.head, log.records, cone_entry_mm=flags.cone_entry)
+            found = measured(log.head, log.records, cone_entry_mm=flags.cone_entry)
         except (BundleError, ValueError) as error:
-            refused.append({"file": str(path), "reason": getattr(error, "message", str(error))})
+            refused.append(Refused(str(path), getattr(error, "message", str(error))))
             continue
         if flags.html is not None:
             way = track(log.head, log.records, cone_entry_mm=flags.cone_entry)
             tracks[str(path)] = [one.tolist() for one in way]
-        head = {key: log.head[key] for key in ("pseudonym", "started")}
-        rows.append({"file": str(path)} | head | _without_nan(attempt))
-    rows.sort(key=lambda row: (row["pseudonym"] or "", row["started"], row["file"]))
-    document = {
-        "schema": "tissueid/training/1",
-        "cone_entry_mm": flags.cone_entry,
-        "attempts": rows,
-        "learning": _learning([typed(row, AttemptDocument) for row in rows]),
-        "refused": refused,
-    }
-    return document, tracks
+        about = {"file": str(path), "pseudonym": log.head["pseudonym"], "started": log.head["started"]}
+        rows.append(Attempt(**asdict(found), **about))
+    rows.sort(key=lambda row: (row.pseudonym or "", row.started, row.file))
+    return Training(
+        "tissueid/training/1", flags.cone_entry, tuple(rows), tuple(_learning(rows)), tuple(refused)
+    ), tracks
 
 
 def _files(given: Sequence[str]) -> Iterator[Path]:
@@ -113,26 +107,16 @@ def _files(given: Sequence[str]) -> Iterator[Path]:
         yield from sorted(one.glob("*.h5")) if one.is_dir() else [one]
 
 
-def _without_nan(attempt: Attempt) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in asdict(attempt).items()
-    }
-
-
-def _learning(rows: Sequence[AttemptDocument]) -> list[dict[str, Any]]:
+def _learning(rows: Sequence[Attempt]) -> Iterator[Learning]:
     """A curve for each person and measure, where there are attempts enough."""
     from tissueid.training.measures import learning_curve
 
-    found = []
     for who in dict.fromkeys(row.pseudonym for row in rows):
         own = [row for row in rows if row.pseudonym == who]
         for measure in LEARNED:
-            values = [getattr(row, measure) for row in own]
-            curve = learning_curve([math.nan if value is None else value for value in values])
+            curve = learning_curve([getattr(row, measure) for row in own])
             if curve is not None:
-                found.append({"pseudonym": who, "measure": measure, **asdict(curve)})
-    return found
+                yield Learning(**asdict(curve), pseudonym=who, measure=measure)
 
 
 def _lines(document: Training) -> list[str]:

@@ -130,7 +130,7 @@ class Contrast(Document, frozen=True):
     tissues: Annotated[tuple[Tissue, ...], Meta(min_length=2)]
     curves: Annotated[tuple[Curve, ...], Meta(min_length=2)]  # Forces of every tissue, in their order
     pairs: tuple[Pair, ...]
-    #: What was measured, no model, pair by pair; of output folders
+    #: Measured, no model, pair by pair; of output folders
     measured: tuple[MeasuredPair, ...] | None = None
 
 

@@ -110,5 +110,5 @@ class Control(Document, frozen=True):
     virtual_mass: VirtualMass
     chatter: Chatter  # sigma [N m/s]
     numbers: tuple[Number, ...]
-    runs: Annotated[tuple[Run, ...], Meta(min_length=2)]  # What was asked for comes first
+    runs: Annotated[tuple[Run, ...], Meta(min_length=2)]  # Run that was asked for comes first
     device: Device | None

@@ -22,7 +22,7 @@ class Tissue(Document, frozen=True):
     """The tissues that were planned for."""
 
     name: str
-    words: str  # Where it comes from
+    words: str  # Origin of the tissues
     draws: PositiveCount
     law: str  # Law of the tissues, as fit --model takes it
     branches: Annotated[int, Meta(ge=1, le=12)]
@@ -90,7 +90,7 @@ class Limit(Document, frozen=True):
     """One limit, and what it costs."""
 
     name: str
-    words: str  # What was changed
+    words: str  # Change that was made
     factor: Positive  # By how much the best precision betters; where it is enough, by how much at the least
     enough: bool
 
@@ -131,7 +131,7 @@ class Precision(Document, frozen=True):
     name: str
     wanted: Positive
     median: NonNegative  # Over the tissues
-    assured: NonNegative  # What the share `assurance` of the tissues has or betters
+    assured: NonNegative  # Reached or bettered by the share `assurance` of the tissues
 
 
 class Protocol(Document, frozen=True):
@@ -156,19 +156,10 @@ class Against(Document, frozen=True):
     protocol: Protocol | None
 
 
-class Front(Document, frozen=True):
+class Front(Protocol, frozen=True):
     """Protocol of least machine time for a multiple of the wants."""
 
     factor: Positive  # Multiple of the wants
-    reached: bool  # All wants are met
-    #: Machine time of a specimen: mounting, approach, ramp, hold, return, rests between logs
-    seconds: Positive
-    total_seconds: Positive  # Of all specimens
-    logs: PositiveCount  # Recordings of a specimen
-    setting: Planned
-    indentations: Annotated[tuple[Indentation, ...], Meta(min_length=1)]
-    precision: Annotated[tuple[Precision, ...], Meta(min_length=1)]
-    worst: NonNegative  # Largest ratio of assured to wanted; at most 1 where all wants are met
 
 
 class Work(Document, frozen=True):
@@ -192,4 +183,4 @@ class Design(Document, frozen=True):
     protocols: Annotated[tuple[Protocol, ...], Meta(min_length=1)]  # The best first
     against: Against | None  # A protocol that was given
     front: tuple[Front, ...]  # The least machine time for multiples of the wants
-    work: Work  # How much was looked at
+    work: Work  # Amount of what was looked at

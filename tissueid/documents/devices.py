@@ -14,7 +14,7 @@ class Found(Document, frozen=True):
 
     name: str  # Name of the device in the registry
     where: str  # USB node, file or program
-    note: str  # What stands in its way and how to remove it; empty if nothing does
+    note: str  # Obstacle and its way out; empty if there is none
 
 
 class List(Document, frozen=True):
@@ -39,7 +39,7 @@ class Calibration(Document, frozen=True):
     #: Its change with the position [N/m], row by row of its components
     weight_slope_N_per_m: Annotated[tuple[float, ...], Meta(min_length=9, max_length=9)]
     weight_measured: bool
-    confirmed: bool  # Whether the hardware checklist was passed on this machine
+    confirmed: bool  # Hardware checklist was passed on this machine
 
 
 class Info(Document, frozen=True):
@@ -47,10 +47,10 @@ class Info(Document, frozen=True):
 
     name: str  # Name of the device in the registry
     clamp_N: NonNegative  # Largest force the guard lets through [nominal N]
-    calibrated: bool  # Whether that newton was weighed
+    calibrated: bool  # That newton was weighed
     damping_N_s_per_m: NonNegative  # Damping of the arm [N s/m]
     delay_ticks: NonNegative  # From a position to the force it causes [ms]
-    hardware: bool  # Whether motors move something
+    hardware: bool  # Motors move something
     workspace_mm: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # Reach in x, y and z
     calibration: Calibration | None = None
 
@@ -85,7 +85,7 @@ class Force(Document, frozen=True):
     ratio: float  # Nominal force for one true newton
     stderr: NonNegative  # Standard error of the ratio
     units_per_Nm: Positive  # Motor units for one N m of arm torque
-    units_per_Nm_before: Positive  # What was assumed before
+    units_per_Nm_before: Positive  # Assumed before
 
 
 class Damping(Document, frozen=True):
@@ -95,7 +95,7 @@ class Damping(Document, frozen=True):
     damping_N_s_per_m: float  # Estimate [N s/m]
     friction_N: float  # Coulomb friction [N]
     damping_stderr: NonNegative  # Standard error [N s/m]
-    safe_damping_N_s_per_m: NonNegative  # What is kept and relied on [N s/m]
+    safe_damping_N_s_per_m: NonNegative  # Damping kept and relied on [N s/m]
 
 
 Devices = List | Info | Home | Test | Force | Damping

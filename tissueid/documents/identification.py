@@ -175,7 +175,7 @@ class Provenance(Document, frozen=True):
     tissueid: str  # Version that wrote this
     options: dict[str, Any]  # Options of the run that change its numbers, the seed among them
     inputs: tuple[Input, ...]
-    #: How the user asked for the inputs to be read; null where nothing was said
+    #: Reading of the inputs as the user asked for it; null where nothing was said
     reading: dict[str, str | None] | None = None
     versions: dict[str, str] | None = None  # Versions of the libraries
     study: StudyInputs | None = None  # The study file, and the calibration and priors its numbers rest on
@@ -267,7 +267,7 @@ class SamplerReport(Document, frozen=True, omit_defaults=False):
     """Sampling of a posterior."""
 
     name: Literal["emcee", "exact"]  # `exact` stands in documents of earlier versions only
-    converged: bool  # Whether the stopping rule was reached
+    converged: bool  # Stopping rule was reached
     draws: Count  # Draws kept, of all walkers
     acceptance: Fraction  # Accepted proposals, a fraction
     detail: dict[str, Any]  # Steps, walkers, autocorrelation time, seed, and why it is not converged
@@ -350,7 +350,7 @@ class MisfitCheck(Document, frozen=True, omit_defaults=False):
     """One check."""
 
     name: Text
-    statistic: float | None  # What was measured; null where it has no value
+    statistic: float | None  # Measured statistic; null where it has no value
     p_value: Fraction | None  # Probability of as large a statistic under the fitted model and noise
     message: Text
     raised: bool
@@ -359,7 +359,7 @@ class MisfitCheck(Document, frozen=True, omit_defaults=False):
 class MisfitAlarm(Document, frozen=True, omit_defaults=False):
     """Posterior predictive checks."""
 
-    raised: bool  # Whether any check was raised: the intervals then can't be believed
+    raised: bool  # Any check was raised: the intervals then can't be believed
     checks: tuple[MisfitCheck, ...] = ()
 
 
@@ -367,7 +367,7 @@ class Specimen(Document, frozen=True):
     """Fit of one specimen."""
 
     specimen: Text
-    #: What displacement and force are: mm and N, or normalised. Keys keep their names; every `unit` is
+    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
     #: written in these
     units: Units
     model: Model
@@ -381,20 +381,20 @@ class Specimen(Document, frozen=True):
     cycles: tuple[Cycle, ...]  # Load-unload loops of its trials
     quoted: Quoted | None
     unloading: Unloading | None  # null where only loading was fitted
-    optimisers: Optimisers  # What Levenberg-Marquardt and variable projection reached, and whether they agree
+    optimisers: Optimisers  # Optima of Levenberg-Marquardt and variable projection, and their agreement
     selection: tuple[Selection, ...]
-    sampler: SamplerReport | None  # How the posterior was sampled; null where none was
+    sampler: SamplerReport | None  # Sampling of the posterior; null where none was
     noise: NoiseFit | None  # Noise of the force in the posterior; null where none was sampled
     priors: tuple[PriorRow, ...]  # Priors beside their posteriors
-    budget: tuple[BudgetRow, ...]  # Which source adds how much to the uncertainty of which parameter
+    budget: tuple[BudgetRow, ...]  # Share of each source in the uncertainty of each parameter
     model_comparison: tuple[ComparisonRow, ...]  # Candidate models by evidence and by held-out data
-    #: Whether the residuals show what the model and its noise can't make; null where it was not looked at
+    #: Checks of residuals for what the model and its noise can't make; null where it was not looked at
     misfit: MisfitAlarm | None
     flags: tuple[Flag, ...]
     #: The relaxation time of the one-branch model with holds cut to T, T/2 and T/4; null where no hold
     #: determines it
     relaxation_window: RelaxationWindow | None = None
-    measured: tuple[Spread, ...] | None = None  # What was measured, no model, with the spread between logs
+    measured: tuple[Spread, ...] | None = None  # Measured, no model, with the spread between logs
 
 
 class Exit(Document, frozen=True):

@@ -113,7 +113,7 @@ class Corner(Document, frozen=True):
     """Corner between ramp and hold."""
 
     phase: Count  # Index of the ramp in phases
-    time_s: float  # Where the ramp's line meets that of the next phase
+    time_s: float  # Meeting of the ramp's line with that of the next phase
     duration_s: NonNegative
     overshoot_mm: NonNegative
     ringing_swings: Count
@@ -155,11 +155,11 @@ class Trial(Document, frozen=True):
     excluded: str | None  # Why the study takes it out of the fit; null where it takes part
     recipe: Text  # Key of the reader that matched
     recipe_reason: str  # Why the reader was taken, in its own words
-    recipe_confidence: Fraction  # How sure the reader was of the file
+    recipe_confidence: Fraction  # Confidence of the reader in the file
     encoding: str | None
     delimiter: str | None
     decimal: str | None
-    columns: Columns  # Which column was taken for which quantity, named as printed in the file
+    columns: Columns  # Column that was taken for each quantity, named as printed in the file
     n_samples: Count  # All numeric rows
     first: Point
     last: Point
@@ -169,13 +169,13 @@ class Trial(Document, frozen=True):
     force_noise_N: NonNegative  # Standard deviation of the white part of the force noise
     contact: Contact | None
     phases: tuple[Phase, ...]
-    corners: tuple[Corner, ...]  # How each ramp came to its stop or turned
+    corners: tuple[Corner, ...]  # Stop or turn of each ramp
     events: tuple[Event, ...]
     cycles: tuple[Cycle, ...]  # Load-unload loops, measured from the samples alone
     measured: Measured  # Peaks, forces in the hold, loops, relaxation times and moduli, no model
     verdict: Verdict  # Keep it (good), stop and look, or push again (repeat), with one reason
     flags: tuple[Flag, ...]
-    #: What displacement and force are: mm and N, or normalised. Keys keep their names; every `unit` is
+    #: Quantities of displacement and force: mm and N, or normalised. Keys keep their names; every `unit` is
     #: written in these
     units: Units
 

@@ -44,7 +44,7 @@ class MeasuredModulus(Document, frozen=True):
 class MeasuredPush(Document, frozen=True):
     """One loading move."""
 
-    start_s: float  # Where loading begins in contact, as recorded
+    start_s: float  # Begin of loading in contact, as recorded
     stop_s: float
     ramp_time_s: float  # stop_s - start_s
     speed_mm_s: float
@@ -66,7 +66,7 @@ class MeasuredForce(Document, frozen=True):
     over_10s: float | None  # after_stop_N over that at 10 s
     #: after_peak_N over the peak. Depends on the ramp: another ramp to the same depth gives another number
     over_peak: float | None
-    #: Whether the time is ten ramp times or later; earlier values are not compared between programs
+    #: The time is ten ramp times or later; earlier values are not compared between programs
     beyond_ramp: bool
     reason: str | None
 
@@ -92,7 +92,7 @@ class MeasuredHold(Document, frozen=True):
     push: MeasuredPush | None  # The loading before it; null after another move
     forces: tuple[MeasuredForce, ...]
     end_N: float  # Last force, above the base
-    creep_mm: float  # How far the tool went on during the hold
+    creep_mm: float  # Way of the tool during the hold
     tau: MeasuredTau | None
     after_rupture: bool
 

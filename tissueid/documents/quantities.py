@@ -121,7 +121,7 @@ class Quoted(Document, frozen=True):
 
     window_s: NonNegative  # Longest hold (longest log without one): nothing later is said
     resolution_s: NonNegative  # Two sampling intervals: nothing earlier is said
-    noise: Literal["white"]  # What the standard errors assume
+    noise: Literal["white"]  # Noise that the standard errors assume
     model: tuple[Quantity, ...]  # Functionals of the fitted model, errors by the delta method
     #: With tip, and thickness where given; empty where the tip is not known: the stiffness is then
     #: structural, of this tip on this support

@@ -55,7 +55,7 @@ class Item(Document, frozen=True):
     interval: tuple[float, float] | None  # 99 %
     agrees: bool | None
     kind: Kind
-    rule: Words  # How agreement was decided
+    rule: Words  # Rule of agreement
     reading: Words
     inputs: tuple[str, ...]  # Published numbers it was computed from
     assumed: tuple[str, ...]
@@ -104,7 +104,7 @@ class Reproduction(Document, frozen=True):
     papers: Annotated[tuple[Paper, ...], Meta(min_length=1)]
     seed: Count
     seconds: NonNegative
-    readings: dict[str, Reading]  # How lost equations and numbers were read; each can be switched
+    readings: dict[str, Reading]  # Reading of each lost equation and number; each can be switched
     items: tuple[Item, ...]
     figures: tuple[Figure, ...]
     lost: tuple[str, ...]

@@ -117,7 +117,7 @@ class Scene(Document, frozen=True):
 
     schema: Literal["tissueid/scene/1"]
     name: Annotated[str, Meta(min_length=1, max_length=200)]
-    about: str | None = None  # Where the numbers come from
+    about: str | None = None  # Origin of the numbers
     assumed: tuple[str, ...] | None = None  # Keys whose numbers no source states
     device: str | None = None  # As --device
     tissue: Tissue | None = None

@@ -156,7 +156,7 @@ class SelfCheck(Document, frozen=True):
     #: total: calibration defects were drawn from their priors, and the intervals know these
     interval: Literal["statistical", "total"]
     protocol: Protocol
-    priors: tuple[Prior, ...]  # What truths were drawn from, and what the inference was given
+    priors: tuple[Prior, ...]  # Priors that truths were drawn from, and those the inference was given
     simulations: Simulations
     parameters: Annotated[tuple[Parameter, ...], Meta(min_length=1)]
     bands: Bands  # Counts of ranks below each point that a right posterior keeps, at all points at once

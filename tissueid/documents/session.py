@@ -120,34 +120,47 @@ class Session(Document, frozen=True):
     participation: dict[str, Any] | None = None  # of a person, in logs of 0.1
 
 
-class Attempt(Document, frozen=True):
+class Way(Document, frozen=True):
+    """Measures of one way to the end of the drilling."""
+
+    complete: bool  # The wire went through; else the way ends at the deepest place
+    seconds: float  # From the cone's entry to the end
+    #: Distance from the axis at the entry point of the bone [mm]; null where it was not reached
+    entry_error_mm: float | None
+    end_error_mm: float  # Distance from the axis at the end [mm]
+    angle_deg: float  # Of the chord from the cone's entry to the end, against the axis [degrees]
+    angle_se_deg: float
+    path_mm: float  # Length of the way, smoothed over 50 ms [mm]
+    path_over_chord: float
+    mean_force_N: float  # At the device
+    peak_force_N: float  # At the device
+    #: Less ln of the dimensionless jerk, D^5 / A^2 times the integral of its square (Hogan & Sternad 2009,
+    #: doi 10.3200/35-09-004-RC): nearer zero is smoother; null where the way is too short
+    log_jerk: float | None
+
+
+class Attempt(Way, frozen=True):
     """One attempt."""
 
     file: str
     pseudonym: str | None
     started: str
-    complete: bool  # Whether the wire went through
-    seconds: float
-    entry_error_mm: float | None
-    end_error_mm: float
-    angle_deg: float
-    angle_se_deg: float
-    path_mm: float
-    path_over_chord: float
-    mean_force_N: float
-    peak_force_N: float
-    log_jerk: float | None  # Less ln of the dimensionless jerk
 
 
-class Learning(Document, frozen=True):
+class Curve(Document, frozen=True):
+    """Power law over attempts."""
+
+    first: float  # Fitted value at the first attempt
+    exponent: float  # Negative where the measure falls
+    exponent_se: float
+    attempts: Annotated[int, Meta(ge=4)]
+
+
+class Learning(Curve, frozen=True):
     """Learning curve of one measure."""
 
     pseudonym: str | None
     measure: Literal["end_error_mm", "angle_deg", "seconds"]
-    first: float
-    exponent: float
-    exponent_se: float
-    attempts: Annotated[int, Meta(ge=4)]
 
 
 class Refused(Document, frozen=True):

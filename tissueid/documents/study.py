@@ -85,21 +85,9 @@ class Priors(Document, frozen=True):
     gain_sd: GainSd | None = None
 
 
-class Study(Document, frozen=True):
-    """The study; what is said of the tissue here holds for every specimen that does not say otherwise."""
+class TissueFacts(Document, frozen=True):
+    """Facts about the tissue, its donor and its state."""
 
-    title: Text | None = None  # Title of the study
-    description: Text | None = None  # What was done, in a paragraph
-    authors: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None  # Names, in order
-    laboratory: Text | None = None  # Where it was done
-    operator: Text | None = None  # Who ran the machine
-    machine: Text | None = None  # Test machine: maker, model, serial number
-    date: Text | None = None  # Day or days of the tests
-    ethics: Text | None = None  # Number of the ethics approval, or why none is needed
-    licence: Text | None = None  # Licence of the data: an SPDX name such as CC-BY-4.0, or an address
-    doi: Text | None = None  # DOI of the data or of the publication
-    only_listed: bool | None = None  # Read the files named under [[trial]] and no others
-    notes: Text | None = None  # Anything else
     species: Text | None = None  # Species, and breed or strain
     tissue: Text | None = None  # Tissue or organ
     donor: Text | None = None  # Animal or donor; specimens of one donor are not independent
@@ -109,13 +97,30 @@ class Study(Document, frozen=True):
     side: Text | None = None  # Left or right
     thickness_mm: Positive | None = None  # Thickness of the tissue under the tip [mm]
     thickness_mm_sd: NonNegative | None = None  # Standard deviation of the thickness [mm]
-    storage: Text | None = None  # How the specimen was kept until the test
-    freeze_thaw_cycles: Count | None = None  # How often it was frozen and thawed
-    hydration: Text | None = None  # How it was kept moist in the test
+    storage: Text | None = None  # Storage of the specimen until the test
+    freeze_thaw_cycles: Count | None = None  # Number of times it was frozen and thawed
+    hydration: Text | None = None  # Means of keeping it moist in the test
     temperature_C: float | None = None  # Temperature of the tissue in the test [degrees Celsius]
     time_post_mortem_h: NonNegative | None = None  # Hours from death or excision to the test [h]
-    support: Text | None = None  # What the specimen lay on and how it was fixed
+    support: Text | None = None  # Support under the specimen, and its fixture
     site: Text | None = None  # Place on the body or organ
+
+
+class Study(TissueFacts, frozen=True):
+    """The study; what is said of the tissue here holds for every specimen that does not say otherwise."""
+
+    title: Text | None = None  # Title of the study
+    description: Text | None = None  # Summary of the work, in a paragraph
+    authors: Annotated[tuple[Text, ...], Meta(min_length=1)] | None = None  # Names, in order
+    laboratory: Text | None = None  # Place of the tests
+    operator: Text | None = None  # Who ran the machine
+    machine: Text | None = None  # Test machine: maker, model, serial number
+    date: Text | None = None  # Day or days of the tests
+    ethics: Text | None = None  # Number of the ethics approval, or why none is needed
+    licence: Text | None = None  # Licence of the data: an SPDX name such as CC-BY-4.0, or an address
+    doi: Text | None = None  # DOI of the data or of the publication
+    only_listed: bool | None = None  # Read the files named under [[trial]] and no others
+    notes: Text | None = None  # Anything else
 
 
 class Tip(Document, frozen=True):
@@ -174,7 +179,7 @@ class Calibration(Document, frozen=True):
     sampling_Hz: Positive | None = None  # Sampling rate [Hz]
     force_filter_s: NonNegative | None = None  # Time constant of the force channel's low-pass [s]; 0 for none
     force_filter_s_sd: NonNegative | None = None  # Its standard deviation [s]
-    skew_s: float | None = None  # How much later than the displacement the force is logged [s]
+    skew_s: float | None = None  # Delay of the logged force behind the displacement [s]
     skew_s_sd: NonNegative | None = None  # Its standard deviation [s]
     frame: Text | None = None  # File written by `tissueid calibrate-frame`, relative to this one
     #: Stiffness of machine, load cell and fixture in series with the specimen [N/mm]
@@ -193,26 +198,10 @@ class Model(Document, frozen=True):
     candidates: Annotated[tuple[str, ...], Meta(min_length=1)] | None = None  # Names to choose among
 
 
-class Specimen(Document, frozen=True):
+class Specimen(TissueFacts, frozen=True, kw_only=True):
     """Specimen."""
 
     name: Text  # Name
-    species: Text | None = None  # Species, and breed or strain
-    tissue: Text | None = None  # Tissue or organ
-    donor: Text | None = None  # Animal or donor; specimens of one donor are not independent
-    sex: Text | None = None  # Sex of the donor
-    age_years: NonNegative | None = None  # Age of the donor [years]
-    age_group: Text | None = None  # Age in words, where no number is known
-    side: Text | None = None  # Left or right
-    thickness_mm: Positive | None = None  # Thickness of the tissue under the tip [mm]
-    thickness_mm_sd: NonNegative | None = None  # Standard deviation of the thickness [mm]
-    storage: Text | None = None  # How the specimen was kept until the test
-    freeze_thaw_cycles: Count | None = None  # How often it was frozen and thawed
-    hydration: Text | None = None  # How it was kept moist in the test
-    temperature_C: float | None = None  # Temperature of the tissue in the test [degrees Celsius]
-    time_post_mortem_h: NonNegative | None = None  # Hours from death or excision to the test [h]
-    support: Text | None = None  # What the specimen lay on and how it was fixed
-    site: Text | None = None  # Place on the body or organ
     notes: Text | None = None  # Anything else
 
 
@@ -278,17 +267,17 @@ class Override(Document, frozen=True):
     sheet: Text | None = None  # Sheet of a workbook or block of a file; all of them where it is missing
     contact_mm: float | None = None  # Displacement at contact as recorded [mm]
     contact_sd_mm: NonNegative | None = None  # Its standard deviation [mm]
-    #: Which direction of the recorded displacement is compression
+    #: Direction of the recorded displacement that is compression
     compression: Literal["positive", "negative"] | None = None
     force: Literal["positive", "negative"] | None = None  # Sign of the recorded force under compression
     minimum_hold_s: NonNegative | None = None  # Shortest standstill after a ramp that counts as a hold [s]
     start_s: float | None = None  # First time that counts, as recorded [s]
-    hold_from_s: float | None = None  # Where the hold nearest to it begins, as recorded [s]
+    hold_from_s: float | None = None  # Begin of the hold nearest to it, as recorded [s]
     end_s: float | None = None  # Last time that counts, as recorded [s]
     rupture: bool | None = None  # false: no force drop of this recording is a rupture
-    columns: Columns | None = None  # Which column is what, by name or "#2"
+    columns: Columns | None = None  # Column of each quantity, by name or "#2"
     units: Units | None = None  # Units in place of the file's
-    axes: Axes | None = None  # What a channel holds where it is not mm or N, such as strain or stress
+    axes: Axes | None = None  # Content of a channel that is not mm or N, such as strain or stress
 
 
 class Exclude(Document, frozen=True):
@@ -310,7 +299,7 @@ class StudyFile(Document, frozen=True):
     population: Population | None = None
     tip: Tip | None = None
     specimen: tuple[Specimen, ...] | None = None  # Specimens
-    protocol: tuple[Protocol, ...] | None = None  # What the machine was told to do
+    protocol: tuple[Protocol, ...] | None = None  # Programs of the machine
     trial: tuple[Trial, ...] | None = None  # Recordings and what the files do not say
     override: tuple[Override, ...] | None = None  # Decisions of the user in place of the data's
     exclude: tuple[Exclude, ...] | None = None  # Recordings that are not fitted
@@ -333,5 +322,5 @@ class StudyCheck(Document, frozen=True):
     path: str  # study.toml as it was named
     grade: Literal["A", "B", "C", "D", "E", "F"]
     share: Fraction  # Share of the weights that is stated
-    missing: tuple[Missing, ...]  # What is not stated, the weightiest first
+    missing: tuple[Missing, ...]  # Facts that are not stated, the weightiest first
     unmatched: tuple[Refusal, ...]

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.session import Curve, Way
 from tissueid.haptics.states import State
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
@@ -39,32 +39,7 @@ MM = 1000.0
 TRACK_POINTS = 300
 
 
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """One way to the end of the drilling."""
-
-    complete: bool  # whether the wire went through; else the way ends at the deepest place
-    seconds: float  # from the cone's entry to the end
-    #: Distance from the axis at the entry point of the bone (NaN where it was not reached), and at the end.
-    entry_error_mm: float
-    end_error_mm: float
-    #: Of the chord from the cone's entry to the end, against the axis.
-    angle_deg: float
-    angle_se_deg: float
-    #: Length of the way, smoothed over 50 ms.
-    path_mm: float
-    path_over_chord: float
-    #: At the device.
-    mean_force_N: float
-    peak_force_N: float
-    #: Less the logarithm of the dimensionless jerk ``D^5 / A^2`` times the integral of its square (Hogan &
-    #: Sternad 2009, doi 10.3200/35-09-004-RC): nearer zero is smoother.
-    log_jerk: float
-
-
-def measured(
-    head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM
-) -> Attempt:
+def measured(head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM) -> Way:
     """Measures of a session's log.
 
     ``head``: of the log; ``records``: of the log; ``cone_entry_mm``: where an attempt begins, above the entry
@@ -90,10 +65,10 @@ def measured(
     force = np.linalg.norm(felt["force_N"][way], axis=1)
     entered = np.flatnonzero(place[way, 2] <= 0.0)
     entry = first + int(entered[0]) if entered.size else None
-    return Attempt(
+    return Way(
         complete=complete,
         seconds=float(time[last] - time[first]),
-        entry_error_mm=math.nan if entry is None else float(np.hypot(*_placed(time, place, entry)[0][:2])),
+        entry_error_mm=None if entry is None else float(np.hypot(*_placed(time, place, entry)[0][:2])),
         end_error_mm=float(np.hypot(end[0], end[1])),
         angle_deg=math.degrees(math.atan2(sideways, -chord[2])),
         angle_se_deg=math.degrees(math.hypot(begin_se, end_se) / length),
@@ -176,41 +151,30 @@ def _smoothed(time: FloatArray, place: FloatArray) -> FloatArray:
     return np.asarray((total[2 * count + 1 :] - total[: -2 * count - 1]) / (2 * count + 1))
 
 
-def _log_jerk(time: FloatArray, smooth: FloatArray) -> float:
-    """Less ln of the dimensionless jerk of a smoothed way; NaN where it is shorter than the window."""
+def _log_jerk(time: FloatArray, smooth: FloatArray) -> float | None:
+    """Less ln of the dimensionless jerk of a smoothed way; none where it is shorter than the window."""
     from scipy.signal import savgol_filter
 
     # a hundred samples a second hold all of a hand, and a local polynomial over them is well conditioned
     even = np.arange(time[0], time[-1], JERK_STEP_S)
     window = 2 * round(JERK_S / JERK_STEP_S) + 1
     if even.size < window:
-        return math.nan
+        return None
     places = np.column_stack([np.interp(even, time, smooth[:, k]) for k in range(3)])
     jerk = savgol_filter(places, window, JERK_DEGREE, deriv=3, delta=JERK_STEP_S, axis=0)
     span, length = float(time[-1] - time[0]), float(np.linalg.norm(smooth[-1] - smooth[0]))
     energy = float((jerk**2).sum()) * JERK_STEP_S
-    return math.nan if length == 0.0 or energy == 0.0 else -math.log(energy * span**5 / length**2)
+    return None if length == 0.0 or energy == 0.0 else -math.log(energy * span**5 / length**2)
 
 
 #: Attempts from which a slope has a standard error worth a word.
 FEWEST = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Learning:
-    """A fitted curve."""
-
-    first: float  # a: the fitted value at the first attempt
-    #: b; negative where the measure falls.
-    exponent: float
-    exponent_se: float
-    attempts: int
-
-
-def learning_curve(values: Sequence[float]) -> Learning | None:
+def learning_curve(values: Sequence[float | None]) -> Curve | None:
     """The curve through a measure of attempts in their order; None for fewer than four positive ones.
 
-    ``values``: NaN where an attempt has none.
+    ``values``: none where an attempt has none.
     """
     y = np.asarray(values, dtype=np.float64)
     number = np.arange(1, y.size + 1)
@@ -221,4 +185,4 @@ def learning_curve(values: Sequence[float]) -> Learning | None:
     (intercept, slope), *_ = np.linalg.lstsq(design, np.log(y[known]), rcond=None)
     left = np.log(y[known]) - design @ np.array([intercept, slope])
     variance = float(left @ left) / (left.size - 2) * np.linalg.inv(design.T @ design)
-    return Learning(math.exp(intercept), float(slope), math.sqrt(float(variance[1, 1])), int(left.size))
+    return Curve(math.exp(intercept), float(slope), math.sqrt(float(variance[1, 1])), int(left.size))
