@@ -84,6 +84,8 @@ def test_a_log_without_an_attempt_does_not_stop_the_others(tmp_path: Path) -> No
     assert [Path(row["file"]).name for row in document["attempts"]] == ["good.h5"]
     assert {Path(one["file"]).name for one in document["refused"]} == {"short.h5", "torn.h5"}
     assert "never came" in ended.stderr
+    assert ended.stderr.count(str(torn)) == 1
+    assert all(one["file"] not in one["reason"] for one in document["refused"])
 
 
 def test_a_session_of_tissue_is_named_as_such(tmp_path: Path) -> None:
@@ -92,6 +94,7 @@ def test_a_session_of_tissue_is_named_as_such(tmp_path: Path) -> None:
         "--log", log)  # fmt: skip
     ended = run("training", log)
     assert ended.code == 7
+    assert ended.stdout == ""
     assert "not guided" in ended.stderr
 
 

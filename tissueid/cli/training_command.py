@@ -89,7 +89,8 @@ def _measured(flags: TrainingFlags) -> tuple[Training, dict[str, Any]]:
             log = read_session_log(path)
             found = measured(log.head, log.records, cone_entry_mm=flags.cone_entry)
         except (BundleError, ValueError) as error:
-            refused.append(Refused(str(path), getattr(error, "message", str(error))))
+            reason = getattr(error, "message", str(error)).removeprefix(f"{path}: ")
+            refused.append(Refused(str(path), reason))
             continue
         if flags.html is not None:
             way = track(log.head, log.records, cone_entry_mm=flags.cone_entry)
@@ -123,7 +124,7 @@ def _lines(document: Training) -> list[str]:
     head = (
         f"{'who':<8}{'started':<21}{'end error':>10}{'angle':>16}{'time':>9}{'path':>7}{'peak':>8}{'jerk':>7}"
     )
-    lines = [head]
+    lines = [head] if document.attempts else []
     for row in document.attempts:
         jerk = "-" if row.log_jerk is None else f"{row.log_jerk:.1f}"
         lines.append(
