@@ -2,7 +2,8 @@
 
 Polynomials and exponentials are this exactly.  Of other laws the static curve is interpolated by cubics
 (Hermite) at depths that are dense at the surface, and a relaxation that is no exponential is projected on
-non-negative exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217), passive by construction.
+non-negative exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217) whose times are then fitted as
+well; they are passive by construction.
 """
 
 from __future__ import annotations
@@ -33,15 +34,18 @@ DEPTH, STATIC, OWN, SPEED = 0, 1, 2, 3
 #: and how far outside a contact ends [mm].
 SLOWEST_MM_S, SPEED_FILTER_S, HYSTERESIS_MM = 50.0, 0.01, 0.2
 #: Nodes of a projection go from this share of the resolution to this many windows.
-BELOW, BEYOND = 0.1, 5.0
+BELOW, BEYOND = 0.03, 10.0
 #: Times at which a projection is compared, and a time that is none, in windows.
 TIMES, FOREVER = 160, 1e6
 #: Share of the largest weight that is none.
 NONE = 1e-12
+#: Points of the grids on which exponentials are sought; distance from there, in logarithms, within which they
+#: are fitted, and evaluations of that.
+GRIDS, FARTHEST_LN, POLISHING = (60, 40, 26, 18, 12), 3.0, 100
 #: Depth at which the slope at the surface is taken, in first pieces.
 NEAR = 1e-3
-#: Steps of the active set.
-MOST_STEPS = 200
+#: Steps of the active set, and how far beyond the outer ones of few times many are spread.
+MOST_STEPS, WIDER = 200, 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,15 +199,79 @@ def _exponentials(
         weights, tau = model.exponentials(theta, part)
         return weights, tau, 0.0
     low, high = BELOW * model.resolution_s, BEYOND * model.window_s
-    tau = np.append(np.geomspace(low, high, most - 1), FOREVER * model.window_s)
     time = np.append(0.0, np.geomspace(0.2 * low, 2.0 * model.window_s, TIMES))
     wanted = model.relaxation.value(time, *theta[part.shapes])
-    matrix = np.exp(-time[:, None] / tau)
-    weights = _nonnegative(matrix, wanted)
-    used = weights > NONE * weights.max()
-    seen = time >= model.resolution_s
-    error = float(np.abs(matrix @ weights - wanted)[seen].max())
-    return weights[used], tau[used], error
+    weights, tau = projected(time, wanted, (low, high), most)
+    error = np.abs(np.exp(-time[:, None] / tau) @ weights - wanted)
+    return weights, tau, float(error[time >= model.resolution_s].max())
+
+
+def projected(
+    time_s: FloatArray, wanted: FloatArray, span_s: tuple[float, float], most: int
+) -> tuple[FloatArray, FloatArray]:
+    """Weights and times of at most ``most`` decaying exponentials that are a relaxation, (n,) each.
+
+    ``wanted`` (t,): the relaxation at ``time_s``; ``span_s``: of their times, beside one that never
+    decays.  Non-negative least squares on a grid gives neighbours that stand for one time each; these, and
+    as many as there may be between the first and the last of them, are starts from which times and weights
+    are fitted together.
+    """
+    best, least, forever = (np.zeros(0), np.zeros(0)), np.inf, FOREVER * span_s[1]
+    for count in GRIDS:
+        grid = np.append(np.geomspace(*span_s, count), forever)
+        weights = _nonnegative(np.exp(-time_s[:, None] / grid), wanted)
+        sizes, times = _merged(weights, grid, most)
+        starts = [(sizes, times)]
+        decaying = times[times < forever]
+        if times.size < most and decaying.size > 1:
+            spread = np.append(
+                np.geomspace(decaying.min() / WIDER, decaying.max() * WIDER, most - 1), forever
+            )
+            starts.append((np.full(most, sizes.sum() / most), spread))
+        for start in starts:
+            found = _polished(time_s, wanted, *start)
+            error = float(np.abs(np.exp(-time_s[:, None] / found[1]) @ found[0] - wanted).max())
+            if error < least:
+                best, least = found, error
+    return best
+
+
+def _merged(weights: FloatArray, grid: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Weights and times of the heaviest groups of neighbours, the last time never in one."""
+    used = np.flatnonzero(weights > NONE * weights.max())
+    groups = np.split(used, np.flatnonzero((np.diff(used) > 1) | (used[1:] == len(grid) - 1)) + 1)
+    groups = sorted(groups, key=lambda one: -weights[one].sum())[:most]
+    times = [np.exp(np.average(np.log(grid[one]), weights=weights[one])) for one in groups]
+    return np.array([weights[one].sum() for one in groups]), np.array(times)
+
+
+def _polished(
+    time_s: FloatArray, wanted: FloatArray, weights: FloatArray, tau_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Weights and times that are nearest to a relaxation, from a start; all of them stay positive."""
+    # what a session of exponentials need not wait for
+    from scipy.optimize import least_squares
+
+    n, start = tau_s.size, np.log(np.concatenate([weights, tau_s]))
+
+    def parts(x: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(x[:n] - time_s[:, None] / np.exp(x[n:])))
+
+    def slopes(x: FloatArray) -> FloatArray:
+        each = parts(x)
+        return np.hstack([each, each * (time_s[:, None] / np.exp(x[n:]))])
+
+    found = least_squares(
+        lambda x: parts(x).sum(axis=1) - wanted,
+        start,
+        slopes,
+        bounds=(start - FARTHEST_LN, start + FARTHEST_LN),
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-15,
+        max_nfev=POLISHING,
+    )
+    return np.exp(found.x[:n]), np.exp(found.x[n:])
 
 
 def _nonnegative(matrix: FloatArray, target: FloatArray) -> FloatArray:
