@@ -257,12 +257,15 @@ def _polished(
     def parts(x: FloatArray) -> FloatArray:
         return np.asarray(np.exp(x[:n] - time_s[:, None] / np.exp(x[n:])))
 
+    def off(x: FloatArray) -> FloatArray:
+        return np.asarray(parts(x).sum(axis=1) - wanted)
+
     def slopes(x: FloatArray) -> FloatArray:
         each = parts(x)
         return np.hstack([each, each * (time_s[:, None] / np.exp(x[n:]))])
 
     found = least_squares(
-        lambda x: parts(x).sum(axis=1) - wanted,
+        off,
         start,
         slopes,
         bounds=(start - FARTHEST_LN, start + FARTHEST_LN),
