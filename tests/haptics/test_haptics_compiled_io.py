@@ -22,7 +22,7 @@ from tissueid.haptics.forcedimension import ForceDimensionDevice
 from tissueid.haptics.guard_states import GUARD_SIZE, STATE
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, WORDS_SIZE, compiled_io
 from tissueid.haptics.states import State
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_VALID
+from tissueid.haptics.watchdogs import REPLY_APART, REPLY_LOST, REPLY_VALID
 from tissueid.rendering.servo_io import command, sense
 
 
@@ -126,7 +126,7 @@ def test_compiled_servo_finds_the_position_of_the_driver() -> None:
     # 12288 counts of one leg, homed: no position of the grip has them
     theirs.send(b"<AAADAAAAAAAA\xb5A>")
     exchange(io, engaged_memory(), device.limits.block(), np.zeros(3), position, counts, words)
-    assert words[REPLY] == REPLY_DAMAGED
+    assert words[REPLY] == REPLY_APART
     assert position == pytest.approx(forward(angles), abs=1e-12)
     theirs.close()
     os.fstat(int(given.handles[0]))

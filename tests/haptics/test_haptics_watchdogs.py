@@ -10,7 +10,7 @@ from guarded import FREE, MOVING, STILL, TICK, Guarded
 
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
+from tissueid.haptics.watchdogs import REPLY_APART, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
 
 LEG_JUMP = np.array([0, -201, 0], np.int64)
 LEG_FAST = np.array([0, -200, 0], np.int64)
@@ -31,6 +31,7 @@ def ticks_to_fault(guarded: Guarded, limit: int = 1000, **seen: object) -> int:
         ({"reply": REPLY_LOST}, 1, Fault.TRANSPORT),
         ({"reply": REPLY_NONE}, 100, Fault.NO_REPLY),
         ({"reply": REPLY_DAMAGED}, 10, Fault.BAD_PACKETS),
+        ({"reply": REPLY_APART}, 10, Fault.LEGS_APART),
         ({"moved": LEG_JUMP}, 1, Fault.ENCODER_JUMP),
         ({"velocity": (1.2, 0.9, 0.1)}, 1, Fault.OVERSPEED),
         ({"velocity": (np.nan, 0.0, 0.0)}, 1, Fault.OVERSPEED),

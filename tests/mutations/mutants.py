@@ -379,9 +379,23 @@ COMPILED = (
     Mutant(
         "a pose that is none is believed",
         _FALCON,
-        "REPLY_VALID if found or words[IS_HOMED] == 0 else REPLY_DAMAGED",
-        "REPLY_VALID",
+        "elif not found or _alone(parts.since, counts):",
+        "elif _alone(parts.since, counts):",
         ("tests/haptics/test_haptics_compiled_io.py",),
+    ),
+    Mutant(
+        "a leg that goes on alone is believed",
+        _FALCON,
+        "elif not found or _alone(parts.since, counts):",
+        "elif not found:",
+        ("tests/render/test_render_faults.py",),
+    ),
+    Mutant(
+        "legs that move together count as one alone",
+        _FALCON,
+        "others > STILL_COUNTS",
+        "others > 10 * ALONE_COUNTS",
+        ("tests/render/test_render_faults.py",),
     ),
     Mutant(
         "a dead owner unseen",

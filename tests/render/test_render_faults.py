@@ -275,6 +275,37 @@ def test_a_creeping_encoder_makes_no_more_than_the_torques_of_the_clamp_can(coun
     assert 1.5 < max(felt) <= 1.7 * limits.clamp_N
 
 
+@pytest.mark.parametrize("counts_a_second", [200.0, 1000.0, 3000.0])
+def test_a_leg_that_counts_alone_is_a_fault_before_it_makes_a_force(counts_a_second):
+    # held still 15 mm above the tissue, into which the believed grip would go
+    hand = Hand(
+        times_s=(0.0, 3.0), positions_m=((0.0, 0.0, 0.145),) * 2, grips=(1.0,) * 2, stiffness_N_per_m=1000.0,
+        damping_N_s_per_m=20.0,
+    )  # fmt: skip
+    begins = HOMED_S + 1.0
+    with EmulatedSession(ScriptedFault("creep", begins, size=counts_a_second), hand=hand) as session:
+        session.run(begins)
+        assert session.states()[-1] is State.ENGAGED
+        session.run(begins + 170.0 / counts_a_second + 0.05)
+        assert session.states()[-1] is State.FAULT
+        assert int(session.records[-1]["fault"]) == Fault.LEGS_APART
+        assert (session.forces() == 0.0).all()
+
+
+def test_a_stroke_along_two_legs_or_a_trembling_one_along_one_is_a_hand():
+    # 12 mm sideways and back, and 0.5 mm of tremor across it
+    time_s = np.linspace(1.0, 3.0, 41)
+    along, across = 0.006 * np.sin(2.0 * np.pi * (time_s - 1.0)), 0.0005 * np.sin(40.0 * time_s)
+    where = [(0.0, 0.0, 0.145), *((0.3 * a + b, -a, 0.145 + b) for a, b in zip(along, across, strict=True))]
+    hand = Hand(
+        times_s=(0.0, *time_s.tolist()), positions_m=tuple(where), grips=(1.0,) * len(where),
+        stiffness_N_per_m=1000.0, damping_N_s_per_m=20.0,
+    )  # fmt: skip
+    with EmulatedSession(hand=hand) as session:
+        session.run(HOMED_S + 3.0)
+        assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
+
+
 class LateSession(EmulatedSession):
     """A session whose answers come some ticks late: as they come, on their way through a second socket."""
 

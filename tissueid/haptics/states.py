@@ -40,6 +40,7 @@ class Fault(IntEnum):
     HEARTBEAT = 9
     PARENT_DIED = 10
     OVERHEATED = 11
+    LEGS_APART = 12
 
 
 class Lamp(IntFlag):
@@ -76,4 +77,5 @@ FAULT_WORDS: dict[Fault, str] = {
     Fault.HEARTBEAT: "the program that owns the session stopped giving signs of life",
     Fault.PARENT_DIED: "the program that owns the session ended",
     Fault.OVERHEATED: "the mean force stayed over the motors' limit",
+    Fault.LEGS_APART: "the encoders told of a place or a motion that no hand makes",
 }

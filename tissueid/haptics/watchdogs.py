@@ -54,8 +54,9 @@ from tissueid.haptics.limits import (
 )
 from tissueid.haptics.states import Fault
 
-#: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error.
-REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2
+#: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error; a reply
+#: whose encoders contradict each other.
+REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST, REPLY_APART = 1, 0, -1, -2, -3
 
 #: Silence that is borne while a hand homes the device and no force is sent [s].
 HOMING_SILENCE_S = 0.5
@@ -69,7 +70,7 @@ LATE_COMMANDS, LATE_FOR_S, FORGOTTEN_PER_S = 3, 0.02, 4.0
 LONGEST_STALL_S = 1.0
 
 _NO_REPLY, _BAD_PACKETS = float(Fault.NO_REPLY), float(Fault.BAD_PACKETS)
-_TRANSPORT, _FROZEN = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN)
+_TRANSPORT, _FROZEN, _APART = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN), float(Fault.LEGS_APART)
 _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
 
 
@@ -88,7 +89,7 @@ def observe(
     """Take in what a tick saw, before :func:`tissueid.haptics.guard.guard`.
 
     ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``reply``: REPLY_VALID, REPLY_NONE,
-    REPLY_DAMAGED or REPLY_LOST; only with the first do the next four say anything; ``homed``: whether all
+    REPLY_DAMAGED, REPLY_LOST or REPLY_APART; only with the first do the next four say anything; ``homed``: whether all
     legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,): encoder counts
     since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of the tool in
     what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
@@ -144,7 +145,7 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
         memory[DAMAGED] = 0.0
         return
     memory[SILENT_S] += step
-    if reply == REPLY_DAMAGED:
+    if reply == REPLY_DAMAGED or reply == REPLY_APART:
         memory[DAMAGED] += 1.0
     patience = limits[NO_REPLY_S] if memory[STATE] != HOMING else max(limits[NO_REPLY_S], HOMING_SILENCE_S)
     if memory[SILENT_S] >= limits[PAUSE_S]:
@@ -153,7 +154,7 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
         for i in range(3):
             memory[VELOCITY + i] = 0.0
     if memory[DAMAGED] >= limits[BAD_PACKETS]:
-        fail(memory, _BAD_PACKETS)
+        fail(memory, _APART if reply == REPLY_APART else _BAD_PACKETS)
     elif memory[SILENT_S] >= patience:
         fail(memory, _NO_REPLY)
 

@@ -32,7 +32,14 @@ from tissueid.haptics.servo_access import HOMED as IS_HOMED
 from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
 from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
 from tissueid.haptics.states import Lamp
-from tissueid.haptics.watchdogs import LATE_COMMANDS, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+from tissueid.haptics.watchdogs import (
+    LATE_COMMANDS,
+    REPLY_APART,
+    REPLY_DAMAGED,
+    REPLY_LOST,
+    REPLY_NONE,
+    REPLY_VALID,
+)
 
 #: Constants: motor units for one newton metre, then the geometry block.
 UNITS_PER_NM, GEOMETRY = 0, 1
@@ -53,6 +60,9 @@ LOST, REPORTED, UNANSWERED, WAITED, SILENT = 0, 1, 2, 3, 4
 GIVEN_UP_TICKS, SILENT_TICKS = 1000, 8
 #: Before the first answer no silence is one: a wire may have been late all the time [ticks].
 NEVER = 1 << 40
+#: Counts of one leg beside which the two others stood still that no hand makes (10 mm along one curve), and
+#: counts that are standing still (0.25 mm).
+ALONE_COUNTS, STILL_COUNTS = 160, 4
 #: Middle of the workspace [m]: where the first Newton iteration starts.
 GUESS_M = (0.0, 0.0, 0.12)
 
@@ -75,6 +85,7 @@ class FalconParts(NamedTuple):
     incoming: ByteArray
     outgoing: ByteArray
     motor: IntArray
+    since: IntArray  # counts from which each leg is seen to move alone; the last element: none yet
     angles: FloatArray
     grip: FloatArray
 
@@ -108,6 +119,7 @@ def _parts(given: CompiledIO) -> FalconParts:
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(PACKET_BYTES, np.uint8),
         motor=np.zeros(3, np.int64),
+        since=np.array([0, 0, 0, 1], np.int64),
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
@@ -150,6 +162,26 @@ def _unanswered(flags: IntArray, answers: int) -> int:
 
 
 @tick_kernel
+def _alone(since: IntArray, counts: IntArray) -> bool:
+    """True where one leg has gone on and on while the others stood still.
+
+    Three encoders for three directions contradict each other in this alone: a hand that leads the grip along
+    the curve of one leg, to a quarter of a millimetre, for a centimetre, is a faulty encoder.
+    """
+    most, others = 0, 0
+    for i in range(3):
+        moved = abs(counts[i] - since[i])
+        others = max(others, min(moved, most))
+        most = max(most, moved)
+    if since[3] != 0 or others > STILL_COUNTS:
+        for i in range(3):
+            since[i] = counts[i]
+        since[3] = 0
+        return False
+    return most >= ALONE_COUNTS
+
+
+@tick_kernel
 def _understand(
     parts: FalconParts, replies: int, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -164,8 +196,12 @@ def _understand(
             counts[i] = parts.parser[ENCODERS + i]
         angles_of_counts(counts, parts.geometry, parts.angles)
         found = forward_kernel(parts.angles, parts.geometry, parts.grip) >= 0
-        # counts that no grip position has are as good as a damaged reply; before homing they mean nothing
-        words[REPLY] = REPLY_VALID if found or words[IS_HOMED] == 0 else REPLY_DAMAGED
+        # before homing counts mean nothing
+        words[REPLY] = REPLY_VALID
+        if words[IS_HOMED] == 0:
+            parts.since[3] = 1
+        elif not found or _alone(parts.since, counts):
+            words[REPLY] = REPLY_APART
         for i in range(3):
             position[i] = parts.grip[i]
     if parts.flags[LOST] != 0:
