@@ -54,7 +54,7 @@ from tissueid.haptics.limits import (
 )
 from tissueid.haptics.states import Fault
 
-#: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error; a reply
+#: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error; one
 #: whose encoders contradict each other.
 REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST, REPLY_APART = 1, 0, -1, -2, -3
 
@@ -89,8 +89,8 @@ def observe(
     """Take in what a tick saw, before :func:`tissueid.haptics.guard.guard`.
 
     ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``reply``: REPLY_VALID, REPLY_NONE,
-    REPLY_DAMAGED, REPLY_LOST or REPLY_APART; only with the first do the next four say anything; ``homed``: whether all
-    legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,): encoder counts
+    REPLY_DAMAGED, REPLY_LOST or REPLY_APART; only with the first do the next four say anything; ``homed``:
+    whether all legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,): encoder counts
     since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of the tool in
     what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
     """
@@ -145,7 +145,7 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
         memory[DAMAGED] = 0.0
         return
     memory[SILENT_S] += step
-    if reply == REPLY_DAMAGED or reply == REPLY_APART:
+    if reply in (REPLY_DAMAGED, REPLY_APART):
         memory[DAMAGED] += 1.0
     patience = limits[NO_REPLY_S] if memory[STATE] != HOMING else max(limits[NO_REPLY_S], HOMING_SILENCE_S)
     if memory[SILENT_S] >= limits[PAUSE_S]:
