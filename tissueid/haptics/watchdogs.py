@@ -90,9 +90,9 @@ def observe(
 
     ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``reply``: REPLY_VALID, REPLY_NONE,
     REPLY_DAMAGED, REPLY_LOST or REPLY_APART; only with the first do the next four say anything; ``homed``:
-    whether all legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,): encoder counts
-    since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of the tool in
-    what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
+    whether all legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,):
+    encoder counts since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of
+    the tool in what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
     """
     memory[READY] = 0.0
     state = memory[STATE]
