@@ -29,6 +29,7 @@ import tissueid as ti
 from tissueid.errors import TissueidError
 from tissueid.store.bundle import bundle_from_fit, write_bundle
 from tissueid.twin.program import program_of_recording
+from tissueid.twin.sessions import Setup
 from tissueid.twin.twin import TwinDevice, run_twin
 
 #: Every static law, stiffness and relaxation once, and the whole names.
@@ -81,7 +82,7 @@ def drawn(name: str, number: int) -> dict[str, Any]:
         bundle = bundle_from_fit(found.specimens[0], provenance=provenance)
         write_bundle(bundle, folder / "bundle.h5")
         program = program_of_recording(trial, bundle.depth_mm)
-        twin = run_twin(bundle, folder / "bundle.h5", program, folder, lambda *_: None)
+        twin = run_twin(bundle, folder / "bundle.h5", Setup(program), folder, lambda *_: None)
     return {
         "law": name,
         "number": number,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,29 @@ def fitted(name: str, folder: Path) -> Path:
     )  # fmt: skip
     assert ended.code in (0, 4), ended.stderr
     return folder / "out" / "bundle.h5"
+
+
+def felt_by_a_real_machine(document: dict[str, Any], bundle: Path, out: Path, log: Path) -> None:
+    """The recording at the emulated grip, in the device's units, as a test machine would have made it."""
+    time, depth, force = np.loadtxt(out / "emulated-Falcon.csv", delimiter=",", skiprows=1).T
+    # another zero of travel, and a delay that was not undone
+    depth = 3.0 + depth * document["motion_scale"]
+    force = np.interp(time - 2e-3, time, force * document["force_scale"])
+    rows = [f"{t:.4f},{x:.5f},{f:.6f}" for t, x, f in zip(time, depth, force, strict=True)]
+    machine = log.with_name("machine.csv")
+    machine.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows, ""]), encoding="ascii")
+    scales = ("--motion-scale", document["motion_scale"], "--force-scale", document["force_scale"])
+    asked = ("--twin", "--against", log, "--felt", machine, *scales, "--out", out.with_name("real"))
+    ended = run("render", bundle, *asked, "--json")
+    assert ended.code == 0, ended.stderr
+    falcon, _, real = ended.json()["devices"]
+    assert real["device"] == "test machine at the grip"
+    assert real["nrmsd_model"] < 0.02
+    assert [row["name"] for row in real["rows"]] == [row["name"] for row in falcon["rows"]]
+    for mine, emulated in zip(real["rows"], falcon["rows"], strict=True):
+        if mine["came_out"] and emulated["came_out"]:
+            assert mine["came_out"] == pytest.approx(emulated["came_out"], rel=0.03)
+    assert run("render", bundle, "--felt", machine).code == 2
 
 
 @pytest.mark.system
@@ -64,6 +88,8 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
     assert simulated["nrmsd_model"] < 0.1 * falcon["nrmsd_model"]
     assert (out / "emulated-Falcon.csv").read_text(encoding="ascii").startswith("Time (s),Displacement (mm)")
     assert document["unseen"]["nrmsd_model"] < 0.03
+    if name == "power * tangent * prony:1":
+        felt_by_a_real_machine(document, bundle, out, tmp_path / "log.csv")
     page = (out / "twin.html").read_text(encoding="utf-8")
     assert "Mechanical twin" in page
     assert "Came out" in page or name == "yardstick"

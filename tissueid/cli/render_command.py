@@ -160,6 +160,10 @@ class _SessionFlags:
         "--twin", is_flag=True,
         help="Drive the program of a test machine on an emulated device, and fit what is felt.",
     )
+    felt: Path | None = option(
+        "--felt", type=_FILE, metavar="RECORDING",
+        help="With --twin, what a test machine recorded at the grip of a real device.",
+    )
     out: Path = option(
         "--out", type=click.Path(file_okay=False, path_type=Path), default="twin", show_default=True,
         metavar="FOLDER", help="Where --twin writes.",
@@ -201,7 +205,7 @@ def command(flags: RenderFlags) -> int:
     Scale and stability are checked, and printed, before any force. No real device has confirmed this
     software: hardware starts at 2 N with the dead-man button on. Without a device, --device sim tries it all.
     """
-    from tissueid.errors import DeviceError, exit_code
+    from tissueid.errors import DeviceError, UsageError, exit_code
 
     if flags.selftest:
         return _selftest(flags)
@@ -209,6 +213,9 @@ def command(flags: RenderFlags) -> int:
         from tissueid.cli.twin_lines import twin
 
         return twin(flags)
+    if flags.felt is not None:
+        msg = "--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it"
+        raise UsageError(msg)
     flags = _demonstrated(flags)
     with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)

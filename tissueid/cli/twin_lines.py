@@ -30,6 +30,7 @@ def twin(flags: RenderFlags) -> int:
     from tissueid.report.twin_page import render_twin
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
+    from tissueid.twin.sessions import Setup
     from tissueid.twin.twin import run_twin, twin_drawing
 
     said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
@@ -39,7 +40,7 @@ def twin(flags: RenderFlags) -> int:
         raise UsageError(msg)
     bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
-    program = _program(flags, bundle)
+    asked = Setup(_program(flags, bundle), flags.force_scale, flags.motion_scale, flags.felt)
     out: Path = flags.out
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -47,7 +48,7 @@ def twin(flags: RenderFlags) -> int:
         msg = f"{out}: can't be made ({error.strerror}); choose another place with --out"
         raise UsageError(msg) from error
     with progress_bar(show=not flags.quiet) as progress:
-        found = run_twin(bundle, flags.bundle, program, out, progress)
+        found = run_twin(bundle, flags.bundle, asked, out, progress)
     write_output(str(out / "twin.json"), json_bytes(found.as_json()))
     write_output(str(out / "twin.svg"), svg_file(twin_drawing(found)))
     write_output(
@@ -83,6 +84,8 @@ def _program(flags: RenderFlags, bundle: Bundle) -> Program:
 
 def twin_lines(found: Twin) -> list[str]:
     """Numbers that went in and came out, a device after another."""
+    from tissueid.twin.sessions import MACHINE
+
     lines = [
         f"{found.specimen}  {found.model}, {found.program}",
         f"scale  felt force = tissue/{1.0 / found.force_scale:.4g}, motion x{found.motion_scale:g}",
@@ -97,10 +100,12 @@ def twin_lines(found: Twin) -> list[str]:
         lines += [f"  {_row(row)}" for row in one.rows]
     off = _percent(found.unseen.nrmsd_model)
     unseen = f"at {found.unseen.speed_mm_s:.3g} mm/s, of no recording: emulated Falcon off the law by {off}"
+    real = any(one.device == MACHINE for one in found.devices)
     lines += [
         "",
         unseen,
-        "No real device has confirmed this: the Falcon is emulated, its counts and delay stated.",
+        "No real device has confirmed this: the Falcon is emulated, its counts and delay stated"
+        + (", and those of your device taken to be the same." if real else "."),
     ]
     return lines
 

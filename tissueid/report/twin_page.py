@@ -85,7 +85,7 @@ def _span(ends: tuple[float, float] | None) -> str:
 def _figure(found: Twin) -> Figure:
     """Law and grips against the time from contact."""
     traces: list[Mapping[str, Any]] = []
-    for one, ink in zip(found.devices, ("model", "ok"), strict=False):
+    for one, ink in zip(found.devices, ("model", "ok", "aside"), strict=False):
         time, force = one.from_contact()
         every = max(1, time.size // POINTS)
         shown = np.round(time[::every], 5).tolist()

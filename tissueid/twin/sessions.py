@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import DeviceError
+from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
@@ -33,6 +33,8 @@ from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
 from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
+from tissueid.segment import SegmentOptions, segment
+from tissueid.trial import contact_frame
 from tissueid.twin.program import Program
 
 TICK_S = 1e-3
@@ -44,6 +46,8 @@ COUNT_MM = 0.0635
 #: Emulated time of homing [s], and the surface in the Falcon's frame [m].
 HOMED_S, SURFACE_M = 3.0, (0.0, 0.0, 0.1445)
 INWARD = (0.0, 0.0, -1.0)
+#: Device of a recording that a test machine made at a real grip.
+MACHINE = "test machine at the grip"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,10 +117,41 @@ def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, mot
     return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
 
 
-def planned(bundle: Path, program: Program) -> SessionPlan:
-    """The session of the simulated device; its scale is that of both."""
-    asked = RenderOptions(bundle=bundle, device="sim", virtual=True, program=program)
-    return plan_session(asked)
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A program, the scales that were asked for, and a test machine's recording at a real device's grip."""
+
+    program: Program
+    force_scale: float | None = None
+    motion_scale: float | None = None
+    felt: Path | None = None
+
+
+def planned(bundle: Path, asked: Setup) -> SessionPlan:
+    """The session of the simulated device; its scale is that of all."""
+    options = RenderOptions(
+        bundle=bundle,
+        device="sim",
+        virtual=True,
+        program=asked.program,
+        force_scale=asked.force_scale,
+        motion_scale=asked.motion_scale,
+    )
+    return plan_session(options)
+
+
+def felt_by_a_machine(path: Path, *, force_scale: float, motion: float) -> Felt:
+    """A test machine's recording at the grip of a real device, scales undone.
+
+    Its delay and counts are taken to be a Falcon's.  Raises UsageError: there is no contact in it.
+    """
+    trial = read_trials(path)[0]
+    segmentation = segment(trial, options=SegmentOptions(rupture=False))
+    if segmentation.contact is None:
+        msg = f"{path}: no contact is found in it; name what the test machine recorded at the grip"
+        raise UsageError(msg)
+    depth, force = contact_frame(trial, segmentation)
+    return Felt(MACHINE, trial.time_s, depth / motion, force / force_scale, LATE_S, COUNT_MM / motion)
 
 
 def simulated(plan: SessionPlan, folder: Path) -> Felt:

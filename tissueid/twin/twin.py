@@ -30,7 +30,7 @@ from tissueid.segment import SegmentOptions
 from tissueid.store.bundle_content import Bundle
 from tissueid.trial import Source, Trial
 from tissueid.twin.program import Program, program_of_script
-from tissueid.twin.sessions import Felt, emulated_falcon, planned, simulated
+from tissueid.twin.sessions import Felt, Setup, emulated_falcon, felt_by_a_machine, planned, simulated
 
 #: Delay that is stated is known to half a tick [s].
 HALF_TICK_S = 5e-4
@@ -122,30 +122,34 @@ class Twin:
 
 
 def run_twin(
-    bundle: Bundle, path: Path, program: Program, folder: Path, progress: Callable[[str, int, int], None]
+    bundle: Bundle, path: Path, asked: Setup, folder: Path, progress: Callable[[str, int, int], None]
 ) -> Twin:
     """Let a machine feel a bundle on the emulated Falcon and on the simulated device, and fit both.
 
-    ``path``: its file; ``folder``: for the recordings at the grip and the session's log; ``progress``:
-    ``progress(message, done, total)``.  Raises BundleError, UsageError, DeviceError: the bundle can't be
-    rendered, or a session ended in a fault.
+    ``path``: its file; ``asked``: the program, and what a real machine recorded, which is fitted as well;
+    ``folder``: for the recordings at the grip and the session's log; ``progress``: ``progress(message, done,
+    total)``.  Raises BundleError, UsageError, DeviceError: the bundle can't be rendered, or a session ended
+    in a fault.
     """
-    plan = planned(path, program)
+    program, plan = asked.program, planned(path, asked)
     assert plan.check is not None  # noqa: S101 -- a tissue is always checked
     tissue, scale = as_tissue(bundle), plan.check.scaling
-    progress("emulated Falcon", 0, 5)
+    steps = 5 if asked.felt is None else 6
+    progress("emulated Falcon", 0, steps)
     felt = [emulated_falcon(tissue, program, force_scale=scale.force, motion=scale.motion)]
-    progress("simulated device", 1, 5)
+    progress("simulated device", 1, steps)
     felt.append(simulated(plan, folder))
+    if asked.felt is not None:
+        felt.append(felt_by_a_machine(asked.felt, force_scale=scale.force, motion=scale.motion))
     devices = []
     for k, one in enumerate(felt):
-        progress(f"fit of the {one.device}", 2 + k, 5)
+        progress(f"fit of the {one.device}", 2 + k, steps)
         devices.append(_device(bundle, program, one, folder, scale.force))
-    progress("a speed that was not seen", 4, 5)
+    progress("a speed that was not seen", steps - 1, steps)
     other = _unseen_program(bundle)
     again = emulated_falcon(tissue, other, force_scale=scale.force, motion=scale.motion)
     unseen = Unseen(other.speed_mm_s, _against_law(bundle, again).nrmsd)
-    progress("fit", 5, 5)
+    progress("fit", steps, steps)
     model = bundle.model.name or bundle.model.key
     return Twin(bundle.specimen, model, program.words, scale.force, scale.motion, tuple(devices), unseen)
 
@@ -287,7 +291,7 @@ def _rows(bundle: Bundle, fit: SpecimenFit) -> list[Row]:
 def twin_drawing(twin: Twin) -> str:
     """Force at the grips and of the law against time, as an SVG."""
     curves: list[tuple[str, FloatArray, FloatArray, str]] = []
-    for one, colour in zip(twin.devices, ("#d55e00", "#009e73"), strict=False):
+    for one, colour in zip(twin.devices, ("#d55e00", "#009e73", "#cc79a7"), strict=False):
         time, force = one.from_contact()
         if not curves:
             curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
