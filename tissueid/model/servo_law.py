@@ -40,8 +40,10 @@ TIMES, FOREVER = 160, 1e6
 #: Share of the largest weight that is none.
 NONE = 1e-12
 #: Points of the grids on which exponentials are sought; distance from there, in logarithms, within which they
-#: are fitted, and evaluations of that.
+#: are fitted, evaluations of that; its damping over the steepest slope at first and at the most, and what a
+#: step that helps leaves of it.
 GRIDS, FARTHEST_LN, POLISHING = (60, 40, 26, 18, 12), 3.0, 100
+FIRST_DAMPING, MOST_DAMPING, LESS_DAMPING = 3e-3, 1e3, 0.45
 #: Depth at which the slope at the surface is taken, in first pieces.
 NEAR = 1e-3
 #: Steps of the active set, and how far beyond the outer ones of few times many are spread.
@@ -248,33 +250,29 @@ def _merged(weights: FloatArray, grid: FloatArray, most: int) -> tuple[FloatArra
 def _polished(
     time_s: FloatArray, wanted: FloatArray, weights: FloatArray, tau_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Weights and times that are nearest to a relaxation, from a start; all of them stay positive."""
-    # what a session of exponentials need not wait for
-    from scipy.optimize import least_squares
-
-    n, start = tau_s.size, np.log(np.concatenate([weights, tau_s]))
+    """Weights and times that are nearest to a relaxation, by Levenberg and Marquardt in their logarithms."""
+    n, x = tau_s.size, np.log(np.concatenate([weights, tau_s]))
+    low, high, damping = x - FARTHEST_LN, x + FARTHEST_LN, FIRST_DAMPING
 
     def parts(x: FloatArray) -> FloatArray:
         return np.asarray(np.exp(x[:n] - time_s[:, None] / np.exp(x[n:])))
 
-    def off(x: FloatArray) -> FloatArray:
-        return np.asarray(parts(x).sum(axis=1) - wanted)
-
-    def slopes(x: FloatArray) -> FloatArray:
-        each = parts(x)
-        return np.hstack([each, each * (time_s[:, None] / np.exp(x[n:]))])
-
-    found = least_squares(
-        off,
-        start,
-        slopes,
-        bounds=(start - FARTHEST_LN, start + FARTHEST_LN),
-        xtol=1e-12,
-        ftol=1e-12,
-        gtol=1e-15,
-        max_nfev=POLISHING,
-    )
-    return np.exp(found.x[:n]), np.exp(found.x[n:])
+    each = parts(x)
+    off = each.sum(axis=1) - wanted
+    for _ in range(POLISHING):
+        slopes = np.hstack([each, each * (time_s[:, None] / np.exp(x[n:]))])
+        level = damping * np.linalg.norm(slopes, axis=0).max()
+        matrix, right = np.vstack([slopes, level * np.eye(2 * n)]), np.append(-off, np.zeros(2 * n))
+        trial = np.clip(x + np.linalg.lstsq(matrix, right, rcond=None)[0], low, high)
+        new = parts(trial)
+        missed = new.sum(axis=1) - wanted
+        better = missed @ missed < off @ off
+        damping *= LESS_DAMPING if better else 1.0 / LESS_DAMPING
+        if better:
+            x, each, off = trial, new, missed
+        if damping > MOST_DAMPING:
+            break
+    return np.exp(x[:n]), np.exp(x[n:])
 
 
 def _nonnegative(matrix: FloatArray, target: FloatArray) -> FloatArray:
