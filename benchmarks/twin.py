@@ -34,7 +34,7 @@ from tissueid.twin.twin import TwinDevice, run_twin
 
 #: Every static law, stiffness and relaxation once, and the whole names.
 LAWS = (
-    "kelvin-voigt", "yardstick", "polynomial * quadratic * prony:2", "power * tangent * fung",
+    "kelvin-voigt", "yardstick", "polynomial * quadratic * prony:1", "power * tangent * fung",
     "exponential * linear * stretched", "hertz * constant * power-law", "sneddon * tangent * fractional",
     "flat * poroelastic", "power * spectrum",
 )  # fmt: skip
