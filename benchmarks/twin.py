@@ -26,11 +26,12 @@ from laws import DEPTH_MM, simulated
 from threadpoolctl import threadpool_limits
 
 import tissueid as ti
+from tissueid.documents.twin import Device
 from tissueid.errors import TissueidError
 from tissueid.store.bundle import bundle_from_fit, write_bundle
 from tissueid.twin.program import program_of_recording
 from tissueid.twin.sessions import Setup
-from tissueid.twin.twin import TwinDevice, run_twin
+from tissueid.twin.twin import run_twin
 
 #: Every static law, stiffness and relaxation once, and the whole names.
 LAWS = (
@@ -43,7 +44,7 @@ TISSUE_OF = {"kelvin-voigt": "polynomial * linear * prony:1", "yardstick": "flat
 FORCE_BAR, UNSEEN_BAR, INSIDE_BAR = 0.02, 0.03, 0.9
 
 
-def _device(one: TwinDevice) -> dict[str, Any]:
+def _device(one: Device) -> dict[str, Any]:
     """Counts of one device's rows."""
     judged = [
         (row, row.went_in_ci95) for row in one.rows if row.went_in is not None and row.came_out is not None
@@ -82,7 +83,7 @@ def drawn(name: str, number: int) -> dict[str, Any]:
         bundle = bundle_from_fit(found.specimens[0], provenance=provenance)
         write_bundle(bundle, folder / "bundle.h5")
         program = program_of_recording(trial, bundle.depth_mm)
-        twin = run_twin(bundle, folder / "bundle.h5", Setup(program), folder, lambda *_: None)
+        twin = run_twin(bundle, folder / "bundle.h5", Setup(program), folder, lambda *_: None).found
     return {
         "law": name,
         "number": number,

@@ -15,6 +15,7 @@ import tissueid as ti
 from tissueid.errors import UsageError
 from tissueid.haptics.simulated_layout import MAX_KNOTS
 from tissueid.rendering.session_plan import read_script
+from tissueid.store.schema import check
 from tissueid.twin.program import program_of_recording, program_of_script
 
 
@@ -66,12 +67,13 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
         bundle = tmp_path / "out" / "bundle.h5"
     else:
         bundle = fitted(name, tmp_path)
-    out = tmp_path / "twin"
+    out = bundle.parent / "twin"
     for _ in range(2):
         # a second time into the same folder
-        ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--out", out, "--json")
+        ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--json")
         assert ended.code == 0, ended.stderr
     document = ended.json()
+    check(document, "twin")
     assert document == json.loads((out / "twin.json").read_text(encoding="utf-8"))
     falcon, simulated = document["devices"]
     for one in (falcon, simulated):
@@ -90,6 +92,10 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
     assert document["unseen"]["nrmsd_model"] < 0.03
     if name == "power * tangent * prony:1":
         felt_by_a_real_machine(document, bundle, out, tmp_path / "log.csv")
+    assert run("report", bundle.parent).code == 0
+    report = (bundle.parent / "report.html").read_text(encoding="utf-8")
+    assert "Mechanical twin</h2>" in report
+    assert ("destroyed" in report or "inside" in report) or name == "yardstick"
     page = (out / "twin.html").read_text(encoding="utf-8")
     assert "Mechanical twin" in page
     assert "Came out" in page or name == "yardstick"

@@ -10,7 +10,12 @@ from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents import typed
+from tissueid.documents.study import StudyCheck
+from tissueid.documents.twin import Twin
 from tissueid.report import render_report
+from tissueid.report.page import Beside
+from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
@@ -23,6 +28,19 @@ rendering_of = typed_call(rendering_of)
 
 pytestmark = pytest.mark.browser
 
+LIMIT = {"of": "force", "share": 0.07, "source": "Jones 1989", "doi": "10.1068/p180681", "conditions": "-"}
+ROWS = [
+    {"name": "tau", "symbol": "tau1", "unit": "s", "went_in": 1.0, "went_in_ci95": [0.9, 1.1],
+     "came_out": out, "came_out_ci95": span, "verdict": verdict}
+    for out, span, verdict in ((1.0, [0.8, 1.2], "inside"), (None, None, "destroyed"))
+]  # fmt: skip
+TWIN = {
+    "schema": "tissueid/twin/1", "specimen": "liver-1", "model": "kelvin-voigt", "program": "indent 4 mm",
+    "force_scale": 0.01, "motion_scale": 5.0, "limit": LIMIT,
+    "unseen": {"speed_mm_s": 2.0, "nrmsd_model": 0.002},
+    "devices": [{"device": "emulated Falcon", "nrmsd_model": 0.001, "nrmsd_recording": 0.002,
+                 "fit_nrmsd": 0.001, "noticeable": 0.1, "rows": ROWS}],
+}  # fmt: skip
 DEVICE = {"sensible": (1400, 900), "tablet": (800, 1000), "telephone": (400, 800)}
 
 
@@ -37,7 +55,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         curves_of_fits(fits),
         posteriors,
         renderings=[rendering_of(document["specimens"][0], posteriors[0])],
-        metadata=completeness_of_result(None).as_json("study.toml"),
+        beside=Beside(
+            typed(plain_json(completeness_of_result(None).as_json("study.toml")), StudyCheck),
+            twin_sections(typed(TWIN, Twin)),
+        ),
     )
     path = tmp_path_factory.mktemp("whole") / "report.html"
     path.write_text(html, encoding="utf-8")

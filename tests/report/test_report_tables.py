@@ -13,9 +13,12 @@ from msgspec import structs
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents import typed
 from tissueid.documents.session import Scale
+from tissueid.documents.study import StudyCheck
 from tissueid.report import render_report
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
+from tissueid.report.page import Beside
 from tissueid.report.rendering_words import RefusedDevice, RenderedDevice, Rendering
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
@@ -249,7 +252,7 @@ def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
             {"table": "tip", "keys": ["radius_mm", "half_angle_deg"], "weight": 3, "why": "w", "where": []}
         ],
     }
-    html = page(specimen_fit(), renderings=[rendering], metadata=metadata)
+    html = page(specimen_fit(), renderings=[rendering], beside=Beside(typed(metadata, StudyCheck)))
     assert "499 of 500 posterior draws" in html
     assert "measured / 152" in html
     assert "37 %" in html

@@ -164,9 +164,9 @@ class _SessionFlags:
         "--felt", type=_FILE, metavar="RECORDING",
         help="With --twin, what a test machine recorded at the grip of a real device.",
     )
-    out: Path = option(
-        "--out", type=click.Path(file_okay=False, path_type=Path), default="twin", show_default=True,
-        metavar="FOLDER", help="Where --twin writes.",
+    out: Path | None = option(
+        "--out", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+        help="Where --twin writes. [default: twin, beside the BUNDLE]",
     )
     # fmt: on
 

@@ -38,7 +38,7 @@ def command(flags: ReportFlags) -> int:
     from tissueid.errors import BundleError
     from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
-    from tissueid.store.results import read_plain, read_results
+    from tissueid.store.results import read_plain, read_results, read_twin
     from tissueid.study.pages import report_page, write_report
 
     target, out = flags.output, Path(flags.out)
@@ -57,7 +57,8 @@ def command(flags: ReportFlags) -> int:
             raise BundleError(msg)
         _, curves, posteriors = read_results(out)
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        page = report_page(read_plain(out), curves, posteriors, created=created).encode("utf-8")
+        twin = read_twin(out)
+        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
         if target is not None:
             write_output(target, page)
         else:

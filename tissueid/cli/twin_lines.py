@@ -9,9 +9,9 @@ from tissueid.cli.output import echo, echo_json, note, progress_bar, write_outpu
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
+    from tissueid.documents.twin import Row, Twin
     from tissueid.store.bundle_content import Bundle
     from tissueid.twin.program import Program
-    from tissueid.twin.twin import Row, Twin
 
 #: Options that a twin has no use for.
 _FOREIGN = (
@@ -24,7 +24,7 @@ HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 
 def twin(flags: RenderFlags) -> int:
     """Run the twin of a bundle, write it, print it."""
-    from tissueid.contrast.decision import LIMITS
+    from tissueid.documents import plain
     from tissueid.errors import UsageError
     from tissueid.notebook import svg_file
     from tissueid.report.twin_page import render_twin
@@ -41,25 +41,25 @@ def twin(flags: RenderFlags) -> int:
     bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
     asked = Setup(_program(flags, bundle), flags.force_scale, flags.motion_scale, flags.felt)
-    out: Path = flags.out
+    out: Path = flags.out or flags.bundle.parent / "twin"
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         msg = f"{out}: can't be made ({error.strerror}); choose another place with --out"
         raise UsageError(msg) from error
     with progress_bar(show=not flags.quiet) as progress:
-        found = run_twin(bundle, flags.bundle, asked, out, progress)
-    write_output(str(out / "twin.json"), json_bytes(found.as_json()))
-    write_output(str(out / "twin.svg"), svg_file(twin_drawing(found)))
-    write_output(
-        str(out / "twin.html"), render_twin(found, f"{LIMITS[0].source}, doi {LIMITS[0].doi}").encode()
-    )
+        twinned = run_twin(bundle, flags.bundle, asked, out, progress)
+    write_output(str(out / "twin.json"), json_bytes(plain(twinned.found)))
+    write_output(str(out / "twin.svg"), svg_file(twin_drawing(twinned)))
+    write_output(str(out / "twin.html"), render_twin(twinned).encode())
     if flags.as_json:
-        echo_json(found.as_json())
+        echo_json(plain(twinned.found))
     elif not flags.quiet:
-        for line in twin_lines(found):
+        for line in twin_lines(twinned.found):
             echo(line)
     note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags.quiet)
+    if flags.out is None:
+        note(f"tissueid report {flags.bundle.parent} takes it into the report", quiet=flags.quiet)
     return 0
 
 

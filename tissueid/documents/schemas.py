@@ -44,6 +44,7 @@ ROOTS: Mapping[str, str] = {
     "study": "study.StudyFile",
     "study-check": "study.StudyCheck",
     "training": "session.Training",
+    "twin": "twin.Twin",
     "watch": "inspect.Watch",
 }
 #: Files that people write: TOML has no null, so that what is left out has no second spelling.

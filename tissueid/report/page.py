@@ -10,11 +10,11 @@ import json
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -51,6 +51,9 @@ from tissueid.report.wording import (
 from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
+
+if TYPE_CHECKING:
+    from tissueid.report.plain_page import Section
 
 #: Reasons of a verdict that are seen at once.
 MOST_REASONS = 5
@@ -209,13 +212,25 @@ def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
     return [(level, title, count) for (level, title), count in tally.most_common()]
 
 
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Documents beside the numbers of a run."""
+
+    #: How complete the study's description is: the document of ``schemas/study-check.schema.json``.
+    metadata: StudyCheck | None = None
+    twin: Sequence[Section] = ()  # of :func:`tissueid.report.twin_page.twin_sections`
+
+
+NOTHING = Beside()
+
+
 def render_report(
     identification: Identification,
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
     *,
     renderings: Sequence[Rendering | str | None] = (),
-    metadata: StudyCheck | None = None,
+    beside: Beside = NOTHING,
     created: str | None = None,
     script_file: str | None = None,
     digest: str | None = None,
@@ -224,11 +239,10 @@ def render_report(
 
     ``identification``: the document of identification.json; ``curves``: from ``curves.h5``; trials without a
     curve are listed but not drawn; ``posteriors``: from ``posteriors.h5``: draws, chains and predictive
-    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``metadata``:
-    how complete the study's description is: the document of ``schemas/study-check.schema.json``; ``created``:
-    time stamp to print; without it equal input gives an equal page; ``script_file``: where the drawing
-    library stands, from the page; without it the page holds it; ``digest``: SHA-256 of identification.json.
-    Returns HTML, UTF-8.
+    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``beside``: other
+    documents of the run; ``created``: time stamp to print; without it equal input gives an equal page;
+    ``script_file``: where the drawing library stands, from the page; without it the page holds it;
+    ``digest``: SHA-256 of identification.json.  Returns HTML, UTF-8.
     """
     specimens = identification.specimens
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
@@ -256,7 +270,8 @@ def render_report(
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
         study=study_view(identification.study),
-        metadata=metadata_view(metadata),
+        metadata=metadata_view(beside.metadata),
+        twin=beside.twin,
         cite=citation(identification.provenance.tissueid),
         created=created,
         style=asset("page.css"),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissueid.digits import number
+from tissueid.documents import twin as document
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
 if TYPE_CHECKING:
-    from tissueid.twin.twin import Row, Twin, TwinDevice
+    from tissueid.twin.twin import Twin
 
 #: Points of a curve at the most.
 POINTS = 1_500
@@ -26,11 +28,14 @@ WORDS = {
 }
 
 
-def render_twin(found: Twin, source: str) -> str:
-    """Write the page.
+def render_twin(twin: Twin) -> str:
+    """Write the page.  Returns HTML, UTF-8."""
+    first, *others = twin_sections(twin.found)
+    return render_plain("Mechanical twin", [replace(first, figures=[_figure(twin)]), *others])
 
-    ``source``: of the just-noticeable difference.  Returns HTML, UTF-8.
-    """
+
+def twin_sections(found: document.Twin) -> list[Section]:
+    """Sections of a page without its curves: the program and the unseen speed, then each device."""
     unseen, felt = found.unseen, number(1.0 / found.force_scale, 3)
     text = (
         f"{found.specimen}, {found.model}; {found.program}. A felt newton is {felt} of tissue, motion is "
@@ -38,15 +43,15 @@ def render_twin(found: Twin, source: str) -> str:
         f"no recording, the emulated Falcon is off the law by {_percent(unseen.nrmsd_model)}. No "
         "real device has confirmed this: the Falcon is emulated, its counts and delay are stated."
     )
-    first = Section("Force at the grips", text, figures=[_figure(found)])
-    return render_plain("Mechanical twin", [first, *(_device(one, source) for one in found.devices)])
+    source = f"{found.limit.source}, doi {found.limit.doi}"
+    return [Section("Force at the grips", text), *(_device(one, source) for one in found.devices)]
 
 
 def _percent(share: float) -> str:
     return "less than 0.001 %" if share < 1e-5 else f"{number(100.0 * share, 2)} %"
 
 
-def _device(one: TwinDevice, source: str) -> Section:
+def _device(one: document.Device, source: str) -> Section:
     """Section of one device."""
     recorded = (
         "" if one.nrmsd_recording is None else f", off the recording by {_percent(one.nrmsd_recording)}"
@@ -62,7 +67,7 @@ def _device(one: TwinDevice, source: str) -> Section:
     return Section(one.device[:1].upper() + one.device[1:], text, tables=[Table(HEADS, rows)] if rows else [])
 
 
-def _row(row: Row) -> tuple[str, ...]:
+def _row(row: document.Row) -> tuple[str, ...]:
     return (
         row.symbol,
         "" if row.unit == "1" else row.unit,
@@ -82,10 +87,10 @@ def _span(ends: tuple[float, float] | None) -> str:
     return "\u2013" if ends is None else f"{number(ends[0], 4)} to {number(ends[1], 4)}"
 
 
-def _figure(found: Twin) -> Figure:
+def _figure(twin: Twin) -> Figure:
     """Law and grips against the time from contact."""
     traces: list[Mapping[str, Any]] = []
-    for one, ink in zip(found.devices, ("model", "ok", "aside"), strict=False):
+    for one, ink in zip(twin.curves, ("model", "ok", "aside"), strict=False):
         time, force = one.from_contact()
         every = max(1, time.size // POINTS)
         shown = np.round(time[::every], 5).tolist()
@@ -94,7 +99,6 @@ def _figure(found: Twin) -> Figure:
             traces.append({"x": shown, "y": law, "name": "law of the bundle", "line": {"ink": "data"}})
         felt = np.round(force[::every], 5).tolist()
         traces.append({"x": shown, "y": felt, "name": one.device, "line": {"ink": ink, "dash": "dot"}})
-    caption = (
-        f"Force of the law of {found.specimen} and at the grips of its devices over the time from contact."
-    )
+    of = twin.found.specimen
+    caption = f"Force of the law of {of} and at the grips of its devices over the time from contact."
     return Figure(caption, "Time from contact [s]", "Force [N of tissue]", traces)

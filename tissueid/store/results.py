@@ -17,6 +17,7 @@ from typing import Any
 from tissueid.documents import typed
 from tissueid.documents.identification import Identification as IdentificationDocument
 from tissueid.documents.identification import Specimen
+from tissueid.documents.twin import Twin
 from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
@@ -42,6 +43,8 @@ from tissueid.store.posteriors import (
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_specimen
 
+#: Place of a twin in an output folder.
+TWIN = Path("twin") / "twin.json"
 _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 
@@ -82,6 +85,23 @@ def read_plain(out: Path | str) -> dict[str, Any]:
     Raises BundleError: if there is no committed set or it is damaged.
     """
     return _checked(_committed(Path(out)).folder / IDENTIFICATION)
+
+
+def read_twin(out: Path) -> Twin | None:
+    """Twin of the bundle of an output folder, where ``render --twin`` left one in its folder ``twin``.
+
+    Raises BundleError: it can't be read, or is none.
+    """
+    path = out / TWIN
+    if not path.is_file():
+        return None
+    try:
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        msg = f"{path}: can't be read ({error}); run `tissueid render --twin` again, or delete it"
+        raise BundleError(msg) from error
+    check(document, "twin", where=str(path))
+    return typed(document, Twin)
 
 
 def load_identification(path: Path) -> IdentificationDocument:

@@ -47,6 +47,7 @@ SCHEMA_NAMES = (
     "study",
     "study-check",
     "training",
+    "twin",
     "watch",
 )
 

@@ -26,16 +26,18 @@ from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
 from tissueid.documents.study import StudyCheck
+from tissueid.documents.twin import Twin
 from tissueid.errors import TissueidError
 from tissueid.haptics.registry import reported_devices
 from tissueid.rendering.precheck import Demands, Precheck, check_before_force, demands_of
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
-from tissueid.report.page import plotly_script
+from tissueid.report.page import Beside, plotly_script
 from tissueid.report.plain_page import index_row, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.tissue import tissue_of
+from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import (
     CURVES,
@@ -168,13 +170,14 @@ def report_page(
     posteriors: Sequence[StoredPosterior],
     *,
     graded: bool = True,
+    twin: Twin | None = None,
     **more: Any,
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
     ``plain``: identification.json; ``curves``, ``posteriors``: as
-    :func:`tissueid.store.results.read_results` gives them;
-    ``graded``: whether the document knows of the study, so that its description can be graded; ``**more``: of
+    :func:`tissueid.store.results.read_results` gives them; ``graded``: whether the document knows of the
+    study, so that its description can be graded; ``twin``: of its bundle; ``**more``: of
     :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
@@ -184,7 +187,7 @@ def report_page(
         curves,
         posteriors,
         renderings=[rendering_of(one, known.get(one.specimen)) for one in document.specimens],
-        metadata=_graded(document) if graded else None,
+        beside=Beside(_graded(document) if graded else None, () if twin is None else twin_sections(twin)),
         digest=hashlib.sha256(json_bytes(plain)).hexdigest(),
         **more,
     )

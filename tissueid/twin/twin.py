@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.contrast.decision import LEAST_FORCE_N, LIMITS
+from tissueid.documents import twin as document
+from tissueid.documents.contrast import Limit
 from tissueid.errors import DeviceError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -41,33 +42,11 @@ PUSHED, HELD_S, BETWEEN = 0.9, 3.0, 1.5
 DRAWS = 1_000
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One number that went in and came out."""
-
-    name: str
-    symbol: str
-    unit: str
-    went_in: float | None  # of the bundle; None where it is not identified there
-    went_in_ci95: tuple[float, float] | None
-    #: Of the recording at the grip; None where counts and delay have destroyed it.
-    came_out: float | None
-    came_out_ci95: tuple[float, float] | None
-    verdict: str  # ``inside``, ``outside``, ``destroyed`` or ``not identified``
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class TwinDevice:
-    """Findings of a machine at the grip of one device."""
+class Curve:
+    """Recording at one grip, beside the bundle's law."""
 
     device: str
-    #: Deviation of the force at the grip from the bundle's law along the grip's own path, over its range.
-    nrmsd_model: float
-    nrmsd_recording: float | None  # the same from the recording whose travel it is
-    #: Of the refit; None of a spectrum and of the yardstick, whose times follow the recording.
-    fit_nrmsd: float | None
-    noticeable: float  # largest difference of force over the just-noticeable one, at the device
-    rows: tuple[Row, ...]
     felt: Felt
     law_N: FloatArray  # force of the bundle's law at the felt times with the delay undone
 
@@ -77,48 +56,12 @@ class TwinDevice:
         return time - float(np.interp(0.0, *_rising(depth, time))), force
 
 
-@dataclass(frozen=True, slots=True)
-class Unseen:
-    """A push at a speed that no recording of the bundle had, on the emulated Falcon."""
-
-    speed_mm_s: float
-    nrmsd_model: float  # deviation of the force at the grip from the bundle's law, over its range
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
-    """A bundle beside what its devices gave back."""
+    """A bundle beside what its devices gave back: the document ``twin.json``, and its curves."""
 
-    specimen: str
-    model: str
-    program: str
-    force_scale: float
-    motion_scale: float
-    devices: tuple[TwinDevice, ...]
-    unseen: Unseen
-
-    def as_json(self) -> dict[str, Any]:
-        """The document ``twin.json``."""
-        return {
-            "schema": "tissueid/twin/1",
-            "specimen": self.specimen,
-            "model": self.model,
-            "program": self.program,
-            "force_scale": self.force_scale,
-            "motion_scale": self.motion_scale,
-            "unseen": asdict(self.unseen),
-            "devices": [
-                {
-                    "device": one.device,
-                    "nrmsd_model": one.nrmsd_model,
-                    "nrmsd_recording": one.nrmsd_recording,
-                    "fit_nrmsd": one.fit_nrmsd,
-                    "noticeable": one.noticeable,
-                    "rows": [asdict(row) for row in one.rows],
-                }
-                for one in self.devices
-            ],
-        }
+    found: document.Twin
+    curves: tuple[Curve, ...]
 
 
 def run_twin(
@@ -141,17 +84,28 @@ def run_twin(
     felt.append(simulated(plan, folder))
     if asked.felt is not None:
         felt.append(felt_by_a_machine(asked.felt, force_scale=scale.force, motion=scale.motion))
-    devices = []
+    devices, curves = [], []
     for k, one in enumerate(felt):
         progress(f"fit of the {one.device}", 2 + k, steps)
-        devices.append(_device(bundle, program, one, folder, scale.force))
+        device, law = _device(bundle, program, one, folder, scale.force)
+        devices.append(device)
+        curves.append(Curve(one.device, one, law))
     progress("a speed that was not seen", steps - 1, steps)
     other = _unseen_program(bundle)
     again = emulated_falcon(tissue, other, force_scale=scale.force, motion=scale.motion)
-    unseen = Unseen(other.speed_mm_s, _against_law(bundle, again).nrmsd)
     progress("fit", steps, steps)
-    model = bundle.model.name or bundle.model.key
-    return Twin(bundle.specimen, model, program.words, scale.force, scale.motion, tuple(devices), unseen)
+    found = document.Twin(
+        schema="tissueid/twin/1",
+        specimen=bundle.specimen,
+        model=bundle.model.name or bundle.model.key,
+        program=program.words,
+        force_scale=scale.force,
+        motion_scale=scale.motion,
+        limit=Limit(**asdict(LIMITS[0])),
+        unseen=document.Unseen(other.speed_mm_s, _against_law(bundle, again).nrmsd),
+        devices=tuple(devices),
+    )
+    return Twin(found, tuple(curves))
 
 
 def _unseen_program(bundle: Bundle) -> Program:
@@ -192,7 +146,10 @@ def _against_law(bundle: Bundle, felt: Felt) -> _Compared:
     return _Compared(time, force, law, float(np.interp(0.0, *_rising(depth, time))))
 
 
-def _device(bundle: Bundle, program: Program, felt: Felt, folder: Path, force_scale: float) -> TwinDevice:
+def _device(
+    bundle: Bundle, program: Program, felt: Felt, folder: Path, force_scale: float
+) -> tuple[document.Device, FloatArray]:
+    """Findings at one grip, and the force of the law at the felt times."""
     compared = _against_law(bundle, felt)
     touching, force, law = compared.touching, compared.force, compared.law
     recorded = None
@@ -204,16 +161,15 @@ def _device(bundle: Bundle, program: Program, felt: Felt, folder: Path, force_sc
         recorded = float(np.sqrt(np.mean((force[there] - meant) ** 2)) / np.ptp(meant))
     fit = _refit(bundle, program, felt, folder / f"{felt.device.replace(' ', '-')}.csv")
     least = LIMITS[0].share * np.maximum(np.abs(law[touching]) * force_scale, LEAST_FORCE_N)
-    return TwinDevice(
-        felt.device,
-        compared.nrmsd,
-        recorded,
-        None if fit is None else fit.nrmsd.range,
-        float(np.max(np.abs(compared.off) * force_scale / least)),
-        () if fit is None else tuple(_rows(bundle, fit)),
-        felt,
-        law,
+    found = document.Device(
+        device=felt.device,
+        nrmsd_model=compared.nrmsd,
+        nrmsd_recording=recorded,
+        fit_nrmsd=None if fit is None else fit.nrmsd.range,
+        noticeable=float(np.max(np.abs(compared.off) * force_scale / least)),
+        rows=() if fit is None else tuple(_rows(bundle, fit)),
     )
+    return found, law
 
 
 def _rising(depth: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -267,7 +223,7 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
     return found.specimens[0]
 
 
-def _rows(bundle: Bundle, fit: SpecimenFit) -> list[Row]:
+def _rows(bundle: Bundle, fit: SpecimenFit) -> list[document.Row]:
     """Rows of what went in beside what came out."""
     found, rows = {one.name: one for one in fit.parameters}, []
     for one in bundle.parameters:
@@ -278,24 +234,23 @@ def _rows(bundle: Bundle, fit: SpecimenFit) -> list[Row]:
             outer = out.uncertainty.ci95_total or out.uncertainty.ci95
         value = None if out is None else out.value
         if one.value is None:
-            verdict = "not identified"
+            verdict: document.Verdict = "not identified"
         elif value is None or outer is None:
             verdict = "destroyed"
         else:
             held = (inner is not None and inner[0] <= value <= inner[1]) or outer[0] <= one.value <= outer[1]
             verdict = "inside" if held else "outside"
-        rows.append(Row(one.name, one.symbol, one.unit, one.value, inner, value, outer, verdict))
+        rows.append(document.Row(one.name, one.symbol, one.unit, one.value, inner, value, outer, verdict))
     return rows
 
 
 def twin_drawing(twin: Twin) -> str:
     """Force at the grips and of the law against time, as an SVG."""
     curves: list[tuple[str, FloatArray, FloatArray, str]] = []
-    for one, colour in zip(twin.devices, ("#d55e00", "#009e73", "#cc79a7"), strict=False):
+    for one, colour in zip(twin.curves, ("#d55e00", "#009e73", "#cc79a7"), strict=False):
         time, force = one.from_contact()
         if not curves:
             curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
         curves.append((one.device, time, force, colour))
-    return drawing(
-        curves, across="time from contact [s]", up="[N]", words=f"Force of {twin.specimen} and of its twins"
-    )
+    words = f"Force of {twin.found.specimen} and of its twins"
+    return drawing(curves, across="time from contact [s]", up="[N]", words=words)
