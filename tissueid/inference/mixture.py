@@ -32,6 +32,8 @@ SETTLED, SETTLED_FAIR = 8, 3
 STUCK = 1.5
 #: Rounds of proposals that the weights remember.
 REMEMBERED = 6
+#: Effective draws of a component, for each number of its mean and scale.
+PER_NUMBER = 3
 #: Share of a draw's spread that every component has at least.
 RIDGE = 1e-4
 
@@ -113,7 +115,9 @@ def _fitted(z: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Mixt
     whole = (centred * weight[:, None]).T @ centred + 1e-12 * np.eye(d)
     root = np.linalg.cholesky(whole)
     y = centred @ np.linalg.inv(root).T
-    components = int(np.clip((weight > 0.1 / count).sum() // (6 * d), 1, COMPONENTS))
+    # as many as the draws they are worth can tell of: more would follow these draws, and not the density
+    numbers = d * (d + 3) // 2
+    components = int(np.clip(1.0 / (weight**2).sum() // (PER_NUMBER * numbers), 1, COMPONENTS))
     means = y[rng.choice(count, size=components, p=weight)]
     covs = np.repeat(np.eye(d)[None], components, axis=0)
     shares = np.full(components, 1.0 / components)

@@ -154,8 +154,8 @@ ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
 #: Share of the normal within the walls below which rejection wastes its draws, and share of them that they
 #: are worth where the target is nearly normal.
 LEAST_LEFT, NEARLY = 0.05, 0.8
-#: Share of the points of a first look, tails trusted, from which the walkers alone make the draws.
-GOOD_LOOK = 0.5
+#: Looks after which points that are worth less than this share of them are left to the walkers.
+FEW_LOOKS, POOR_LOOK = 3, 0.1
 #: Share of the draws asked for that walkers still have to make where importance sampling is worth them.
 HALF = 0.5
 #: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
@@ -277,6 +277,7 @@ def sample(
             progress(len(points) + WALKERS * steps, share)
 
     walked, apart = _walked(sampler, state, weighed, draws, told, alone=poor)
+    told(int(sampler.iteration), 1.0)
     trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
     # walkers that nothing but themselves has spread have to agree
     converged = bool(trusted or (walked >= ENOUGH and (not poor or apart <= ALIKE)))
@@ -362,8 +363,8 @@ def _weighed(
             found = smoothed(log_weight)
             if progress is not None:
                 progress(len(points), min(found.worth / draws, 1.0))
-            good = found.worth >= GOOD_LOOK * len(points) and found.pareto <= GOOD_TAILS
-            if found.worth >= draws or good:
+            hopeless = len(points) >= FEW_LOOKS * LOOK and found.worth < POOR_LOOK * len(points)
+            if found.worth >= draws or hopeless:
                 break
         new = proposal.draw(LOOK, rng)
         points = np.vstack([points, new])

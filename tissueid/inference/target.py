@@ -39,7 +39,7 @@ STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
 #: Share of the largest force below which own derivatives stay those of the optimum.
 SLIGHT = 1e-3
 #: Points along all logs, times vectors, of one evaluation.
-PART = 16_384
+PART = 32_768
 
 
 class Target(Protocol):
