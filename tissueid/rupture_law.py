@@ -1,6 +1,6 @@
 """When a tissue ruptures, as frozen data: criterion, threshold, how it scatters, what resists afterwards.
 
-Criteria are readings (model.md 1.5): none of them is stated by Sadeghnejad et al., whose force law alone
+Criteria are readings: none of them is stated by Sadeghnejad et al., whose force law alone
 makes the force at any depth grow with speed.
 """
 

@@ -38,6 +38,13 @@ def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
             assert text.split(" ", 1)[0] not in asking, f"{path}: {text.splitlines()[0]}"
 
 
+def test_pages_that_code_names_are_there() -> None:
+    for path in [*_python_files(), *(REPOSITORY / "benchmarks").glob("*.py")]:
+        for named in re.findall(r"[\w./-]*[\w-]+\.md\b", path.read_text(encoding="utf-8")):
+            places = (REPOSITORY / named, REPOSITORY / "docs" / named, path.parent / named)
+            assert any(place.is_file() for place in places), f"{path} names {named}"
+
+
 def test_every_public_list_names_what_the_module_has() -> None:
     import importlib
 

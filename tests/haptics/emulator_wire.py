@@ -47,5 +47,5 @@ def homed_falcon(**settings: object) -> EmulatedFalcon:
 
 
 def angles(counts: list[int]) -> np.ndarray:
-    """Thigh angles [rad] of counts, by the resolution of falcon.md 4."""
+    """Thigh angles [rad] of counts, 9881 to a turn."""
     return np.radians(35.0 + 0.0364347 * (np.array(counts) + 0.5))

@@ -190,7 +190,7 @@ def test_work_at_the_legs_is_work_at_the_grip(geometry: Geometry) -> None:
 
 
 def test_whole_sphere_of_47_mm_is_reached_and_forces_of_8_9_N() -> None:
-    # falcon.md 4 and 5: the sphere about (0, 0, 0.130), and the vendor's "> 8.9 N" with 6616 units per N m
+    # the sphere about (0, 0, 0.130), and the vendor's "> 8.9 N" with 6616 units per N m
     assert all(np.isfinite(jacobian(position)).all() for position in working_sphere(500, seed=10))
     weakest = (4095 / 6616) / np.linalg.norm(jacobian(MIDDLE), axis=0).max()
     assert weakest == pytest.approx(8.9, abs=0.05)

@@ -16,7 +16,7 @@ from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.libusb import BULK_TRANSFER, LibUsb, UsbNode, without_status
 from tissueid.haptics.falcon.transport import TransportLost
 
-#: Requests of falcon.md 2 and 3: type, request, value, index, length.
+#: Requests: type, request, value, index, length.
 PURGE = ["control 40 0 0001 0 0", "control 40 0 0002 0 0"]
 LATENCY_1, LATENCY_16 = "control 40 9 0001 0 0", "control 40 9 0010 0 0"
 RUN_BAUD, HELLO_BAUD, UPLOAD_BAUD = (f"control 40 3 {divisor} 0 0" for divisor in ("0002", "4138", "0015"))

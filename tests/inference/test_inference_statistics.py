@@ -18,7 +18,7 @@ from tissueid.synth import recipe
 TAU, STIFFNESS = 0.021, 63.62
 AT_HALF_DEPTH = {0: STIFFNESS, 1: STIFFNESS + 10.0 * 4.0}
 NAMES = {"tau": "relaxation_time_s", "eta": "viscosity_N_s_per_mm"}
-#: Bars (statistics.md 3c): bias in Cramer-Rao sd, spread over them.
+#: Bars: bias in Cramer-Rao sd, spread over them.
 BIAS, SPREAD = 0.5, 1.3
 EVERY = 3.0
 #: Third column of the table of estimators, paper-a-30, sigma 1 N, 100 Hz, K degree 1 [relative].

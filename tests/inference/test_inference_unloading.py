@@ -118,7 +118,7 @@ def test_a_tissue_that_sticks_is_said():
 
 
 def test_a_free_surface_recovers_with_its_closed_form():
-    # K and F_s' constant: y' = -y F_s' / (tau (F_s' + K)) once free (model.md 1.2)
+    # K and F_s' constant: y' = -y F_s' / (tau (F_s' + K)) once free
     slope, stiffness, tau = 10.0, 30.0, 0.5
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=3.0)
     theta = model.join(np.array([slope, 0.0, 0.0]), np.array([[stiffness]]), np.array([tau]))

@@ -15,7 +15,7 @@ DEPTH_MM = 8.0
 settings.register_profile("model", deadline=None, derandomize=True, database=None)
 MODEL_SETTINGS = settings.get_profile("model")
 
-#: Tissue of model.md 1.4: Table 2 and the cubic through the peaks of Table 1.
+#: Table 2 and the cubic through the peaks of Table 1.
 SEED_MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
 SEED_THETA = np.array([47.42, -5.577, 0.3804, 63.62, 0.021])
 

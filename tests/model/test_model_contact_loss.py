@@ -1,4 +1,4 @@
-"""The tissue under a tool that can push but not pull (model.md 1.2), and beyond the identified depth."""
+"""The tissue under a tool that can push but not pull, and beyond the identified depth."""
 
 from __future__ import annotations
 

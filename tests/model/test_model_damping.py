@@ -1,4 +1,4 @@
-"""Scaling to a hand-held device and the damping its rendering needs (model.md 6.4, 6.5)."""
+"""Scaling to a hand-held device and the damping its rendering needs."""
 
 from __future__ import annotations
 

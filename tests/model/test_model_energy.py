@@ -1,4 +1,4 @@
-"""No motion of the tool gets more energy out of a passive tissue than was put in (model.md 1.3)."""
+"""No motion of the tool gets more energy out of a passive tissue than was put in."""
 
 from __future__ import annotations
 

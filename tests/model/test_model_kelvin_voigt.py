@@ -42,7 +42,7 @@ def test_constant_speed_from_rest_matches_closed_form(branches: int, degree: int
 
 
 def test_closed_form_has_the_increments_of_figure_3() -> None:
-    # model.md 7: force over that at 10 mm/min for 70, 100, 150, 250, 500 mm/min, printed to 0.01 N
+    # force over that at 10 mm/min for 70, 100, 150, 250, 500 mm/min, printed to 0.01 N
     at = np.array([DEPTH_MM])
     force = [
         loading_force(SEED_MODEL, SEED_THETA, at, speed_mm_s=v / 60.0)[0]

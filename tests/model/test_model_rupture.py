@@ -66,7 +66,7 @@ def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness()
     x = 4.0 * time / 0.5 * (1.0 + 0.3 * np.sin(40.0 * time))
     measures = rupture_measures(model, theta, ContactPath(time, x))
     (state,) = branch_states(time, x, np.array([TAU_S]))
-    # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat, model.md 1.3
+    # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat
     powers = (60.0, 10.0, 1.5)
     integral = sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(powers))
     heat = np.concatenate(

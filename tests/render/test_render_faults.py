@@ -1,6 +1,6 @@
 """Faults injected on an emulated Falcon in contact: what detects each, what is sent then, how it ends.
 
-Counted in ticks of the emulator's own clock, 1 ms each.  The limits are those of haptics.md 6.8.
+Counted in ticks of the emulator's own clock, 1 ms each.
 """
 
 from __future__ import annotations

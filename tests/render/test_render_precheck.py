@@ -28,7 +28,7 @@ def test_with_damping_to_spare_the_deepest_force_takes_nine_tenths_of_the_clamp(
     assert check.scaling.force == pytest.approx(0.9 * 5.0 / peak, rel=1e-12)
     assert check.scaling.peak_force_N == pytest.approx(4.5, rel=1e-12)
     assert not check.lowered
-    # the table of model.md 6.5: 1/49.2 and 452 N/m at 5 N, for a peak of 221.4 N instead of 228.4
+    # 1/49.2 and 452 N/m at 5 N, for a peak of 221.4 N instead of 228.4
     assert check.force_over == pytest.approx(49.2 * peak / 221.4, rel=2e-3)
     assert check.stiffness_over == pytest.approx(5.0 * check.force_over, rel=1e-12)
 

@@ -150,7 +150,7 @@ class Found:
 def _tells_apart(ledger: Ledger, tests: Iterable[Indentation]) -> bool:
     """True where the branch is told from the static force by more than the first moments of contact.
 
-    Ramps of one speed have only those: two speeds are needed, or a hold (model.md 8, 13).
+    Ramps of one speed have only those: two speeds are needed, or a hold.
     """
     tests = list(tests)
     speeds = [test.speed_mm_min for test in tests]

@@ -70,7 +70,7 @@ TREMOR_RISE_S = 0.2
 class Arm:
     """Mechanics of a device's arm, without the hand."""
 
-    #: Inertia felt at the grip.  0.25 kg is an assumption (haptics.md 4): no device was weighed.
+    #: Inertia felt at the grip.  0.25 kg is an assumption: no device was weighed.
     mass_kg: float = 0.25
     #: Viscous damping; 0.5 N s/m is the preset every passivity figure is computed with.
     damping_N_s_per_m: float = 0.5

@@ -1,6 +1,6 @@
 """The guard: the one compiled function through which every force passes on its way to a device.
 
-Precedence, strongest first (haptics.md 4b):
+Precedence, strongest first:
 
 1. a fault takes the force to zero within ``fault_ramp_s``;
 2. the clamp: |F| <= ``clamp_N``, direction kept;

@@ -35,7 +35,7 @@ from tissueid.haptics.simulated_layout import (
 
 #: Names of :func:`preset`.
 PRESETS = ("step", "slow press", "tap", "release", "tremor", "hold")
-#: Stiffness of a hand that is not said otherwise [N/m] (haptics.md 4).
+#: Stiffness of a hand that is not said otherwise [N/m].
 DEFAULT_STIFFNESS = 300.0
 #: A hand's damping as a share of the critical one of 0.25 kg on its spring; relaxed arms show 0.3 to 0.8.
 DAMPING_RATIO = 0.5

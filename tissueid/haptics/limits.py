@@ -1,6 +1,6 @@
 """Limits of the guard: what a device may do to a hand, as a dataclass and as the block the kernels read.
 
-SI units.  Every default has its reason beside it; sources are haptics.md 4b and falcon.md 8.
+SI units.  Every default has its reason beside it; what is known of devices is in docs/devices.md.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SHORTEST_RAMP_S = 0.5
 LARGEST_CLAMP_N = 10.0
 #: Force [N] that an uncalibrated device may reach with the most favourable constant anybody reported ...
 UNCALIBRATED_N = 5.0
-#: ... which is this many motor units for one newton metre of arm torque (falcon.md 5).
+#: ... which is this many motor units for one newton metre of arm torque.
 WORST_UNITS_PER_NM = 3460.0
 
 

@@ -69,10 +69,10 @@ from tissueid.haptics.simulated_layout import (
     SIM_PARAMETERS,
 )
 
-#: One count of a Falcon's encoders is 38 to 48 um at the grip (falcon.md 4).
+#: One count of a Falcon's encoders is 38 to 48 um at the grip.
 DEFAULT_QUANTUM_M = 45e-6
 DEFAULT_PERIOD_S = 1e-3
-#: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m] (falcon.md 4).
+#: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m].
 CENTRE_M = (0.0, 0.0, 0.130)
 WORKING_RADIUS_M = 0.040
 #: Change of force [N] that no guard lets through: the watchdog for frozen encoders then never bites.

@@ -2,7 +2,7 @@
 
 Distances of a model from a recording: NRMSD three ways, largest residual, correlation in time.
 Range (default): RMSD over (max - min) of the measured force.  Mean: RMSD over its mean, which on a
-ramp is about twice as large.  Papers seldom say which one they print (model.md 4).
+ramp is about twice as large.  Papers seldom say which one they print.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 In contact the law is linear in its parameters on any path, in or out.  A tool that withdraws faster than
 the tissue recovers lets go; the surface then recovers by itself along F_s(y) + sum K_j(y) s_j = 0
-(model.md 1.2, derived) and the tool meets it again where it stands.  The branch states follow the
+(derived) and the tool meets it again where it stands.  The branch states follow the
 **surface**, so a log is summed on the path of its surface, with the samples in air left out: their force
 is zero by construction.  That path depends on the parameters, hence rounds: the first path is read off
 the measured force, each later one follows from the parameters found on the one before, until these stay.

@@ -6,7 +6,7 @@ stayed in contact the branch state is integrated through them, otherwise the tes
 point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).
 
 Near a contact point that was estimated within the record, samples shallower than three of its standard
-deviations carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the
+deviations carry the error of the branch state's start and stay out of the likelihood; the
 state is integrated through them.  A record that starts in contact starts at rest, and loses nothing.
 """
 

@@ -3,7 +3,7 @@
 For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free
 plateau c and A_j >= 0, uniform weights, from the stop of the tool to the end of the hold: while a
 crosshead brakes it still loads, and times counted from the peak are long.  A relaxation time moves with
-its window, the ramp before it and the weights (statistics.md 4, formats.md 3), so the flags say when it
+its window, the ramp before it and the weights, so the flags say when it
 did.  This table describes a hold; the contact model is not fitted from it.
 """
 
@@ -22,7 +22,7 @@ from tissueid.trial import Segmentation, Trial, contact_frame
 
 MIN_SAMPLES = 8
 MAX_EXPONENTIALS = 3
-#: Limits of the flags (statistics.md 4).
+#: Limits of the flags.
 WINDOW_SHARE = 1.0 / 3.0
 WINDOW_SHIFT = 0.2
 RESIDUAL_SHARE = 0.05

@@ -264,7 +264,7 @@ class ChannelModel:
     def contact_loss_is_unique(self, theta: FloatArray) -> bool:
         """True where a tissue that was let go has one force-free surface at every state.
 
-        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (model.md 1.2, derived for
+        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (derived for
         one branch); otherwise the surface may jump while it recovers, although it stays passive.  Other laws
         than viscous ones: true, their surface is not followed.
         """

@@ -1,7 +1,7 @@
 """Response of a fitted tissue in tests that people quote: closed forms, and errors by the delta method.
 
 Relaxation times and stiffnesses of several branches move with the window and with their number; what
-they do together moves much less (statistics.md 5b).  All functions are pure; depth in mm below contact,
+they do together moves much less.  All functions are pure; depth in mm below contact,
 force in N, time in s, frequency in Hz.
 
 Closed forms (derived from F = F_s(x) + sum K_j(x) s_j, tau_j s_j' + s_j = tau_j x'):

@@ -1,7 +1,7 @@
 """Compiled recursions of the branch state: exact for displacement that is linear between samples.
 
-The series branch of the modified Kelvin-Voigt model obeys ``tau ds/dt + s = tau dx/dt`` (model.md 1,
-reconstructed from Sadeghnejad et al., equations (3) and (6)).  With ``x`` linear over a step ``h``::
+The series branch of the modified Kelvin-Voigt model obeys ``tau ds/dt + s = tau dx/dt`` (reconstructed from
+Sadeghnejad et al., equations (3) and (6)).  With ``x`` linear over a step ``h``::
 
     s[n+1] = a s[n] + phi (x[n+1] - x[n]),   a = exp(-h/tau),   phi = (1 - a) tau / h
 
@@ -252,7 +252,7 @@ def _damped_step(law: FloatArray, at: int, state: FloatArray, first: int, x: flo
 def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
     """Advance the tissue by one step under a tool that can push but not pull.
 
-    Unilateral contact (model.md 1.2, derived): force >= 0, surface >= tool, and one of the two is an
+    Unilateral contact (derived): force >= 0, surface >= tool, and one of the two is an
     equality.  If following the tool would need tension, the surface detaches and recovers along the
     force-free path, found as the root of the force in the surface position of this very step, so that
     the step stays exact for a surface that moves linearly.

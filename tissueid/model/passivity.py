@@ -1,4 +1,4 @@
-"""Scaling of forces into the reach of a device, and the damping it needs to render them (model.md 6.4, 6.5).
+"""Scaling of forces into the reach of a device, and the damping it needs to render them.
 
 Sampled-data passivity after Colgate & Schenkel (doi 10.1002/rob.4620140110): a law rendered at step
 T through a zero-order hold, its force arriving ``m`` whole ticks late, needs a device damping
@@ -12,7 +12,7 @@ With a fraction f of a tick on top, the force changes inside a servo period: the
 mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion is uneven inside the period, which needs
 ``b = (B + sqrt(B^2 + f (1 - f) T^2 |H|^2)) / 2`` (derived: least work over the two parts of a period).
 
-Scaling of a tissue's forces into the reach of a hand-held device (model.md 6.5, derived).
+Scaling of a tissue's forces into the reach of a hand-held device (derived).
 ``F_device = s_F F(x_device / s_x)``; time is not scaled.  One linear factor for force keeps every
 ratio of stiffness; a factor that depends on force would not.
 """

@@ -1,7 +1,7 @@
 """Measures of loading until a tissue ruptures: work, weighted force, stored energy, depth along a path.
 
 Paper A's force law alone has no rupture, and at a fixed depth its force grows with speed. A criterion says
-which measure of the loading reaches a threshold (model.md 1.5, derived; the criteria themselves are
+which measure of the loading reaches a threshold (derived; the criteria themselves are
 readings)::
 
     work            W = int F dx
@@ -150,7 +150,7 @@ def peak_force_against_speed(
 def hardening_ratio(model: ChannelModel, theta: FloatArray, depth_mm: float, force_N: float) -> float:
     """Static tangent over secant stiffness at a depth, x F_s'(x) / F [1].
 
-    Above 1 the force at rupture under constant work falls with speed, below 1 it rises (model.md 1.5).
+    Above 1 the force at rupture under constant work falls with speed, below 1 it rises.
     """
     static, _, _ = model.split(theta)
     slope = static[0] + depth_mm * (2.0 * static[1] + 3.0 * static[2] * depth_mm)

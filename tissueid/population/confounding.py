@@ -3,7 +3,7 @@
 Speeds and specimens are its nodes, logs its edges.  Two speeds can be compared inside specimens where a path
 joins them.  Where each speed was tested on specimens of its own no path does, and a difference of force
 between speeds is as well one between specimens; the figures of paper A's 18 measurements on 17 heads allow
-both readings (model.md 3, a reading).
+both readings (a reading).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ channel) is its own logarithm; where a relaxation is no exponential, K stands fo
 where the static force and every K are positive at these depths.  Back from phi the polynomials may be
 negative between them, and a shape may leave its bounds: such a tissue is not passive, and a draw of it is
 refused by who asked for it.  Viscosity stands for stiffness because the two factors of K tau are nearly
-dependent and their product is what ramps tell (model.md 2, derived).
+dependent and their product is what ramps tell (derived).
 """
 
 from __future__ import annotations

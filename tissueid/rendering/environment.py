@@ -12,7 +12,7 @@ Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_
 what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
 
 A rupture, where the block has one, leaves a share of the force from that tick on until the tissue is put
-back at rest (criteria of model.md 1.5, readings: total work, weighted force, stored energy or depth).  The
+back at rest (criteria are readings: total work, weighted force, stored energy or depth).  The
 share multiplies the whole law: what is left is passive as the law is, and the fall only takes energy away.
 """
 

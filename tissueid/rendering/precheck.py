@@ -27,9 +27,9 @@ from tissueid.rendering.tissue_block import Tissue
 
 #: A device's damping is a calibration value: only this share of it is counted on.
 DAMPING_SHARE = 0.95
-#: Peak force at the device below which hardly anything is felt over friction [N] (model.md 6.5).
+#: Peak force at the device below which hardly anything is felt over friction [N].
 SMALLEST_PEAK_N = 0.1
-#: Stiffness beyond which a Falcon's own driver does not go [N/m] (falcon.md 8).
+#: Stiffness beyond which a Falcon's own driver does not go [N/m].
 LARGEST_STIFFNESS_N_PER_M = 3000.0
 N_PER_MM_TO_N_PER_M = 1000.0
 MM_PER_M = 1000.0

@@ -28,7 +28,7 @@ from tissueid.rendering.servo_plan import PeriodStatistics, ServoPlan
 from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
-#: Bars (haptics.md 6): of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
+#: Bars: of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
 P99_US, P999_US, FORCE_STEP_NS, TICK_US = 100.0, 1000.0, 100.0, 5.0
 DEFAULT_SECONDS = 60.0
 TICKS = 20_000

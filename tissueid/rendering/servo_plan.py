@@ -22,7 +22,7 @@ from tissueid.arrays import IntArray
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 from tissueid.rendering.servo_loop import BIN_NS, LATE_SHARE
 
-#: Share of late ticks above which a session is labelled (haptics.md 1).
+#: Share of late ticks above which a session is labelled.
 DEGRADED_SHARE = 0.01
 _US = 1e-3
 

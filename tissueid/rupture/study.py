@@ -2,7 +2,7 @@
 
 Choice of a criterion, if any: weighed by evidence, with "undecided" and "none of them" among the answers.
 Work, weighted force and an elastic limit are equally likely beforehand; the elastic limit is shared by stored
-energy and depth, which no test at constant speed tells apart well (model.md 1.5) and which count as one.
+energy and depth, which no test at constant speed tells apart well and which count as one.
 """
 
 from __future__ import annotations

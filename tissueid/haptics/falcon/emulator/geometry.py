@@ -4,7 +4,7 @@ A leg's plane is turned by its azimuth about z.  The thigh (length a) turns in t
 radius r; the shin is a parallelogram (length b) with pins d and e before and behind it, which leans out of
 the plane by q.  A pose is possible where ``hypot(rho - d - e, q) = b``, with rho the distance in the plane
 from knee to wrist; rho falls monotonically while the thigh turns toward the wrist, so that bisection finds
-the one angle on the side of the knee that is built (geometry of R. E. Stamper, 1997; lengths of falcon.md 4).
+the one angle on the side of the knee that is built (geometry and lengths of R. E. Stamper, 1997).
 
 Forces follow from differences: ``F = (d theta / d p)^T tau``.  SI units, radians.
 """

@@ -42,7 +42,7 @@ PULLED_M, PUSHED_M = (0.0, 0.0, 0.178), (0.0, 0.0, 0.080)
 HOME_S = 2.4
 #: Longest stretch of time over which the motors' force is held while the arm moves [s].
 HELD_FORCE_S = 1e-3
-#: Control requests of the USB serial chip (falcon.md 2).
+#: Control requests of the USB serial chip.
 RESET, MODEM, BAUD_DIVISOR = 0, 1, 3
 DTR_HIGH = 0x0101
 DIVISOR_BAUD = {0x4138: 9600, 0x0015: 142_857, 0x0002: 1_500_000}

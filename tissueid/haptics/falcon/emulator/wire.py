@@ -1,7 +1,7 @@
 """The device's end of the wire, by tables: command packets in, reply packets out.
 
 A packet is 16 bytes from ``<`` to ``>``; numbers are four letters ``A`` to ``P``, least significant first,
-two's complement in 16 bits (falcon.md 3).
+two's complement in 16 bits.
 """
 
 from __future__ import annotations
