@@ -25,7 +25,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from tissueid.arrays import FloatArray
@@ -39,7 +38,8 @@ from tissueid.store.bundle_content import (
     OPTIONAL,
     Bundle,
 )
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
+from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.hdf5 import check_format, get_text, new_file, open_file, put_text
 from tissueid.store.schema import check
 from tissueid.trial import TipShape
 
@@ -117,11 +117,6 @@ SPECIMEN_GROUP = "specimen"
 #: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
 MOST_DRAWS = 2_000
 
-#: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
-HDF5_ERRORS = (
-    OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, OverflowError, MemoryError
-)  # fmt: skip
-
 
 def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundle:
     """Make the bundle of one specimen's fit; its covariance and draws are the posterior's where there is one.
@@ -170,11 +165,8 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
     """
     path = Path(path)
     document = _checked(bundle, where=str(path))
-    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    # fixed library version bounds: the bytes must not depend on which HDF5 was installed
-    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+    with new_file(path) as file:
         _put(file, bundle, document)
-    replace_file(temporary, path)
 
 
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
@@ -194,8 +186,7 @@ def _put(file: Any, bundle: Bundle, document: Mapping[str, Any]) -> None:
     file.attrs["format"] = BUNDLE_FORMAT
     file.attrs["schema_version"] = np.int64(bundle.schema_version)
     file.attrs["content_sha256"] = _content_hash(text, arrays)
-    kind = h5py.string_dtype("utf-8", length=len(text))
-    file.create_dataset(_DOCUMENT, data=np.array(text, dtype=kind), track_times=False)
+    put_text(file, _DOCUMENT, text)
     for name, array in arrays.items():
         file.create_dataset(name, data=array, dtype="<f8", track_times=False)
 
@@ -221,14 +212,9 @@ def load_bundle(path: Path | str) -> Bundle:
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes bundles into its output folder"
         raise BundleError(msg)
-    try:
-        text, arrays, attributes = _read(path)
-    except HDF5_ERRORS as error:
-        msg = (
-            f"{path}: cannot be read as a bundle ({error}); it is damaged, incomplete or another kind of "
-            "file: copy it again or run `tissueid fit` again"
-        )
-        raise BundleError(msg) from error
+    damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"
+    with open_file(path, "a bundle", damaged) as file:
+        text, arrays, attributes = _read(file)
     _check_header(path, attributes)
     if attributes["content_sha256"] != _content_hash(text, arrays):
         msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
@@ -253,28 +239,25 @@ def _content_hash(text: bytes, arrays: Mapping[str, FloatArray]) -> str:
     return digest.hexdigest()
 
 
-def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
-    with h5py.File(path, "r") as file:
-        attributes = dict(file.attrs)
-        names = set(file) - {SPECIMEN_GROUP}
-        if attributes.get("format") != BUNDLE_FORMAT:
-            msg = f"its format is {attributes.get('format')!r}, not {BUNDLE_FORMAT!r}"
+def _read(file: Any) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
+    attributes = dict(file.attrs)
+    names = set(file) - {SPECIMEN_GROUP}
+    check_format(file, BUNDLE_FORMAT)
+    if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
+        return b"", {}, attributes
+    missing = {_DOCUMENT, *ARRAYS} - set(OPTIONAL) - names
+    unknown = names - {_DOCUMENT, *ARRAYS}
+    if missing or unknown:
+        msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
+        raise ValueError(msg)
+    text = get_text(file, _DOCUMENT)
+    arrays = {}
+    for name in names - {_DOCUMENT}:
+        dataset = file[name]
+        if dataset.dtype != np.dtype("<f8"):
+            msg = f"data set {name} holds {dataset.dtype}, not 64-bit floats"
             raise ValueError(msg)
-        if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
-            return b"", {}, attributes
-        missing = {_DOCUMENT, *ARRAYS} - set(OPTIONAL) - names
-        unknown = names - {_DOCUMENT, *ARRAYS}
-        if missing or unknown:
-            msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
-            raise ValueError(msg)
-        text = bytes(file[_DOCUMENT][()])
-        arrays = {}
-        for name in names - {_DOCUMENT}:
-            dataset = file[name]
-            if dataset.dtype != np.dtype("<f8"):
-                msg = f"data set {name} holds {dataset.dtype}, not 64-bit floats"
-                raise ValueError(msg)
-            arrays[name] = np.asarray(dataset[()])
+        arrays[name] = np.asarray(dataset[()])
     return text, arrays, attributes
 
 

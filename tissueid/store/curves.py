@@ -17,13 +17,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
 from tissueid.result import Curve, ResidualSummary, SpecimenFit
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+from tissueid.store.files import json_bytes
+from tissueid.store.hdf5 import (
+    check_format,
+    get_columns,
+    get_text,
+    new_file,
+    offsets_of,
+    open_file,
+    put_columns,
+    put_text,
+)
 
 _GROUP = "residual"
 _TABLES = {"edges_N": "<f8", "counts": "<i8"}
@@ -47,20 +56,14 @@ def put_residuals(group: Any, residuals: Sequence[ResidualSummary | None]) -> No
     columns: dict[str, NDArray[Any]] = {
         "trial": np.array([i for i, _ in kept], dtype="<i8"),
         "clock_s": np.array([[one.start_s, one.step_s] for _, one in kept], dtype="<f8"),
-        "lag_offsets": _offsets([one.lags.size for _, one in kept]),
-        "hold_offsets": _offsets([one.hold_count.size for _, one in kept]),
+        "lag_offsets": offsets_of([one.lags.size for _, one in kept]),
+        "hold_offsets": offsets_of([one.hold_count.size for _, one in kept]),
     }
     for name, kind in _TABLES.items():
         columns[name] = np.stack([getattr(one, name) for _, one in kept]).astype(kind)
     for name, kind in _SERIES.items():
         columns[name] = np.concatenate([getattr(one, name) for _, one in kept]).astype(kind)
-    for name, values in columns.items():
-        packed = {"compression": "gzip", "shuffle": True} if values.size else {}
-        found.create_dataset(name, data=values, track_times=False, **packed)
-
-
-def _offsets(sizes: Sequence[int]) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype("<i8")
+    put_columns(found, columns)
 
 
 def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
@@ -71,7 +74,7 @@ def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
     residuals: list[ResidualSummary | None] = [None] * trials
     if _GROUP not in group:
         return residuals
-    columns = {name: np.asarray(values[()]) for name, values in group[_GROUP].items()}
+    columns = get_columns(group[_GROUP])
     where = columns["trial"]
     ends = {name: columns[f"{_DIVIDED.get(name, 'hold')}_offsets"] for name in _SERIES}
     whole = (
@@ -125,37 +128,22 @@ def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
 
     ``curves``: at least one; ``path``: its folder must exist.
     """
-    path = Path(path)
-    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+    with new_file(Path(path)) as file:
         put_curves(file, curves)
-    replace_file(temporary, path)
 
 
 def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
     """Write curves into an open HDF5 file or a group of one."""
     sizes = [entry.curve.time_s.size for entry in curves]
     index = [{"specimen": entry.specimen, "path": entry.path, "sheet": entry.sheet} for entry in curves]
-    text = json_bytes(index)
     group.attrs["format"] = _FORMAT
-    kind = h5py.string_dtype("utf-8", length=len(text))
-    group.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype("<i8")
-    group.create_dataset("offsets", data=offsets, track_times=False)
+    put_text(group, "index", json_bytes(index))
+    group.create_dataset("offsets", data=offsets_of(sizes), track_times=False)
     for name in (*_QUANTITIES, "fitted"):
         parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
         values = np.concatenate(parts) if parts else np.empty(0)
-        _write_column(group, name, values.astype("u1" if name == "fitted" else "<f8"))
+        put_columns(group, {name: values.astype("u1" if name == "fitted" else "<f8")})
     put_residuals(group, [entry.residual for entry in curves])
-
-
-def _write_column(file: Any, name: str, values: Any) -> None:
-    if values.size:
-        file.create_dataset(
-            name, data=values, track_times=False, compression="gzip", shuffle=True, chunks=True
-        )
-    else:
-        file.create_dataset(name, data=values, track_times=False)
 
 
 def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
@@ -167,24 +155,14 @@ def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it into its output folder"
         raise BundleError(msg)
-    try:
-        return _read(path)
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
-        msg = f"{path}: cannot be read as curves ({error}); copy it again or run `tissueid fit` again"
-        raise BundleError(msg) from error
-
-
-def _read(path: Path) -> tuple[TrialCurve, ...]:
-    with h5py.File(path, "r") as file:
+    with open_file(path, "curves", "copy it again or run `tissueid fit` again") as file:
         return get_curves(file)
 
 
 def get_curves(group: Any) -> tuple[TrialCurve, ...]:
     """Read what :func:`put_curves` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
-    if group.attrs.get("format") != _FORMAT:
-        msg = f"its format is {group.attrs.get('format')!r}, not {_FORMAT!r}"
-        raise ValueError(msg)
-    index = json.loads(bytes(group["index"][()]))
+    check_format(group, _FORMAT)
+    index = json.loads(get_text(group, "index"))
     offsets = np.asarray(group["offsets"][()])
     columns = {name: np.asarray(group[name][()]) for name in (*_QUANTITIES, "fitted")}
     if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):

@@ -14,20 +14,18 @@ from pathlib import Path
 from typing import IO, Any
 
 import h5py
-import numpy as np
 
 from tissueid.errors import BundleError
-from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, load_bundle, write_bundle
+from tissueid.store.bundle import SPECIMEN_GROUP, load_bundle, write_bundle
 from tissueid.store.curves import get_curves, write_curves
 from tissueid.store.files import (
     CURVES,
     ONLY_BUNDLE,
     POSTERIORS,
-    TEMPORARY_PREFIX,
     bundle_names,
     json_bytes,
-    replace_file,
 )
+from tissueid.store.hdf5 import HDF5_ERRORS, get_text, new_file, put_text
 from tissueid.store.outputs import OutputSet
 
 #: Folder of the files of specimens, in the output folder.
@@ -107,8 +105,7 @@ def _curves(path: Path) -> Sequence[Any]:
 def _merge(paths: Iterable[Path], name: str, target: Path) -> None:
     """Numbered groups of many files in one, with one index; no file where no specimen has any."""
     index: list[Any] = []
-    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
-    with h5py.File(temporary, "w", libver=("v110", "v110")) as merged:
+    with new_file(target) as merged:
         for path in paths:
             with h5py.File(path, "r") as file:
                 group = file[SPECIMEN_GROUP].get(name)
@@ -116,14 +113,10 @@ def _merge(paths: Iterable[Path], name: str, target: Path) -> None:
                     continue
                 for key, value in group.attrs.items():
                     merged.attrs[key] = value
-                for position, entry in enumerate(json.loads(bytes(group["index"][()]))):
+                for position, entry in enumerate(json.loads(get_text(group, "index"))):
                     # a copy of compressed chunks, not of numbers
                     merged.copy(group[str(position)], merged, name=str(len(index)))
                     index.append(entry)
-        text = json_bytes(index)
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        merged.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
-    if index:
-        replace_file(temporary, target)
-    else:
-        temporary.unlink()
+        put_text(merged, "index", json_bytes(index))
+    if not index:
+        target.unlink()

@@ -22,13 +22,13 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.store.bundle import (
     BUNDLE_SCHEMA_VERSION,
-    HDF5_ERRORS,
     Bundle,
     bundle_of_document,
     load_bundle,
     write_bundle,
 )
 from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.hdf5 import check_format, get_text, open_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
 from tissueid.store.outputs import FolderLock, OutputSet, current_run
 
@@ -51,21 +51,15 @@ class Migrated:
 
 def _contents(path: Path) -> tuple[int, dict[str, Any], dict[str, FloatArray]]:
     """Version, document and arrays of a bundle of any version."""
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format") != "tissueid/bundle":
-                msg = f"its format is {file.attrs.get('format')!r}"
-                raise ValueError(msg)
-            version = int(file.attrs["schema_version"])
-            document = json.loads(bytes(file["document"][()]))
-            arrays = {
-                name: np.asarray(data[()], dtype=np.float64)
-                for name, data in file.items()
-                if isinstance(data, h5py.Dataset) and name != "document"
-            }
-    except HDF5_ERRORS as error:
-        msg = f"{path}: can't be read as a bundle ({error}); copy it again or fit again"
-        raise BundleError(msg) from error
+    with open_file(path, "a bundle", "copy it again or fit again") as file:
+        check_format(file, "tissueid/bundle")
+        version = int(file.attrs["schema_version"])
+        document = json.loads(get_text(file, "document"))
+        arrays = {
+            name: np.asarray(data[()], dtype=np.float64)
+            for name, data in file.items()
+            if isinstance(data, h5py.Dataset) and name != "document"
+        }
     return version, document, arrays
 
 

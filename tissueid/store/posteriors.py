@@ -23,14 +23,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+from tissueid.store.files import json_bytes
+from tissueid.store.hdf5 import (
+    check_format,
+    get_columns,
+    get_text,
+    new_file,
+    offsets_of,
+    open_file,
+    put_columns,
+    put_text,
+)
 
 _FORMAT = "tissueid/posteriors/1"
 _BAND_ROWS = 3
@@ -102,11 +111,8 @@ def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) ->
     ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen; ``path``:
     its folder must exist.
     """
-    path = Path(path)
-    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+    with new_file(Path(path)) as file:
         put_posteriors(file, posteriors)
-    replace_file(temporary, path)
 
 
 def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
@@ -115,13 +121,8 @@ def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
     index = []
     for position, one in enumerate(posteriors):
         index.append(_entry(one))
-        group = file.create_group(str(position), track_order=False)
-        for name, values in _columns(one).items():
-            packed = {"compression": "gzip", "shuffle": True} if values.size else {}
-            group.create_dataset(name, data=values, track_times=False, **packed)
-    text = json_bytes(index)
-    kind = h5py.string_dtype("utf-8", length=len(text))
-    file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+        put_columns(file.create_group(str(position), track_order=False), _columns(one))
+    put_text(file, "index", json_bytes(index))
 
 
 def _entry(one: StoredPosterior) -> dict[str, Any]:
@@ -140,7 +141,7 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
         "draws": one.draws.astype("<f8"),
         "chain": one.chain.astype("<f8"),
         "bands": bands.astype("<f4"),
-        "offsets": np.concatenate([[0], np.cumsum(sizes, dtype=int)]).astype("<i8"),
+        "offsets": offsets_of(sizes),
     }
     optional = {"draws_total": one.draws_total, "log_density": one.log_density, "log_prior": one.log_prior}
     for name, values in optional.items():
@@ -158,29 +159,19 @@ def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it where a posterior was sampled"
         raise BundleError(msg)
-    try:
-        return _read(path)
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
-        msg = f"{path}: cannot be read as posteriors ({error}); copy it again or run `tissueid fit` again"
-        raise BundleError(msg) from error
-
-
-def _read(path: Path) -> tuple[StoredPosterior, ...]:
-    with h5py.File(path, "r") as file:
+    with open_file(path, "posteriors", "copy it again or run `tissueid fit` again") as file:
         return get_posteriors(file)
 
 
 def get_posteriors(file: Any) -> tuple[StoredPosterior, ...]:
     """Read what :func:`put_posteriors` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
-    if file.attrs.get("format") != _FORMAT:
-        msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
-        raise ValueError(msg)
-    index = json.loads(bytes(file["index"][()]))
+    check_format(file, _FORMAT)
+    index = json.loads(get_text(file, "index"))
     return tuple(_posterior(entry, file[str(position)]) for position, entry in enumerate(index))
 
 
 def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
-    columns = {name: np.asarray(group[name][()]) for name in group}
+    columns = get_columns(group)
     offsets, size = columns["offsets"], len(entry["theta_names"])
     whole = (
         columns["draws"].shape[1:] == (size,)

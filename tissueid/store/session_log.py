@@ -32,8 +32,8 @@ import numpy as np
 
 from tissueid.arrays import RecordArray
 from tissueid.errors import BundleError
-from tissueid.store.bundle import HDF5_ERRORS
-from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
+from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.hdf5 import HDF5_ERRORS, check_format, get_text, new_file, put_text
 from tissueid.store.schema import check
 
 SESSION_FORMAT = "tissueid/session"
@@ -135,20 +135,10 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
     document = plain_json({**head, "summary": summary})
     check(document, "session", where=str(target))
     text = json_bytes(document)
-    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
-    try:
-        _write_hdf5(temporary, text, raw, start, record, count)
-        replace_file(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _write_hdf5(path: Path, text: bytes, raw: Path, start: int, record: np.dtype[Any], count: int) -> None:
     digest = hashlib.sha256(_seal(text, record, count))
-    with h5py.File(path, "w", libver=("v110", "v110")) as file, raw.open("rb") as stream:
+    with new_file(target) as file, raw.open("rb") as stream:
         stream.seek(start)
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        file.create_dataset("document", data=np.array(text, dtype=kind), track_times=False)
+        put_text(file, "document", text)
         table = file.create_dataset(
             "records",
             shape=(count,),
@@ -197,10 +187,8 @@ def _bytes(path: Path) -> bytes:
 def _read_hdf5(data: bytes) -> tuple[bytes, RecordArray, dict[str, Any]]:
     with h5py.File(io.BytesIO(data), "r") as file:
         attributes = dict(file.attrs)
-        if attributes.get("format") != SESSION_FORMAT:
-            msg = f"its format is {attributes.get('format')!r}, not {SESSION_FORMAT!r}"
-            raise ValueError(msg)
-        text = bytes(file["document"][()])
+        check_format(file, SESSION_FORMAT)
+        text = get_text(file, "document")
         records = np.asarray(file["records"][()])
     _check_record(records.dtype)
     return text, records, attributes

@@ -24,13 +24,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-import h5py
 import numpy as np
 
-from tissueid.errors import BundleError
-from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, Bundle, put_bundle
+from tissueid.store.bundle import SPECIMEN_GROUP, Bundle, put_bundle
 from tissueid.store.curves import TrialCurve, get_curves, put_curves
 from tissueid.store.files import json_bytes
+from tissueid.store.hdf5 import get_text, new_file, open_file, put_text
 from tissueid.store.posteriors import StoredPosterior, get_posteriors, put_posteriors
 
 SPECIMEN_SCHEMA_VERSION = 1
@@ -56,15 +55,13 @@ def specimen_bytes(result: SpecimenResult) -> bytes:
     Raises BundleError: if its bundle could not be loaded again.
     """
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
+    with new_file(buffer) as file:
         if result.bundle is not None:
             put_bundle(file, result.bundle, where=result.bundle.specimen)
         group = file.create_group(SPECIMEN_GROUP)
         group.attrs["format"] = _FORMAT
         group.attrs["schema_version"] = np.int64(SPECIMEN_SCHEMA_VERSION)
-        text = json_bytes(result.record)
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        group.create_dataset("record", data=np.array(text, dtype=kind), track_times=False)
+        put_text(group, "record", json_bytes(result.record))
         if result.curves:
             put_curves(group.create_group("curves"), result.curves)
         if result.posterior is not None:
@@ -75,24 +72,18 @@ def specimen_bytes(result: SpecimenResult) -> bytes:
 @contextmanager
 def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
     """The group of a specimen's file; whatever libhdf5 says of a damaged one becomes a BundleError."""
-    try:
-        with h5py.File(path, "r") as file:
-            group = file[SPECIMEN_GROUP]
-            version = group.attrs.get("schema_version")
-            if group.attrs.get("format") != _FORMAT or version != SPECIMEN_SCHEMA_VERSION:
-                msg = f"format {group.attrs.get('format')!r}, schema version {version}"
-                raise ValueError(msg)
-            yield group
-    except HDF5_ERRORS as error:
-        msg = (
-            f"{path}: cannot be read as a specimen of a run ({error}); run the same `tissueid fit` again, "
-            "which computes it anew"
-        )
-        raise BundleError(msg) from error
+    anew = "run the same `tissueid fit` again, which computes it anew"
+    with open_file(path, "a specimen of a run", anew) as file:
+        group = file[SPECIMEN_GROUP]
+        version = group.attrs.get("schema_version")
+        if group.attrs.get("format") != _FORMAT or version != SPECIMEN_SCHEMA_VERSION:
+            msg = f"format {group.attrs.get('format')!r}, schema version {version}"
+            raise ValueError(msg)
+        yield group
 
 
 def _record(group: Any) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads(bytes(group["record"][()]))
+    record: dict[str, Any] = json.loads(get_text(group, "record"))
     return record
 
 
