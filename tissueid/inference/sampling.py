@@ -154,8 +154,9 @@ ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
 #: Share of the normal within the walls below which rejection wastes its draws, and share of them that they
 #: are worth where the target is nearly normal.
 LEAST_LEFT, NEARLY = 0.05, 0.8
-#: Looks after which points that are worth less than this share of them are left to the walkers.
-FEW_LOOKS, POOR_LOOK = 3, 0.1
+#: Looks after which points that are worth less than this share of them are left to the walkers, and what they
+#: are worth for each walker that starts from them, below which it walks alone.
+FEW_LOOKS, POOR_LOOK, FEWEST_STARTS = 3, 0.1, 1.0 / 8.0
 #: Share of the draws asked for that walkers still have to make where importance sampling is worth them.
 HALF = 0.5
 #: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
@@ -259,7 +260,7 @@ def sample(
     kept = Checkpoint(checkpoint, key)
     proposal = _proposal(target, rng)
     points, log_weight, weighed = _weighed(target, proposal, draws, rng, kept, progress)
-    poor = weighed.worth < WALKERS / 8.0
+    poor = weighed.worth < WALKERS * FEWEST_STARTS
     if poor and not np.isfinite(log_weight).any():
         msg = f"none of {len(points)} proposals is passive and fits"
         raise ArithmeticError(msg)
@@ -363,8 +364,8 @@ def _weighed(
             found = smoothed(log_weight)
             if progress is not None:
                 progress(len(points), min(found.worth / draws, 1.0))
-            hopeless = len(points) >= FEW_LOOKS * LOOK and found.worth < POOR_LOOK * len(points)
-            if found.worth >= draws or hopeless:
+            dear = len(points) >= FEW_LOOKS * LOOK and found.worth < POOR_LOOK * len(points)
+            if found.worth >= draws or (dear and found.worth >= WALKERS * FEWEST_STARTS):
                 break
         new = proposal.draw(LOOK, rng)
         points = np.vstack([points, new])
