@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -96,3 +98,32 @@ def test_a_tissue_that_is_no_plane_is_pressed_in(chromium: Any, tmp_path: Path, 
         deep = wait(page, lambda now: now["surface"] > 2.0)
         assert deep["newest"]["device_N"] > 0.1
         assert page.said == []
+
+
+def test_a_twin_is_played_beside_the_recording_that_it_should_be(chromium: Any, tmp_path: Path) -> None:
+    data = Path(__file__).resolve().parents[2] / "datasets_synthetic" / "paper-a-22-250Hz" / "hold-4-1.csv"
+    for words in (
+        ("fit", data, "--sampler", "none", "-q", "-o", tmp_path / "out"),
+        ("render", tmp_path / "out" / "bundle.h5", "--twin", "--against", data, "-q"),
+    ):
+        subprocess.run([sys.executable, "-m", "tissueid", *map(str, words)], check=False, capture_output=True)
+    printed = tmp_path / "printed.txt"
+    command = ["view", tmp_path / "out" / "twin" / "felt.h5", "--beside", data, "--no-browser"]
+    with printed.open("w") as out:
+        viewing = subprocess.Popen([sys.executable, "-m", "tissueid", *map(str, command)], stderr=out)
+    page = chromium.new_page(viewport={"width": 1400, "height": 900})
+    try:
+        while "://" not in printed.read_text(encoding="utf-8"):
+            assert viewing.poll() is None, printed.read_text(encoding="utf-8")
+            time.sleep(0.05)
+        page.goto(next(word for word in printed.read_text(encoding="utf-8").split() if "://" in word))
+        held = wait(page, lambda now: (now["newest"]["depth_mm"] or 0.0) > 3.99 and "force" in now["traces"])
+        found = wait(page, lambda now: now["drawn"] > held["drawn"] + 60)["traces"]["force"]["values"]
+        # the recording's own noise is 0.5 N
+        assert abs(found["tissue_N"][-1] - found["recording_N"][-1]) < 4.0
+        assert "recording" in page.locator("#strip-force figcaption").text_content()
+        assert "recording" in page.locator("#strip-depth figcaption").text_content()
+    finally:
+        page.close()
+        viewing.terminate()
+        viewing.wait(20)

@@ -27,11 +27,12 @@ from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import write_bundle
+from tissueid.store.session_log import SessionLog
 from tissueid.viewer import server_process, serving
 from tissueid.viewer.hello import hello
 from tissueid.viewer.security import LOOPBACK
 from tissueid.viewer.serving import ServedViewer, ViewerOptions, reach
-from tissueid.viewer.showing import band_of, check_log, show_log, show_session
+from tissueid.viewer.showing import band_of, check_log, recording_beside, show_log, show_session
 
 REST_M = [0.0, 0.0, 0.155]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
@@ -96,6 +97,38 @@ def test_a_process_plays_a_log(tmp_path: Path) -> None:
                 one.send(json.dumps({"v": 1, "answer": received}))
                 frame, received = frame_of(one), received + 1
             assert frame.samples["depth_mm"][-1] == np.float32(log.records["depth_mm"][-1])
+
+
+def exported(log: SessionLog, path: Path) -> Path:
+    """A log as a test machine would have recorded it: another zero of time and of travel, air before it."""
+    time_s, depth = log.records["time_s"], log.records["depth_mm"]
+    rows = zip(
+        np.append(np.arange(-1.0, 0.0, 0.02), time_s - time_s[0]) + 4.7,
+        np.append(depth[0] + np.linspace(-1.0, -0.02, 50), depth) + 3.0,
+        np.append(np.zeros(50), log.records["tissue_force_N"]),
+        strict=True,
+    )
+    lines = [f"{t:.4f},{x:.5f},{f:.5f}" for t, x, f in rows]
+    path.write_text("\n".join(["time (s),displacement (mm),force (N)", *lines, ""]), encoding="ascii")
+    return path
+
+
+def test_a_recording_is_laid_beside_a_log_from_contact_on(tmp_path: Path) -> None:
+    log = check_log(recorded(tmp_path))
+    beside = recording_beside(log, exported(log, tmp_path / "log.csv"))
+    shown = np.interp(log.records["time_s"], beside["time_s"], beside["force_N"])
+    # contact is found to a few samples
+    assert np.abs(shown - log.records["tissue_force_N"]).max() < 0.05 * log.records["tissue_force_N"].max()
+    words = hello(log.head, replay_s=1.0, beside=beside)
+    traces = {strip["id"]: [trace["id"] for trace in strip["traces"]] for strip in words["strips"]}
+    assert traces["force"] == ["device_N", "tissue_N", "recording_N"]
+    assert traces["depth"] == ["depth_mm", "recording_mm"]
+    assert "recording_N" not in str(hello(log.head, replay_s=1.0)["strips"])
+    air = tmp_path / "air.csv"
+    still = [f"{0.01 * k:.2f},{0.01 * k:.3f},0.0{k % 2}" for k in range(400)]
+    air.write_text("\n".join(["time (s),displacement (mm),force (N)", *still, ""]), encoding="ascii")
+    with pytest.raises(UsageError, match="no contact in it"):
+        recording_beside(log, air)
 
 
 def test_the_process_hears_its_owner_line_by_line(tmp_path: Path) -> None:

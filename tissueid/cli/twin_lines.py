@@ -58,6 +58,9 @@ def twin(flags: RenderFlags) -> int:
         for line in twin_lines(twinned.found):
             echo(line)
     note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags.quiet)
+    if flags.against is not None:
+        seen = f"tissueid view {out / 'felt.h5'} --beside {flags.against}"
+        note(f"{seen} plays it beside the recording", quiet=flags.quiet)
     if flags.out is None:
         note(f"tissueid report {flags.bundle.parent} takes it into the report", quiet=flags.quiet)
     return 0

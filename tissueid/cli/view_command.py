@@ -10,10 +10,12 @@ import click
 from tissueid.cli.flags import argument, option, takes
 from tissueid.cli.output import echo, note
 from tissueid.cli.viewer_serving import ViewerFlags, open_browser, served
+from tissueid.errors import UsageError
 
 EPILOG = """\b
 Examples:
   tissueid view out.h5
+  tissueid view out/twin/felt.h5 --beside hold-8-1.csv
   tissueid view 192.0.2.7:8765 --token ABC
 """
 
@@ -24,6 +26,10 @@ class ViewFlags(ViewerFlags):
 
     # fmt: off
     what: str = argument(metavar="LOG|HOST:PORT")
+    beside: Path | None = option(
+        "--beside", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
+        help="A test machine's recording, drawn beside the LOG from contact on.",
+    )
     token: str | None = option(
         "--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.",
     )
@@ -40,6 +46,9 @@ def command(flags: ViewFlags) -> int:
     what = str(flags.what)
     if Path(what).exists() or not _is_address(what):
         return _play(flags, Path(what))
+    if flags.beside is not None:
+        msg = "--beside is for a LOG: a session elsewhere is watched as it goes"
+        raise UsageError(msg)
     return _open_elsewhere(flags, what)
 
 
@@ -51,12 +60,13 @@ def _is_address(text: str) -> bool:
 def _play(flags: ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
     from tissueid.errors import DeviceError
-    from tissueid.viewer.showing import check_log, show_log
+    from tissueid.viewer.showing import check_log, recording_beside, show_log
 
     log = check_log(path)
+    beside = None if flags.beside is None else recording_beside(log, flags.beside)
     try:
         with served(flags) as viewer:
-            show_log(viewer, log, path)
+            show_log(viewer, log, path, beside)
             note("Ctrl-C: end", quiet=flags.quiet)
             viewer.wait()
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ One JSON object, ``{"type": "hello", "v": 1, ...}``:
     what the second and the third of the big numbers are.
 ``lamps``
     an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
-``band``
+``band``, ``beside``
     :mod:`tissueid.viewer.showing`.
 ``sample``
     layout of a sample (:mod:`tissueid.viewer.frames`).
@@ -160,12 +160,14 @@ def hello(
     pointer: bool = False,
     band: Mapping[str, Any] | None = None,
     replay_s: float | None = None,
+    beside: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The hello of a session.
 
     ``head``: of its log, ``schemas/session.schema.json``; ``workspace_m``: range along x, y and z; a Falcon's
     where a log does not say; ``pointer``: whether a page may lead the hand; ``replay_s``: length of a log
-    that is replayed [s].
+    that is replayed [s]; ``beside``: a recording that is drawn beside it: ``time_s``, in the log's time,
+    ``depth_mm``, ``force_N``.
     """
     if workspace_m is None:
         workspace_m = [(middle - WORKING_RADIUS_M, middle + WORKING_RADIUS_M) for middle in CENTRE_M]
@@ -188,7 +190,7 @@ def hello(
             "replay_s": replay_s,
         },
         "scene": {"kind": str(head["environment"]), "objects": _objects(head, workspace_m)},
-        "strips": _strips(head),
+        "strips": _strips(head) if beside is None else _beside(_strips(head)),
         "digits": GUIDED_DIGITS if head["environment"] == "guidance" else DIGITS,
         "hint": GUIDED_HINT if head["environment"] == "guidance" else HINT,
         "lamps": [
@@ -199,6 +201,7 @@ def hello(
         "states": {int(state): state.name.lower() for state in State},
         "faults": {int(fault): words for fault, words in FAULT_WORDS.items()},
         "band": band,
+        "beside": beside,
         "sample": {"bytes": SAMPLE.itemsize, "fields": layout()},
     }
 
@@ -211,6 +214,18 @@ def _strips(head: Mapping[str, Any]) -> list[dict[str, Any]]:
     strips = [{**strip, "title": titles.get(strip["id"], strip["title"])} for strip in STRIPS]
     strips[0] = {**strips[0], "traces": [strips[0]["traces"][0], {**strips[0]["traces"][1], "label": "bone"}]}
     return strips
+
+
+def _beside(strips: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The strips with a trace of a recording in that of the force and in that of the depth."""
+    more: dict[str, dict[str, Any]] = {
+        "force": {"id": "recording_N", "label": "recording", "beside": "force_N", "axis": "right"},
+        "depth": {"id": "recording_mm", "label": "recording", "beside": "depth_mm"},
+    }
+    return [
+        {**strip, "traces": [*strip["traces"], more[strip["id"]]]} if strip["id"] in more else strip
+        for strip in strips
+    ]
 
 
 def _title(head: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import BundleError
+from tissueid.errors import BundleError, UsageError
 from tissueid.model.channels import loading_force
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Tissue
@@ -27,6 +28,8 @@ POINTS = 41
 LOW, HIGH = 0.025, 0.975
 #: Draws the band is made of: the 2.5 % quantile of 400 has a standard error of 0.8 % of them.
 MOST_DRAWS = 400
+#: Samples of a recording that is drawn beside a log.
+MOST_BESIDE = 4_000
 
 
 def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
@@ -90,10 +93,42 @@ def check_log(path: Path) -> SessionLog:
     return log
 
 
-def show_log(viewer: ServedViewer, log: SessionLog, path: Path) -> None:
+def recording_beside(log: SessionLog, path: Path) -> dict[str, Any]:
+    """A recording to be drawn beside a log: both cross the surface at the same time.
+
+    Returns ``time_s`` (in the log's time), ``depth_mm``, ``force_N``.  Raises UsageError: one of them never
+    touches tissue.
+    """
+    # what the first picture of a session need not wait for
+    from tissueid.ingest import read_trials
+    from tissueid.segment import segment
+    from tissueid.trial import contact_frame
+
+    trial = read_trials(path)[0]
+    found = segment(trial)
+    inside = np.flatnonzero(log.records["depth_mm"] > 0.0)
+    if found.contact is None or not inside.size:
+        whose = path if found.contact is None else "the log"
+        msg = f"{whose}: there is no contact in it, by which the two could be laid beside each other"
+        raise UsageError(msg)
+    depth, force = contact_frame(trial, found)
+    met_s = float(log.records["time_s"][inside[0]])
+    time_s = trial.time_s - trial.time_s[found.contact.index] + met_s
+    every = max(1, time_s.size // MOST_BESIDE)
+    return {
+        "time_s": time_s[::every].tolist(),
+        "depth_mm": depth[::every].tolist(),
+        "force_N": force[::every].tolist(),
+    }
+
+
+def show_log(
+    viewer: ServedViewer, log: SessionLog, path: Path, beside: Mapping[str, Any] | None = None
+) -> None:
     """Play a log.
 
-    ``log``: :func:`check_log`; ``path``: where it lies; the server reads it again.
+    ``log``: :func:`check_log`; ``path``: where it lies; the server reads it again; ``beside``: of
+    :func:`recording_beside`.
     """
     times = log.records["time_s"]
-    viewer.show_log(hello(log.head, replay_s=float(times[-1] - times[0])), path)
+    viewer.show_log(hello(log.head, replay_s=float(times[-1] - times[0]), beside=beside), path)

@@ -12,8 +12,26 @@ export class History {
     this.periodS = hello.session.period_s;
     this.data = this.columns.map(() => new Float64Array(CAPACITY));
     this.index = new Map(this.columns.map((column, c) => [column.name, c]));
+    this.besides = hello.beside;
     this.begin = 0;
     this.end = 0;
+  }
+
+  /** A column of the recording beside the session, at the time of a sample; null before and after it. */
+  beside(name) {
+    const { time_s: times, [name]: values } = this.besides;
+    return (n) => {
+      const time = this.value("time_s", n);
+      if (!(time >= times[0] && time <= times.at(-1))) return null;
+      let low = 0;
+      let high = times.length - 1;
+      while (high - low > 1) {
+        const middle = (low + high) >> 1;
+        if (times[middle] <= time) low = middle;
+        else high = middle;
+      }
+      return values[low] + ((values[high] - values[low]) * (time - times[low])) / (times[high] - times[low]);
+    };
   }
 
   /** Take a frame in; samples that were left out are NaN. */
@@ -52,6 +70,7 @@ export class History {
 
   /** A trace of the hello as a function of a sample's number. */
   trace(trace) {
+    if (trace.beside) return this.beside(trace.beside);
     const read = this.reader(trace.field);
     const minus = trace.minus_period ? this.periodS : 0;
     const factor = trace.factor ?? 1;

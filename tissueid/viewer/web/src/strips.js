@@ -10,8 +10,8 @@ const LOOP_HEIGHT = 190;
 // one strip is drawn anew in each picture, none more often than this
 const LEAST_MS = 70;
 
-const hues = ["device", "tissue-line", "hand"];
-const hueOf = (strip, i) => (strip.id === "force" ? hues[i] : "trace");
+const hues = ["device", "tissue-line", "guide"];
+const hueOf = (strip, i) => (strip.id === "force" ? hues[i] : i ? "guide" : "trace");
 const font = "11px system-ui, sans-serif";
 
 /** A range that moves in steps, so that an axis stands still while it can. */
@@ -218,7 +218,7 @@ export class Strips {
       strip.traces.forEach((trace, i) => {
         if (strip.traces.length < 2) return;
         const key = document.createElement("span");
-        key.className = `key ${hues[i]}`;
+        key.className = `key ${hueOf(strip, i)}`;
         key.textContent = trace.axis === "right" ? `${trace.label} (right)` : trace.label;
         caption.append(key);
       });
