@@ -26,6 +26,7 @@ def twin(flags: RenderFlags) -> int:
     """Run the twin of a bundle, write it, print it."""
     from tissueid.documents import plain
     from tissueid.errors import UsageError
+    from tissueid.ingest import read_trials
     from tissueid.notebook import svg_file
     from tissueid.report.twin_page import render_twin
     from tissueid.store.bundle import load_bundle
@@ -40,7 +41,8 @@ def twin(flags: RenderFlags) -> int:
         raise UsageError(msg)
     bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
-    asked = Setup(_program(flags, bundle), flags.force_scale, flags.motion_scale, flags.felt)
+    felt = None if flags.felt is None else read_trials(flags.felt)[0]
+    asked = Setup(_program(flags, bundle), flags.force_scale, flags.motion_scale, felt)
     out: Path = flags.out or flags.bundle.parent / "twin"
     try:
         out.mkdir(parents=True, exist_ok=True)

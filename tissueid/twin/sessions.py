@@ -34,7 +34,7 @@ from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 from tissueid.segment import SegmentOptions, segment
-from tissueid.trial import contact_frame
+from tissueid.trial import Trial, contact_frame
 from tissueid.twin.program import Program
 
 TICK_S = 1e-3
@@ -124,7 +124,7 @@ class Setup:
     program: Program
     force_scale: float | None = None
     motion_scale: float | None = None
-    felt: Path | None = None
+    felt: Trial | None = None
 
 
 def planned(bundle: Path, asked: Setup) -> SessionPlan:
@@ -140,15 +140,14 @@ def planned(bundle: Path, asked: Setup) -> SessionPlan:
     return plan_session(options)
 
 
-def felt_by_a_machine(path: Path, *, force_scale: float, motion: float) -> Felt:
+def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Felt:
     """A test machine's recording at the grip of a real device, scales undone.
 
     Its delay and counts are taken to be a Falcon's.  Raises UsageError: there is no contact in it.
     """
-    trial = read_trials(path)[0]
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
     if segmentation.contact is None:
-        msg = f"{path}: no contact is found in it; name what the test machine recorded at the grip"
+        msg = f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip"
         raise UsageError(msg)
     depth, force = contact_frame(trial, segmentation)
     return Felt(MACHINE, trial.time_s, depth / motion, force / force_scale, LATE_S, COUNT_MM / motion)
