@@ -160,7 +160,7 @@ def hello(
     pointer: bool = False,
     band: Mapping[str, Any] | None = None,
     replay_s: float | None = None,
-    beside: Mapping[str, Any] | None = None,
+    beside: Mapping[str, list[float]] | None = None,
 ) -> dict[str, Any]:
     """The hello of a session.
 

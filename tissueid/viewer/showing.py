@@ -93,7 +93,7 @@ def check_log(path: Path) -> SessionLog:
     return log
 
 
-def recording_beside(log: SessionLog, path: Path) -> dict[str, Any]:
+def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
     """A recording to be drawn beside a log: both cross the surface at the same time.
 
     Returns ``time_s`` (in the log's time), ``depth_mm``, ``force_N``.  Raises UsageError: one of them never
@@ -123,7 +123,7 @@ def recording_beside(log: SessionLog, path: Path) -> dict[str, Any]:
 
 
 def show_log(
-    viewer: ServedViewer, log: SessionLog, path: Path, beside: Mapping[str, Any] | None = None
+    viewer: ServedViewer, log: SessionLog, path: Path, beside: Mapping[str, list[float]] | None = None
 ) -> None:
     """Play a log.
 
