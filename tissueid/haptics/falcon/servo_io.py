@@ -63,6 +63,8 @@ NEVER = 1 << 40
 #: Counts of one leg beside which the two others stood still that no hand makes (10 mm along one curve), and
 #: counts that are standing still (0.25 mm).
 ALONE_COUNTS, STILL_COUNTS = 160, 4
+#: Places in what is kept of counts.
+LAST, NONE_YET = 3, 6
 #: Middle of the workspace [m]: where the first Newton iteration starts.
 GUESS_M = (0.0, 0.0, 0.12)
 
@@ -85,7 +87,9 @@ class FalconParts(NamedTuple):
     incoming: ByteArray
     outgoing: ByteArray
     motor: IntArray
-    since: IntArray  # counts from which each leg is seen to move alone; the last element: none yet
+    since: (
+        IntArray  # counts from which each leg is seen to move alone, those of the last reply, and 1: none yet
+    )
     angles: FloatArray
     grip: FloatArray
 
@@ -119,7 +123,7 @@ def _parts(given: CompiledIO) -> FalconParts:
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(PACKET_BYTES, np.uint8),
         motor=np.zeros(3, np.int64),
-        since=np.array([0, 0, 0, 1], np.int64),
+        since=np.array([0, 0, 0, 0, 0, 0, 1], np.int64),
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
@@ -166,17 +170,20 @@ def _alone(since: IntArray, counts: IntArray) -> bool:
     """True where one leg has gone on and on while the others stood still.
 
     Three encoders for three directions contradict each other in this alone: a hand that leads the grip along
-    the curve of one leg, to a quarter of a millimetre, for a centimetre, is a faulty encoder.
+    the curve of one leg, to a quarter of a millimetre, for a centimetre, is a faulty encoder.  A jump is not
+    this fault's.
     """
-    most, others = 0, 0
+    most, others, step = 0, 0, 0
     for i in range(3):
         moved = abs(counts[i] - since[i])
         others = max(others, min(moved, most))
         most = max(most, moved)
-    if since[3] != 0 or others > STILL_COUNTS:
+        step = max(step, abs(counts[i] - since[LAST + i]))
+        since[LAST + i] = counts[i]
+    if since[NONE_YET] != 0 or others > STILL_COUNTS or step >= ALONE_COUNTS:
         for i in range(3):
             since[i] = counts[i]
-        since[3] = 0
+        since[NONE_YET] = 0
         return False
     return most >= ALONE_COUNTS
 
@@ -199,7 +206,7 @@ def _understand(
         # before homing counts mean nothing
         words[REPLY] = REPLY_VALID
         if words[IS_HOMED] == 0:
-            parts.since[3] = 1
+            parts.since[NONE_YET] = 1
         elif not found or _alone(parts.since, counts):
             words[REPLY] = REPLY_APART
         for i in range(3):
