@@ -379,14 +379,14 @@ COMPILED = (
     Mutant(
         "a pose that is none is believed",
         _FALCON,
-        "elif not found or _alone(parts.since, counts):",
-        "elif _alone(parts.since, counts):",
+        "elif not found or _alone(parts.since, parts.last, counts):",
+        "elif _alone(parts.since, parts.last, counts):",
         ("tests/haptics/test_haptics_compiled_io.py",),
     ),
     Mutant(
         "a leg that goes on alone is believed",
         _FALCON,
-        "elif not found or _alone(parts.since, counts):",
+        "elif not found or _alone(parts.since, parts.last, counts):",
         "elif not found:",
         ("tests/render/test_render_faults.py",),
     ),

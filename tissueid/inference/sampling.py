@@ -255,7 +255,6 @@ def sample(
     asked.
     """
     began = time.perf_counter()
-    d = target.size
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)
     proposal = _proposal(target, rng)
@@ -266,11 +265,9 @@ def sample(
         raise ArithmeticError(msg)
     weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
     start = _started(target, points, weights, rng)
-    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
-    shares = MOVES_EXACT if target.is_normal else shares
-    moves = list(zip(kinds, shares, strict=True))
-    sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
+    moves = _moves(proposal, MOVES_EXACT if target.is_normal else shares, rng)
+    sampler = emcee.EnsembleSampler(WALKERS, target.size, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
 
     def told(steps: int, share: float) -> None:
@@ -303,6 +300,14 @@ def sample(
         msg = f"importance sampling is worth {weighed.worth:.0f} draws, and walkers left the data"
         raise ArithmeticError(msg)
     return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
+
+
+def _moves(
+    proposal: Proposal, shares: tuple[float, ...], rng: np.random.Generator
+) -> list[tuple[emcee.moves.Move, float]]:
+    """Moves of the walkers with their shares."""
+    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
+    return list(zip(kinds, shares, strict=True))
 
 
 def _started(target: Target, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> FloatArray:

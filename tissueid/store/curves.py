@@ -22,17 +22,8 @@ from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
 from tissueid.result import Curve, ResidualSummary, SpecimenFit
+from tissueid.store import hdf5
 from tissueid.store.files import json_bytes
-from tissueid.store.hdf5 import (
-    check_format,
-    get_columns,
-    get_text,
-    new_file,
-    offsets_of,
-    open_file,
-    put_columns,
-    put_text,
-)
 
 _GROUP = "residual"
 _TABLES = {"edges_N": "<f8", "counts": "<i8"}
@@ -56,14 +47,14 @@ def put_residuals(group: Any, residuals: Sequence[ResidualSummary | None]) -> No
     columns: dict[str, NDArray[Any]] = {
         "trial": np.array([i for i, _ in kept], dtype="<i8"),
         "clock_s": np.array([[one.start_s, one.step_s] for _, one in kept], dtype="<f8"),
-        "lag_offsets": offsets_of([one.lags.size for _, one in kept]),
-        "hold_offsets": offsets_of([one.hold_count.size for _, one in kept]),
+        "lag_offsets": hdf5.offsets_of([one.lags.size for _, one in kept]),
+        "hold_offsets": hdf5.offsets_of([one.hold_count.size for _, one in kept]),
     }
     for name, kind in _TABLES.items():
         columns[name] = np.stack([getattr(one, name) for _, one in kept]).astype(kind)
     for name, kind in _SERIES.items():
         columns[name] = np.concatenate([getattr(one, name) for _, one in kept]).astype(kind)
-    put_columns(found, columns)
+    hdf5.put_columns(found, columns)
 
 
 def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
@@ -74,7 +65,7 @@ def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
     residuals: list[ResidualSummary | None] = [None] * trials
     if _GROUP not in group:
         return residuals
-    columns = get_columns(group[_GROUP])
+    columns = hdf5.get_columns(group[_GROUP])
     where = columns["trial"]
     ends = {name: columns[f"{_DIVIDED.get(name, 'hold')}_offsets"] for name in _SERIES}
     whole = (
@@ -128,7 +119,7 @@ def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
 
     ``curves``: at least one; ``path``: its folder must exist.
     """
-    with new_file(Path(path)) as file:
+    with hdf5.new_file(Path(path)) as file:
         put_curves(file, curves)
 
 
@@ -137,12 +128,12 @@ def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
     sizes = [entry.curve.time_s.size for entry in curves]
     index = [{"specimen": entry.specimen, "path": entry.path, "sheet": entry.sheet} for entry in curves]
     group.attrs["format"] = _FORMAT
-    put_text(group, "index", json_bytes(index))
-    group.create_dataset("offsets", data=offsets_of(sizes), track_times=False)
+    hdf5.put_text(group, "index", json_bytes(index))
+    group.create_dataset("offsets", data=hdf5.offsets_of(sizes), track_times=False)
     for name in (*_QUANTITIES, "fitted"):
         parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
         values = np.concatenate(parts) if parts else np.empty(0)
-        put_columns(group, {name: values.astype("u1" if name == "fitted" else "<f8")})
+        hdf5.put_columns(group, {name: values.astype("u1" if name == "fitted" else "<f8")})
     put_residuals(group, [entry.residual for entry in curves])
 
 
@@ -155,14 +146,14 @@ def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it into its output folder"
         raise BundleError(msg)
-    with open_file(path, "curves", "copy it again or run `tissueid fit` again") as file:
+    with hdf5.open_file(path, "curves", "copy it again or run `tissueid fit` again") as file:
         return get_curves(file)
 
 
 def get_curves(group: Any) -> tuple[TrialCurve, ...]:
     """Read what :func:`put_curves` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
-    check_format(group, _FORMAT)
-    index = json.loads(get_text(group, "index"))
+    hdf5.check_format(group, _FORMAT)
+    index = json.loads(hdf5.get_text(group, "index"))
     offsets = np.asarray(group["offsets"][()])
     columns = {name: np.asarray(group[name][()]) for name in (*_QUANTITIES, "fitted")}
     if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):

@@ -29,17 +29,8 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
+from tissueid.store import hdf5
 from tissueid.store.files import json_bytes
-from tissueid.store.hdf5 import (
-    check_format,
-    get_columns,
-    get_text,
-    new_file,
-    offsets_of,
-    open_file,
-    put_columns,
-    put_text,
-)
 
 _FORMAT = "tissueid/posteriors/1"
 _BAND_ROWS = 3
@@ -111,7 +102,7 @@ def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) ->
     ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen; ``path``:
     its folder must exist.
     """
-    with new_file(Path(path)) as file:
+    with hdf5.new_file(Path(path)) as file:
         put_posteriors(file, posteriors)
 
 
@@ -121,8 +112,8 @@ def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
     index = []
     for position, one in enumerate(posteriors):
         index.append(_entry(one))
-        put_columns(file.create_group(str(position), track_order=False), _columns(one))
-    put_text(file, "index", json_bytes(index))
+        hdf5.put_columns(file.create_group(str(position), track_order=False), _columns(one))
+    hdf5.put_text(file, "index", json_bytes(index))
 
 
 def _entry(one: StoredPosterior) -> dict[str, Any]:
@@ -141,7 +132,7 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
         "draws": one.draws.astype("<f8"),
         "chain": one.chain.astype("<f8"),
         "bands": bands.astype("<f4"),
-        "offsets": offsets_of(sizes),
+        "offsets": hdf5.offsets_of(sizes),
     }
     optional = {"draws_total": one.draws_total, "log_density": one.log_density, "log_prior": one.log_prior}
     for name, values in optional.items():
@@ -159,19 +150,19 @@ def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it where a posterior was sampled"
         raise BundleError(msg)
-    with open_file(path, "posteriors", "copy it again or run `tissueid fit` again") as file:
+    with hdf5.open_file(path, "posteriors", "copy it again or run `tissueid fit` again") as file:
         return get_posteriors(file)
 
 
 def get_posteriors(file: Any) -> tuple[StoredPosterior, ...]:
     """Read what :func:`put_posteriors` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
-    check_format(file, _FORMAT)
-    index = json.loads(get_text(file, "index"))
+    hdf5.check_format(file, _FORMAT)
+    index = json.loads(hdf5.get_text(file, "index"))
     return tuple(_posterior(entry, file[str(position)]) for position, entry in enumerate(index))
 
 
 def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
-    columns = get_columns(group)
+    columns = hdf5.get_columns(group)
     offsets, size = columns["offsets"], len(entry["theta_names"])
     whole = (
         columns["draws"].shape[1:] == (size,)

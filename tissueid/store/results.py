@@ -95,13 +95,7 @@ def read_twin(out: Path) -> Twin | None:
     path = out / TWIN
     if not path.is_file():
         return None
-    try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        msg = f"{path}: can't be read ({error}); run `tissueid render --twin` again, or delete it"
-        raise BundleError(msg) from error
-    check(document, "twin", where=str(path))
-    return typed(document, Twin)
+    return typed(_checked(path, "twin", "run `tissueid render --twin` again, or delete it"), Twin)
 
 
 def load_identification(path: Path) -> IdentificationDocument:
@@ -222,13 +216,13 @@ def _committed(out: Path) -> CommittedRun:
     return run
 
 
-def _checked(path: Path) -> dict[str, Any]:
+def _checked(path: Path, kind: str = "identification", way_out: str = _WAY_OUT) -> dict[str, Any]:
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read as JSON ({error}); run `tissueid fit` again"
+        msg = f"{path}: cannot be read as JSON ({error}); {way_out}"
         raise BundleError(msg) from error
-    check(document, "identification", where=str(path))
+    check(document, kind, where=str(path))
     return document
 
 

@@ -63,8 +63,8 @@ NEVER = 1 << 40
 #: Counts of one leg beside which the two others stood still that no hand makes (10 mm along one curve), and
 #: counts that are standing still (0.25 mm).
 ALONE_COUNTS, STILL_COUNTS = 160, 4
-#: Places in what is kept of counts.
-LAST, NONE_YET = 3, 6
+#: Counts before the first reply: from there every place is a jump.
+NOWHERE = 1 << 20
 #: Middle of the workspace [m]: where the first Newton iteration starts.
 GUESS_M = (0.0, 0.0, 0.12)
 
@@ -87,9 +87,8 @@ class FalconParts(NamedTuple):
     incoming: ByteArray
     outgoing: ByteArray
     motor: IntArray
-    since: (
-        IntArray  # counts from which each leg is seen to move alone, those of the last reply, and 1: none yet
-    )
+    since: IntArray  # counts from which a leg is seen to move alone
+    last: IntArray  # counts of the last reply
     angles: FloatArray
     grip: FloatArray
 
@@ -123,7 +122,8 @@ def _parts(given: CompiledIO) -> FalconParts:
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(PACKET_BYTES, np.uint8),
         motor=np.zeros(3, np.int64),
-        since=np.array([0, 0, 0, 0, 0, 0, 1], np.int64),
+        since=np.zeros(3, np.int64),
+        last=np.full(3, NOWHERE, np.int64),
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
@@ -166,7 +166,7 @@ def _unanswered(flags: IntArray, answers: int) -> int:
 
 
 @tick_kernel
-def _alone(since: IntArray, counts: IntArray) -> bool:
+def _alone(since: IntArray, last: IntArray, counts: IntArray) -> bool:
     """True where one leg has gone on and on while the others stood still.
 
     Three encoders for three directions contradict each other in this alone: a hand that leads the grip along
@@ -178,12 +178,11 @@ def _alone(since: IntArray, counts: IntArray) -> bool:
         moved = abs(counts[i] - since[i])
         others = max(others, min(moved, most))
         most = max(most, moved)
-        step = max(step, abs(counts[i] - since[LAST + i]))
-        since[LAST + i] = counts[i]
-    if since[NONE_YET] != 0 or others > STILL_COUNTS or step >= ALONE_COUNTS:
+        step = max(step, abs(counts[i] - last[i]))
+        last[i] = counts[i]
+    if others > STILL_COUNTS or step >= ALONE_COUNTS:
         for i in range(3):
             since[i] = counts[i]
-        since[NONE_YET] = 0
         return False
     return most >= ALONE_COUNTS
 
@@ -206,8 +205,8 @@ def _understand(
         # before homing counts mean nothing
         words[REPLY] = REPLY_VALID
         if words[IS_HOMED] == 0:
-            parts.since[NONE_YET] = 1
-        elif not found or _alone(parts.since, counts):
+            parts.last[0] = NOWHERE
+        elif not found or _alone(parts.since, parts.last, counts):
             words[REPLY] = REPLY_APART
         for i in range(3):
             position[i] = parts.grip[i]
