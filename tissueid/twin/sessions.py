@@ -43,8 +43,9 @@ LATE_S = (ASSUMED_DEVICE.delay_ticks + 0.5) * TICK_S
 LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)
 #: Travel of one encoder count at the grip (docs/devices.md) [mm].
 COUNT_MM = 0.0635
-#: Emulated time of homing [s], and the surface in the Falcon's frame [m].
-HOMED_S, SURFACE_M = 3.0, (0.0, 0.0, 0.1445)
+#: Emulated time of homing [s], and where the machine meets the surface, in the Falcon's frame [m]: 20 mm
+#: beside the axis, on which three legs would count at one moment and a hold be known to a whole count.
+HOMED_S, SURFACE_M = 3.0, (0.011, 0.017, 0.1445)
 INWARD = (0.0, 0.0, -1.0)
 #: Device of a recording that a test machine made at a real grip.
 MACHINE = "test machine at the grip"
