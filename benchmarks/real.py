@@ -1,6 +1,6 @@
 """Judge ``tissueid fit`` on real recordings, by the command itself and the public interface.
 
-Four parts:
+Five parts:
 
 * ``coherence``: is every printed value inside its own intervals (a missing interval holds nothing), how many
   are withheld, does a second seed say the same (within 0.1 total standard deviations), does an independent
@@ -9,11 +9,13 @@ Four parts:
 * ``prediction``: holds of logs that were left out of their cut, with an own elastic curve from their ramp,
   beside no model at all and least squares of the same law; ramp times of muscle that were left out, nothing
   free, beside five families of laws that are written apart in :mod:`real_baselines`.
+* ``laws``: the same holds and ramp times by the law that ``--model auto`` chooses, each group over the best
+  of five laws that are written apart (within 10 % in the median, 25 % in the worst).
 * ``insample``: NRMSD of cuts over least squares with the same freedom, and of single recordings.
 * ``speed``: processor seconds a sheet, memory, first and second fit of one 100 Hz log over bare imports.
 
-    python benchmarks/real.py [--part coherence|prediction|insample|speed|all] [--data FOLDER] [--json]
-                              [--only 230403-FF1*] [--sheets N] [--cuts N] [--logs N] [--splits 10]
+    python benchmarks/real.py [--part coherence|prediction|laws|insample|speed|all] [--data FOLDER]
+                              [--json] [--only 230403-FF1*] [--sheets N] [--cuts N] [--logs N] [--splits 10]
 
 The recordings are not part of the project: ``--data`` or TISSUEID_REAL_DATA names their folder, and without
 it the benchmark says that it was skipped.  Nothing is copied.  Progress goes to stderr.
@@ -38,7 +40,7 @@ from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = {"left_out_logs": "holds of logs left out of their cut", "left_out_speeds": "ramp times left out"}
-PARTS = ("coherence", "prediction", "insample", "speed")
+PARTS = ("coherence", "prediction", "laws", "insample", "speed")
 
 
 def default_data() -> Path:
@@ -66,6 +68,7 @@ def measured(asked: argparse.Namespace) -> dict[str, Any]:
     """Results of the parts that were asked for."""
     # loaded here: recordings that are absent need no fit
     from real_coherence import coherence
+    from real_laws import among_laws
     from real_prediction import insample, prediction
     from real_recordings import recordings
     from real_speed import speed
@@ -77,6 +80,8 @@ def measured(asked: argparse.Namespace) -> dict[str, Any]:
         result["coherence"] = coherence(found, cuts=asked.cuts, splits=asked.splits, seed=asked.seed)
     if "prediction" in parts:
         result["prediction"] = prediction(found, cuts=asked.cuts, logs=asked.logs)
+    if "laws" in parts:
+        result["laws"] = among_laws(found, cuts=asked.cuts, logs=asked.logs)
     if "insample" in parts:
         result["insample"] = insample(found, cuts=asked.cuts)
     if "speed" in parts:
@@ -156,6 +161,17 @@ def prediction_lines(result: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {name:40}" + "".join(f"{percent(row['nrmsd'][name]):>10}" for row in rows)
 
 
+def law_lines(result: Mapping[str, Any]) -> Iterator[str]:
+    """Table of groups: NRMSD of every predictor, and ratios to the best of the five laws."""
+    yield "left-out NRMSD by group, and over the best of five laws"
+    for row in result["rows"]:
+        ratios = ", ".join(f"{name} {value:.2f}" for name, value in row["ratio"].items())
+        yield f"  {row['group']} ({row['count']}): {ratios}; best is {row['best']}"
+        yield "    " + ", ".join(f"{name} {percent(value)}" for name, value in row["nrmsd"].items())
+    for name, row in result["summary"].items():
+        yield f"  {name}: median {row['median']:.2f}, worst {row['worst']:.2f} of {row['count']} groups"
+
+
 def insample_lines(result: Mapping[str, Any]) -> Iterator[str]:
     """Table of in-sample deviations."""
     yield "in-sample NRMSD, and over least squares with the same freedom"
@@ -194,6 +210,7 @@ def speed_lines(result: Mapping[str, Any]) -> Iterator[str]:
 LINES = {
     "coherence": coherence_lines,
     "prediction": prediction_lines,
+    "laws": law_lines,
     "insample": insample_lines,
     "speed": speed_lines,
 }

@@ -85,13 +85,13 @@ def no_model(log: Log, others: Sequence[Log]) -> Array:
     return np.asarray(log.force_N[log.peak] * mean)
 
 
-def _hold_error(predicted: Array, log: Log, usable: NDArray[np.bool_]) -> float:
+def hold_error(predicted: Array, log: Log, usable: NDArray[np.bool_]) -> float:
     """NRMSD of the samples after the peak, over the range of the log's forces."""
     after = slice(log.peak + 1, None)
     return nrmsd(predicted[after][usable[1:]], log.force_N[after][usable[1:]], float(np.ptp(log.force_N)))
 
 
-def _multiplied(force: Array, log: Log, depth_mm: float) -> Array:
+def multiplied(force: Array, log: Log, depth_mm: float) -> Array:
     """Force of others times a non-negative curve of depth that follows from the ramp [N]."""
     rays = curve_rays(log.depth_mm / depth_mm, 2)
     return carried_to(rays * force[:, None], log)
@@ -124,16 +124,16 @@ def _left_out_log(cut: str, members: Sequence[Recording], place: int) -> dict[st
     pooling = ours.pooling if isinstance(ours, Found) else "partial"
     forces = _own_curves(order, depth, others, log)
     peer = _peer(pooling, Paper(*order, depth), others)
-    forces[PEER] = _multiplied(peer.force(log), log, depth)
+    forces[PEER] = multiplied(peer.force(log), log, depth)
     if isinstance(ours, Found):
-        forces[OURS] = _multiplied(foreign_force(ours, log), log, depth)
+        forces[OURS] = multiplied(foreign_force(ours, log), log, depth)
     plain = no_model(log, others)
     usable = np.isfinite(plain)
     full = np.concatenate([log.force_N[: log.peak], plain])
-    errors = {NO_MODEL: _hold_error(full, log, usable)}
+    errors = {NO_MODEL: hold_error(full, log, usable)}
     for name, force in forces.items():
-        errors[name] = _hold_error(force, log, usable)
-        errors[name + AT_PEAK] = _hold_error(force * log.force_N[log.peak] / force[log.peak], log, usable)
+        errors[name] = hold_error(force, log, usable)
+        errors[name + AT_PEAK] = hold_error(force * log.force_N[log.peak] / force[log.peak], log, usable)
     row = {"cut": cut, "log": log.name, "order": list(order), "pooling": pooling, "nrmsd": errors}
     return row if isinstance(ours, Found) else {**row, "failed": ours}
 

@@ -22,7 +22,7 @@ from real_baselines import Log, cone_weights, curve_rays
 import tissueid
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
-from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.grammar import rebuilt
 from tissueid.pipeline import FitOptions, IdentifyOptions, PosteriorOptions, identify
 
 MEAT = "zwick-meat-gpl3"
@@ -218,7 +218,7 @@ class Found:
     @property
     def law(self) -> ChannelModel:
         """Contact model that belongs to theta."""
-        return kelvin_voigt(*self.order, depth_mm=float(self.fit.depth_mm))
+        return rebuilt(self.fit.model, float(self.fit.depth_mm))
 
     @property
     def offset_apart(self) -> bool:
