@@ -53,14 +53,14 @@ def tissue(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_ticks_follow_the_force_of_the_model(name):
-    """A ramp, a hold and a slow return to half depth, in lasting contact: within 0.05 % of the most."""
+    """A ramp, a hold and a slow return to half depth, in lasting contact: within 0.01 % of the most."""
     model, theta = tissue(name)
     time = np.arange(0.0, 3.0, TICK)
     depth = np.interp(time, [0.0, 1.0, 2.0, 3.0], [0.0, DEPTH, DEPTH, 0.7 * DEPTH])
     expected = model.force(theta, ContactPath(time, depth))
     assert expected.min() >= 0.0
     error = np.abs(walked(model, theta, time, depth) - expected).max()
-    assert error < 5e-4 * expected.max()
+    assert error < 1e-4 * expected.max()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -69,8 +69,8 @@ def test_a_projection_says_what_it_misses(name):
     law = servo_law(model, theta)
     assert law.tau_s.size <= 12
     assert (law.stiffness[:, 0] > 0.0).all()
-    # exponentials whose times are fitted: on a fixed grid of as many, the springpot's error is 7e-4
-    assert law.error < 2e-4
+    # on a fixed grid of as many times the springpot is 7e-4 off, with times and weights fitted at once 1e-4
+    assert law.error < 6e-5
     if model.relaxation.branches or model.fixed_s.size:
         assert law.error == 0.0
 

@@ -39,11 +39,13 @@ BELOW, BEYOND = 0.03, 10.0
 TIMES, FOREVER = 160, 1e6
 #: Share of the largest weight that is none.
 NONE = 1e-12
-#: Points of the grids on which exponentials are sought; distance from there, in logarithms, within which they
-#: are fitted, evaluations of that; its damping over the steepest slope at first and at the most, and what a
-#: step that helps leaves of it.
-GRIDS, FARTHEST_LN, POLISHING = (60, 40, 26, 18, 12), 3.0, 100
-FIRST_DAMPING, MOST_DAMPING, LESS_DAMPING = 3e-3, 1e3, 0.45
+#: Points of the grids on which exponentials are sought; steps in which their times are fitted, the longest of
+#: them in logarithms, its damping over the steepest slope at first and at the most, what a step that helps
+#: leaves of it, and the share of the squares that a last step leaves.
+GRIDS, POLISHING, LONGEST_LN = (60, 26, 18), 60, 1.0
+FIRST_DAMPING, MOST_DAMPING, LESS_DAMPING, STILL = 3e-3, 1e3, 0.45, 0.9999
+#: Shares of a time that is parted in two.
+PARTED = (0.7, 1.4)
 #: Depth at which the slope at the surface is taken, in first pieces.
 NEAR = 1e-3
 #: Steps of the active set, and how far beyond the outer ones of few times many are spread.
@@ -215,64 +217,90 @@ def projected(
 
     ``wanted`` (t,): the relaxation at ``time_s``; ``span_s``: of their times, beside one that never
     decays.  Non-negative least squares on a grid gives neighbours that stand for one time each; these, and
-    as many as there may be between the first and the last of them, are starts from which times and weights
-    are fitted together.
+    as many as there may be between the first and the last of them, are starts from which times are fitted.
     """
-    best, least, forever = (np.zeros(0), np.zeros(0)), np.inf, FOREVER * span_s[1]
+    best, forever = _Sum(np.zeros(0), np.zeros(0), np.inf), FOREVER * span_s[1]
     for count in GRIDS:
         grid = np.append(np.geomspace(*span_s, count), forever)
-        weights = _nonnegative(np.exp(-time_s[:, None] / grid), wanted)
-        sizes, times = _merged(weights, grid, most)
-        starts = [(sizes, times)]
-        decaying = times[times < forever]
-        if times.size < most and decaying.size > 1:
-            spread = np.append(
-                np.geomspace(decaying.min() / WIDER, decaying.max() * WIDER, most - 1), forever
-            )
-            starts.append((np.full(most, sizes.sum() / most), spread))
+        times = _merged(_nonnegative(np.exp(-time_s[:, None] / grid), wanted), grid, most)
+        starts, decaying = [times], times[times < forever]
+        if decaying.size > 1:
+            spread = np.geomspace(decaying.min() / WIDER, decaying.max() * WIDER, most - 1)
+            starts.append(np.append(spread, forever))
         for start in starts:
-            found = _polished(time_s, wanted, *start)
-            error = float(np.abs(np.exp(-time_s[:, None] / found[1]) @ found[0] - wanted).max())
-            if error < least:
-                best, least = found, error
-    return best
+            found = _filled(time_s, wanted, _polished(time_s, wanted, start), (most, forever))
+            best = min(best, found, key=lambda one: one.error)
+    return best.weights, best.tau_s
 
 
-def _merged(weights: FloatArray, grid: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Weights and times of the heaviest groups of neighbours, the last time never in one."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sum:
+    """Exponentials, and the largest error of their sum."""
+
+    weights: FloatArray
+    tau_s: FloatArray
+    error: float
+
+
+def _merged(weights: FloatArray, grid: FloatArray, most: int) -> FloatArray:
+    """Times of the heaviest groups of neighbours, the last time never in one."""
     used = np.flatnonzero(weights > NONE * weights.max())
     groups = np.split(used, np.flatnonzero((np.diff(used) > 1) | (used[1:] == len(grid) - 1)) + 1)
     groups = sorted(groups, key=lambda one: -weights[one].sum())[:most]
-    times = [np.exp(np.average(np.log(grid[one]), weights=weights[one])) for one in groups]
-    return np.array([weights[one].sum() for one in groups]), np.array(times)
+    return np.array([np.exp(np.average(np.log(grid[one]), weights=weights[one])) for one in groups])
 
 
-def _polished(
-    time_s: FloatArray, wanted: FloatArray, weights: FloatArray, tau_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Weights and times that are nearest to a relaxation, by Levenberg and Marquardt in their logarithms."""
-    n, x = tau_s.size, np.log(np.concatenate([weights, tau_s]))
-    low, high, damping = x - FARTHEST_LN, x + FARTHEST_LN, FIRST_DAMPING
+def _filled(time_s: FloatArray, wanted: FloatArray, found: _Sum, limits: tuple[int, float]) -> _Sum:
+    """The same with its heaviest time parted in two, as long as that is better.
 
-    def parts(x: FloatArray) -> FloatArray:
-        return np.asarray(np.exp(x[:n] - time_s[:, None] / np.exp(x[n:])))
-
-    each = parts(x)
-    off = each.sum(axis=1) - wanted
-    for _ in range(POLISHING):
-        slopes = np.hstack([each, each * (time_s[:, None] / np.exp(x[n:]))])
-        level = damping * np.linalg.norm(slopes, axis=0).max()
-        matrix, right = np.vstack([slopes, level * np.eye(2 * n)]), np.append(-off, np.zeros(2 * n))
-        trial = np.clip(x + np.linalg.lstsq(matrix, right, rcond=None)[0], low, high)
-        new = parts(trial)
-        missed = new.sum(axis=1) - wanted
-        better = missed @ missed < off @ off
-        damping *= LESS_DAMPING if better else 1.0 / LESS_DAMPING
-        if better:
-            x, each, off = trial, new, missed
-        if damping > MOST_DAMPING:
+    ``limits``: exponentials that there may be, and the time that never decays.
+    """
+    most, forever = limits
+    while found.tau_s.size < most:
+        heaviest = int(np.argmax(np.where(found.tau_s < forever, found.weights, 0.0)))
+        parts = np.append(np.delete(found.tau_s, heaviest), found.tau_s[heaviest] * np.array(PARTED))
+        more = _polished(time_s, wanted, parts)
+        if more.error >= found.error or more.tau_s.size <= found.tau_s.size:
             break
-    return np.exp(x[:n]), np.exp(x[n:])
+        found = more
+    return found
+
+
+def _polished(time_s: FloatArray, wanted: FloatArray, tau_s: FloatArray) -> _Sum:
+    """Times that are nearest to a relaxation with the best non-negative weights of each.
+
+    Variable projection (Golub & Pereyra 1973, doi 10.1137/0710036) with Kaufman's derivative (1975, doi
+    10.1007/BF01932995), damped as by Levenberg and Marquardt.
+    """
+    x, damping = np.log(tau_s), FIRST_DAMPING
+    each, weights = _weighted(time_s, wanted, x)
+    off = each @ weights - wanted
+    for _ in range(POLISHING):
+        basis, _ = np.linalg.qr(each)
+        slopes = each * (time_s[:, None] / np.exp(x)) * weights
+        slopes -= basis @ (basis.T @ slopes)
+        level = damping * np.linalg.norm(slopes, axis=0).max()
+        matrix = np.vstack([slopes, level * np.eye(x.size)])
+        move = np.linalg.lstsq(matrix, np.append(-off, np.zeros(x.size)), rcond=None)[0]
+        trial = x + np.clip(move, -LONGEST_LN, LONGEST_LN)
+        new, sizes = _weighted(time_s, wanted, trial)
+        missed = new @ sizes - wanted
+        better = missed @ missed < off @ off and (sizes > 0.0).sum() >= (weights > 0.0).sum()
+        damping *= LESS_DAMPING if better else 1.0 / LESS_DAMPING
+        still = better and missed @ missed > STILL * (off @ off)
+        if better:
+            x, each, weights, off = trial, new, sizes, missed
+        if still or damping > MOST_DAMPING:
+            break
+    kept = weights > 0.0
+    return _Sum(weights[kept], np.exp(x)[kept], float(np.abs(off).max()))
+
+
+def _weighted(time_s: FloatArray, wanted: FloatArray, ln_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Exponentials at times, (t, n), and their best non-negative weights, (n,)."""
+    each = np.exp(-time_s[:, None] / np.exp(ln_tau))
+    weights = np.asarray(np.linalg.lstsq(each, wanted, rcond=None)[0])
+    return each, _nonnegative(each, wanted) if (weights <= 0.0).any() else weights
 
 
 def _nonnegative(matrix: FloatArray, target: FloatArray) -> FloatArray:
