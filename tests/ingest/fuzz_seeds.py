@@ -63,9 +63,6 @@ class Seed:
     def data(self) -> bytes:
         return self.text.encode(self.intent.encoding)
 
-    def with_lines(self, lines: list[str]) -> Seed:
-        return replace(self, lines=tuple(lines))
-
 
 def split_cells(line: str, delimiter: str) -> list[str]:
     """Cells with their quotes, cut at delimiters outside quotes."""
