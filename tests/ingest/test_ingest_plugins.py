@@ -32,6 +32,7 @@ def install(folder: Path, name: str, module: str) -> None:
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[tissueid.readers]\n{name} = {name}:RECIPE\n")
+    forget_readers()
 
 
 @pytest.fixture
@@ -64,7 +65,6 @@ def bare(tmp_path: Path) -> Path:
 def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log: Path) -> None:
     refusal(log)
     install(site, "indento", example())
-    forget_readers()
     trial = read(log)
     assert trial.time_s.tolist() == [0.0, 0.01, 0.02]
     assert trial.displacement_mm.tolist() == [0.0, 0.005, 0.01]
@@ -78,7 +78,6 @@ def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log
 
 def test_the_worked_example_refuses_with_line_and_column(site: Path, log: Path) -> None:
     install(site, "indento", example())
-    forget_readers()
     log.write_text(LOG.replace("10 5 2.5", "10 5,5 2.5"))
     error = refusal(log)
     assert (error.code, error.line, error.column) == ("inconsistent_decimal", 6, 2)
@@ -86,7 +85,6 @@ def test_the_worked_example_refuses_with_line_and_column(site: Path, log: Path) 
 
 def test_an_installed_reader_can_be_asked_for_by_its_key(site: Path, log: Path) -> None:
     install(site, "indento", example())
-    forget_readers()
     assert match_of(log, ReadOptions(recipe="indento")).recipe.key == "indento"
     with pytest.raises(UsageError, match="indento"):
         match_of(log, ReadOptions(recipe="other"))
@@ -110,7 +108,6 @@ BROKEN = {
 def test_a_reader_that_cannot_be_loaded_is_named_and_stops_nobody(site: Path, bare: Path, name: str) -> None:
     module, word = BROKEN[name]
     install(site, "broken_reader", module)
-    forget_readers()
     trial = read(bare)
     assert trial.source.recipe == "bluehill-csv"
     (fault,) = reader_faults()
@@ -125,7 +122,6 @@ def test_a_reader_that_breaks_while_it_looks_is_out_for_that_file(site: Path, ba
         "RECIPE = Recipe('breaks', 'x', detect, lambda file: iter(()))\n"
     )
     install(site, "breaking", module)
-    forget_readers()
     trial = read(bare)
     assert trial.source.recipe == "bluehill-csv"
     (fault,) = reader_faults()
@@ -155,7 +151,6 @@ def test_a_reader_that_breaks_while_it_reads_is_a_refusal_of_that_file(
         "RECIPE = Recipe('breaks', 'x', detect, read)\n"
     )
     install(site, "breaking", module)
-    forget_readers()
     error = refusal(put(tmp_path / "mine.csv", BARE))
     assert error.code == "reader_failed"
     assert "'breaks'" in error.message
