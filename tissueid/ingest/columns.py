@@ -288,9 +288,9 @@ def _factor(
         factor = factor_to(options.units[channel], quantity)
         if column.unit is not None and not _agrees(column.unit, quantity, factor):
             unit = options.units[channel]
-            message = f"column {column.name!r} is in {column.unit!r}; {unit!r} was taken by --units"
+            taken = f"column {column.name!r} is in {column.unit!r}; {unit!r} was taken by --units"
             values = {"quantity": channel, "column": column.name, "unit": unit}
-            flags.append(Flag("unit_overridden", message, values))
+            flags.append(Flag("unit_overridden", taken, values))
         return factor
     internal = INTERNAL_UNITS[quantity]
     if column.unit is None:

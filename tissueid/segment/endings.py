@@ -129,17 +129,11 @@ TURN_RATIO = 3.0
 #: Peak forces agree within this share of their mean, so many noise sd, or the force between two samples.
 TURN_SHARE = 0.01
 TURN_SD = 3.0
-#: What an aborted ramp lacks, and what a ramp or loop ended at, by the value that only it has.
+#: What an aborted ramp lacks, by the value that says so.
 _WANTED = {
     "stated_mm": "of {:.4g} mm stated",
     "stated_hold_s": "without the {:.4g} s hold",
     "earlier_mm": "earlier ones {:.4g} mm",
-}
-_HELD = "{force_N:.4g} N are held while the tool creeps {creep_mm:.3g} mm: load control, no relaxation hold"
-_LIMITS = {
-    "creep_mm": _HELD,
-    "limit_N": "the ramp ends at {force_N:.4g} N, the stated limit of {limit_N:.4g} N",
-    "turns": "{turns} loops turn at {force_N:.4g} N, not at one depth: a limit",
 }
 
 
@@ -316,6 +310,13 @@ def ending_flags(events: list[Event]) -> list[Flag]:
             message = f"the ramp ends at {values['reached_mm']:.4g} mm, {wanted}"
             flags.append(Flag("aborted_ramp", message, values))
         elif event.kind == "load_limit":
-            words = next(words for key, words in _LIMITS.items() if key in values)
-            flags.append(Flag("load_limit_stop", words.format(**values), values))
+            force = f"{values['force_N']:.4g} N"
+            if "creep_mm" in values:
+                crept = f"{force} are held while the tool creeps {values['creep_mm']:.3g} mm"
+                limit = f"{crept}: load control, no relaxation hold"
+            elif "limit_N" in values:
+                limit = f"the ramp ends at {force}, the stated limit of {values['limit_N']:.4g} N"
+            else:
+                limit = f"{values['turns']} loops turn at {force}, not at one depth: a limit"
+            flags.append(Flag("load_limit_stop", limit, values))
     return flags

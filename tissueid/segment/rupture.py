@@ -49,12 +49,6 @@ SLIP_SHARE = 0.2
 #: A fall of which this share goes in so small a part of its time is a break at the end of it.
 BREAK_SHARE = 0.5
 BREAK_TIME = 0.1
-_DOUBTFUL = "{lost:.0f} % of the force is lost at the stop, {time_s:.4g} s: relaxation or rupture?"
-_WORDS = {
-    "rupture": "force falls by {drop_N:.4g} N ({lost:.0f} %) at {time_s:.4g} s, {depth_mm:.3g} mm deep{more}",
-    "slip": "force slips by {drop_N:.4g} N ({lost:.0f} %) at {time_s:.4g} s{more} and recovers",
-    "doubtful_rupture": _DOUBTFUL,
-}
 
 
 class _Fall(NamedTuple):
@@ -253,11 +247,33 @@ def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> flo
 def rupture_flags(events: list[Event]) -> list[Flag]:
     """One flag each for the first rupture, slip and doubtful rupture, with their numbers."""
     flags: list[Flag] = []
-    for kind, words in _WORDS.items():
-        found = [event for event in events if event.kind == kind]
-        if found:
-            first, count = found[0], len(found)
-            values = {"time_s": first.time_s, "count": count, **first.values}
-            lost, more = 100 * first.values["drop_fraction"], "" if count == 1 else f", first of {count}"
-            flags.append(Flag(kind, words.format(**values, lost=lost, more=more), values))
+    broken, slipped, doubtful = (
+        [event for event in events if event.kind == kind] for kind in ("rupture", "slip", "doubtful_rupture")
+    )
+    if broken:
+        deep = f"{broken[0].values['depth_mm']:.3g} mm deep"
+        message = f"force falls by {_drop(broken[0])}, {deep}{_more(broken)}"
+        flags.append(Flag("rupture", message, _values(broken)))
+    if slipped:
+        message = f"force slips by {_drop(slipped[0])}{_more(slipped)} and recovers"
+        flags.append(Flag("slip", message, _values(slipped)))
+    if doubtful:
+        values = _values(doubtful)
+        lost = f"{100 * values['drop_fraction']:.0f} % of the force is lost at the stop"
+        message = f"{lost}, {values['time_s']:.4g} s: relaxation or rupture?"
+        flags.append(Flag("doubtful_rupture", message, values))
     return flags
+
+
+def _drop(event: Event) -> str:
+    values = event.values
+    return f"{values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at {event.time_s:.4g} s"
+
+
+def _more(events: list[Event]) -> str:
+    return "" if len(events) == 1 else f", first of {len(events)}"
+
+
+def _values(events: list[Event]) -> dict[str, float]:
+    """Numbers of the first of some events, and how many there are."""
+    return {"time_s": events[0].time_s, "count": len(events), **events[0].values}
