@@ -59,8 +59,7 @@ def bluehill(
 def write(
     folder: Path, text: str | bytes, *, encoding: str = "ascii", name: str = "Specimen_RawData_1.csv"
 ) -> Path:
-    path = put(folder / name, text if isinstance(text, bytes) else text.encode(encoding))
-    return path
+    return put(folder / name, text if isinstance(text, bytes) else text.encode(encoding))
 
 
 def assert_reads(path: Path, rows, options: ReadOptions | None = None) -> Trial:

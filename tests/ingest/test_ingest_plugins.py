@@ -52,14 +52,12 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    path = put(tmp_path / "synthetic.indento", LOG)
-    return path
+    return put(tmp_path / "synthetic.indento", LOG)
 
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Path:
-    path = put(tmp_path / "synthetic.csv", BARE)
-    return path
+    return put(tmp_path / "synthetic.csv", BARE)
 
 
 def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log: Path) -> None:
