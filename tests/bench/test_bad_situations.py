@@ -26,26 +26,13 @@ MOST_LINES = 3
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One thing that goes wrong.
+    """One thing that goes wrong."""
 
-    Attributes
-    ----------
-    prepare : callable
-        Fills a folder.
-    typed : tuple of str
-        Arguments; run in that folder.
-    code : int
-    told : tuple of str
-        Words of the answer.
-    kept : tuple of str
-        Files that must be there afterwards, as they were prepared.
-    """
-
-    prepare: Callable[[Path], None]
-    typed: tuple[str, ...]
+    prepare: Callable[[Path], None]  # fills a folder
+    typed: tuple[str, ...]  # arguments; run in that folder
     code: int
-    told: tuple[str, ...]
-    kept: tuple[str, ...] = ()
+    told: tuple[str, ...]  # words of the answer
+    kept: tuple[str, ...] = ()  # files that must be there afterwards, as they were prepared
 
 
 def _lab(folder: Path) -> None:

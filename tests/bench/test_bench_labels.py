@@ -32,8 +32,6 @@ def told(shared_data: Path, out: Path) -> str:
     for number, name in enumerate(sorted({key.partition("#")[0] for key in keys})):
         (out / f"{number}.json").write_text(inspected(shared_data / name), encoding="utf-8")
     spec = importlib.util.spec_from_file_location("bench_check", shared_data / "bench_check.py")
-    assert spec is not None
-    assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     said = io.StringIO()

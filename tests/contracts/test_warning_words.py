@@ -19,8 +19,7 @@ import pytest
 import tissueid
 from tissueid.flags import FLAGS, HARM, MOST_WORDS, NOTHING, Flag, flag_level, harm_rank, warning_line
 from tissueid.inference import frame_effect
-from tissueid.ingest.levels import below_resolution
-from tissueid.ingest.spikes import spike
+from tissueid.ingest.quality import below_resolution, spike
 
 PACKAGE = Path(tissueid.__file__).parent
 #: Folders whose messages are being written anew; taken out of this list they are held to the rule.

@@ -83,7 +83,7 @@ def original(seed: Seed) -> tuple[tuple[float, float, float], ...]:
     """The rows of a seed."""
     reading = fuzz_oracle.read(seed.data, seed.intent)
     assert len(reading.rows) == len(seed.lines) - seed.first
-    return tuple(reading.values())
+    return tuple(row.values for row in reading.rows)
 
 
 def remarks(trial: Trial) -> frozenset[tuple[str, str]]:

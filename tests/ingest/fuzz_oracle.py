@@ -21,24 +21,14 @@ SPACES = "\u00a0\u202f '\u2019"
 class Row:
     line: int
     values: tuple[float, float, float]
-    last_cell: str
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a file holds.
-
-    ``odd`` are lines that are neither rows nor free of numbers; ``tables`` the lines that name columns;
-    ``open_end`` whether the last line has no line end.
-    """
+    """What a file holds: its rows, and the lines that are neither rows nor free of numbers."""
 
     rows: tuple[Row, ...]
     odd: tuple[int, ...]
-    n_lines: int
-    open_end: bool
-
-    def values(self) -> list[tuple[float, float, float]]:
-        return [row.values for row in self.rows]
 
 
 def _digits(text: str, at: int) -> int:
@@ -124,18 +114,11 @@ def cells_of(line: str, delimiter: str) -> list[str] | None:
         at += 1
 
 
-def _lines(data: bytes, encoding: str) -> tuple[list[str], bool]:
-    text = data.decode(encoding, errors="replace").removeprefix("\ufeff")
-    pieces = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    open_end = pieces[-1] != ""
-    return (pieces if open_end else pieces[:-1]), open_end
-
-
 def read(data: bytes, intent: Intent) -> Reading:
     """Read bytes that are meant in one way."""
-    lines, open_end = _lines(data, intent.encoding)
+    text = data.decode(intent.encoding, errors="replace").removeprefix("\ufeff")
     rows, odd = [], []
-    for line_number, line in enumerate(lines, 1):
+    for line_number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
         if not line.strip(f' \t"{intent.delimiter}'):
             continue
         cells = cells_of(line, intent.delimiter)
@@ -144,7 +127,7 @@ def read(data: bytes, intent: Intent) -> Reading:
             rows.append(row)
         elif cells is None or any(_like_number(cell) for cell in cells):
             odd.append(line_number)
-    return Reading(tuple(rows), tuple(odd), len(lines), open_end)
+    return Reading(tuple(rows), tuple(odd))
 
 
 def _like_number(cell: str) -> bool:
@@ -165,4 +148,4 @@ def _row(cells: list[str], intent: Intent, line_number: int) -> Row | None:
     others = set(range(intent.n_columns)) - set(intent.channels) - intent.words
     if any(cells[column].strip() and number(cells[column], intent) is None for column in others):
         return None
-    return Row(line_number, (values[0], values[1], values[2]), cells[-1])
+    return Row(line_number, (values[0], values[1], values[2]))

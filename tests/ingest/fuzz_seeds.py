@@ -6,7 +6,7 @@ plain writer here, which knows nothing of any reader.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -41,6 +41,18 @@ class Intent:
     words: frozenset[int] = frozenset()
 
 
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Cells with their quotes, cut at delimiters outside quotes."""
+    cells, start, inside = [], 0, False
+    for at, letter in enumerate(line):
+        if letter == '"':
+            inside = not inside
+        elif letter == delimiter and not inside:
+            cells.append(line[start:at])
+            start = at + 1
+    return [*cells, line[start:]]
+
+
 @dataclass(frozen=True)
 class Seed:
     """One sound file: lines without their ends, and which of them are names, units and first row."""
@@ -63,20 +75,12 @@ class Seed:
     def data(self) -> bytes:
         return self.text.encode(self.intent.encoding)
 
-    def with_lines(self, lines: list[str]) -> Seed:
-        return replace(self, lines=tuple(lines))
-
-
-def split_cells(line: str, delimiter: str) -> list[str]:
-    """Cells with their quotes, cut at delimiters outside quotes."""
-    cells, start, inside = [], 0, False
-    for at, letter in enumerate(line):
-        if letter == '"':
-            inside = not inside
-        elif letter == delimiter and not inside:
-            cells.append(line[start:at])
-            start = at + 1
-    return [*cells, line[start:]]
+    def with_cells(self, rows: Iterable[int], change: Callable[[list[str]], Iterable[str]]) -> list[str]:
+        """The lines with the cells of some rows changed."""
+        lines, delimiter = list(self.lines), self.intent.delimiter
+        for at in rows:
+            lines[at] = delimiter.join(change(split_cells(lines[at], delimiter)))
+        return lines
 
 
 @cache

@@ -62,10 +62,9 @@ def trailing_delimiters(seed: Seed, rng: Random) -> Mutant:
 
 
 def pad(seed: Seed, rng: Random) -> Mutant:
-    lines, space = list(seed.lines), rng.choice((" ", "  ", "\t", "\u00a0"))
-    for at in _body(seed) if rng.random() < 0.5 else _some(seed, rng):
-        cells = split_cells(lines[at], seed.intent.delimiter)
-        lines[at] = seed.intent.delimiter.join(rng.choice((space + c, c + space, c)) for c in cells)
+    space = rng.choice((" ", "  ", "\t", "\u00a0"))
+    rows = _body(seed) if rng.random() < 0.5 else _some(seed, rng)
+    lines = seed.with_cells(rows, lambda cells: [rng.choice((space + c, c + space, c)) for c in cells])
     return textual("padded cells", seed, lines, expect="original")
 
 
@@ -186,13 +185,10 @@ def group_thousands(seed: Seed, rng: Random) -> Mutant | None:
 
 def swap_decimal(seed: Seed, rng: Random) -> Mutant:
     """The whole table in the other locale."""
-    lines = list(seed.lines)
-    swap = str.maketrans(".,", ",.")
-    for at in _body(seed):
-        cells = split_cells(lines[at], seed.intent.delimiter)
-        words = seed.intent.words
-        cells = [c if k in words else c.translate(swap) for k, c in enumerate(cells)]
-        lines[at] = seed.intent.delimiter.join(cells)
+    swap, words = str.maketrans(".,", ",."), seed.intent.words
+    lines = seed.with_cells(
+        _body(seed), lambda cells: [c if k in words else c.translate(swap) for k, c in enumerate(cells)]
+    )
     return textual("decimal mark everywhere", seed, lines, expect="original")
 
 

@@ -84,15 +84,15 @@ def other_number(seed: Seed, rng: Random) -> Mutant:
 
 def whole_column(seed: Seed, rng: Random) -> Mutant:
     """Every value of a column edited alike: one more digit, or the other sign."""
-    lines, k, new = list(seed.lines), rng.choice(seed.intent.channels), rng.choice("0123456789")
-    flip = rng.random() < 0.4
-    for at in range(seed.first, len(lines)):
-        cells = split_cells(lines[at], seed.intent.delimiter)
+    k, new, flip = rng.choice(seed.intent.channels), rng.choice("0123456789"), rng.random() < 0.4
+
+    def edited(cells: list[str]) -> list[str]:
         quote = '"' if cells[k].startswith('"') else ""
         bare = cells[k].strip('"')
         bare = (bare[1:] if bare.startswith("-") else "-" + bare) if flip else bare + new
-        cells[k] = quote + bare + quote
-        lines[at] = seed.intent.delimiter.join(cells)
+        return [*cells[:k], quote + bare + quote, *cells[k + 1 :]]
+
+    lines = seed.with_cells(range(seed.first, len(seed.lines)), edited)
     return textual("a column edited", seed, lines, expect="oracle")
 
 
@@ -117,10 +117,8 @@ def order_of_columns(seed: Seed, rng: Random) -> Mutant:
     """Columns change places with their names and units."""
     order = list(range(seed.intent.n_columns))
     rng.shuffle(order)
-    lines = list(seed.lines)
-    for at in range(seed.names, len(lines)):
-        cells = split_cells(lines[at], seed.intent.delimiter)
-        lines[at] = seed.intent.delimiter.join(cells[k] for k in order)
+    rows = range(seed.names, len(seed.lines))
+    lines = seed.with_cells(rows, lambda cells: [cells[k] for k in order])
     channels = tuple(order.index(k) for k in seed.intent.channels)
     words = frozenset(order.index(k) for k in seed.intent.words)
     meant = replace(seed.intent, channels=channels, words=words)
@@ -131,12 +129,11 @@ def names_swapped(seed: Seed, rng: Random) -> Mutant:
     """The names, with their units, of two channels change places over the same numbers."""
     i, j = rng.sample(range(3), 2)
     a, b = seed.intent.channels[i], seed.intent.channels[j]
-    lines = list(seed.lines)
-    for at in (seed.names, seed.units):
-        if at is not None:
-            cells = split_cells(lines[at], seed.intent.delimiter)
-            cells[a], cells[b] = cells[b], cells[a]
-            lines[at] = seed.intent.delimiter.join(cells)
+    swapped = {a: b, b: a}
+    lines = seed.with_cells(
+        [at for at in (seed.names, seed.units) if at is not None],
+        lambda cells: [cells[swapped.get(k, k)] for k in range(len(cells))],
+    )
     channels = [*seed.intent.channels]
     channels[i], channels[j] = b, a
     meant = replace(seed.intent, channels=tuple(channels))

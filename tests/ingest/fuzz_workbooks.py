@@ -49,7 +49,6 @@ def grid() -> Grid:
 def saved(cells: Grid) -> bytes:
     book = openpyxl.Workbook()
     sheet = book.active
-    assert sheet is not None
     for row in cells:
         sheet.append(row)
     out = io.BytesIO()

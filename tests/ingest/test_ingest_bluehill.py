@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ingest_files import put, read, refusal
 
-from tissueid.errors import InputError
-from tissueid.ingest import ReadOptions, read_each, read_trials
+from tissueid.ingest import ReadOptions, read_trials
 from tissueid.trial import Trial
 
 HEADER = (
@@ -59,23 +59,15 @@ def bluehill(
 def write(
     folder: Path, text: str | bytes, *, encoding: str = "ascii", name: str = "Specimen_RawData_1.csv"
 ) -> Path:
-    path = folder / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode(encoding))
-    return path
+    return put(folder / name, text if isinstance(text, bytes) else text.encode(encoding))
 
 
 def assert_reads(path: Path, rows, options: ReadOptions | None = None) -> Trial:
-    (trial,) = read_trials(path, options)
+    trial = read(path, options)
     # equal to the last bit: both are the double nearest to the same decimal digits
     for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
         np.testing.assert_array_equal(recorded, [float(row[channel]) for row in rows])
     return trial
-
-
-def refusal(path: Path, options: ReadOptions | None = None) -> InputError:
-    (item,) = read_each(path, options)
-    assert isinstance(item, InputError)
-    return item
 
 
 DIALECTS = {
@@ -166,7 +158,7 @@ def test_whole_lines_quoted_by_a_spreadsheet(tmp_path):
 
 def test_units_are_converted_once(tmp_path):
     text = "Time,Extension,Load\r\n(min),(in),(lbf)\r\n0.00,0.00,0.00\r\n0.50,1.00,2.00\r\n"
-    (trial,) = read_trials(write(tmp_path, text))
+    trial = read(write(tmp_path, text))
     assert trial.time_s[1] == 30.0
     assert trial.displacement_mm[1] == 25.4  # by definition of the inch
     # by definition of pound and standard gravity; two roundings
@@ -176,7 +168,7 @@ def test_units_are_converted_once(tmp_path):
 def test_header_gives_protocol_specimen_and_metadata(tmp_path):
     folder = tmp_path / "meat.is_trelax_RawData"
     folder.mkdir()
-    (trial,) = read_trials(write(folder, bluehill(rows_of())))
+    trial = read(write(folder, bluehill(rows_of())))
     assert trial.protocol.kind == "trelax"
     assert trial.protocol.speed_mm_s == pytest.approx(10 / 60, rel=1e-15)
     assert trial.specimen == "22L.3"
@@ -189,8 +181,7 @@ def test_files_are_their_own_specimens_unless_header_or_pattern_groups(tmp_path)
     assert [t.specimen for t in read_trials(tmp_path)] == [str(path) for path in paths]
     grouped = read_trials(tmp_path, ReadOptions(specimen_by=r"(cow)\d"))
     assert {t.specimen for t in grouped} == {"cow"}
-    labelled = write(tmp_path, bluehill(rows_of()), name="cow3_log.csv")
-    (trial,) = read_trials(labelled, ReadOptions(specimen_by=r"cow\d"))
+    trial = read(write(tmp_path, bluehill(rows_of()), name="cow3_log.csv"), ReadOptions(specimen_by=r"cow\d"))
     assert trial.specimen == "cow3"
 
 
@@ -198,12 +189,12 @@ def test_choice_between_columns_is_a_rule_a_flag_and_can_be_overridden(tmp_path)
     names = ("Time", "Compressive extension", "Extension", "Compressive load", "Load")
     body = "".join(f"{i}.0,{i}.1,-{i}.1,{i}.2,-{i}.2\r\n" for i in range(9))
     path = write(tmp_path, f"{','.join(names)}\r\n(s),(mm),(mm),(N),(N)\r\n{body}")
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert dict(trial.source.columns) == {"time": "Time", "displacement": "Extension", "force": "Load"}
     flags = {flag.values["quantity"]: flag for flag in trial.flags}
     assert flags["displacement"].values["alternatives"] == ["Compressive extension"]
     assert flags["force"].values["alternatives"] == ["Compressive load"]
-    (mapped,) = read_trials(path, ReadOptions(columns={"force": "compressive load"}))
+    mapped = read(path, ReadOptions(columns={"force": "compressive load"}))
     assert mapped.force_N[3] == 3.2
     assert [flag.values["quantity"] for flag in mapped.flags] == ["displacement"]
 
@@ -213,7 +204,7 @@ def test_a_last_row_cut_anywhere_is_left_out_and_flagged_or_whole(tmp_path):
     text = bluehill(rows, delimiter=";", decimal=",")
     last = text.rstrip().rfind("\n") + 1
     for cut in range(last + 1, len(text) - 2):
-        (trial,) = read_trials(write(tmp_path, text[:cut]))
+        trial = read(write(tmp_path, text[:cut]))
         assert trial.time_s.size == len(rows) - 1, text[last:cut]
         (flag,) = trial.flags
         assert flag.code == "cut_row"
@@ -224,7 +215,7 @@ def test_a_last_row_cut_anywhere_is_left_out_and_flagged_or_whole(tmp_path):
 
 def test_a_short_last_row_with_its_line_end_is_cut_too(tmp_path):
     rows = rows_of(40)
-    (trial,) = read_trials(write(tmp_path, bluehill(rows) + "1234.5,3.2\r\n"))
+    trial = read(write(tmp_path, bluehill(rows) + "1234.5,3.2\r\n"))
     assert trial.time_s.size == len(rows)
     assert [flag.code for flag in trial.flags] == ["cut_row"]
 
@@ -307,7 +298,7 @@ def test_numbers_that_can_be_decimal_or_grouped_need_the_users_word(tmp_path):
     body = "".join(f"{i + 1}.000;{i + 2}.500;{i + 3}.250\n" for i in range(20))
     path = write(tmp_path, "Time;Extension;Load\n(s);(mm);(N)\n" + body)
     assert refusal(path).code == "ambiguous_decimal"
-    (trial,) = read_trials(path, ReadOptions(decimal="."))
+    trial = read(path, ReadOptions(decimal="."))
     assert trial.displacement_mm[0] == 2.5
 
 
@@ -315,7 +306,7 @@ def test_cr_only_without_names_is_refused_and_reads_with_a_map(tmp_path):
     path = write(tmp_path, "0.0,1.0,2.0\r0.1,1.1,2.1\r0.2,1.2,2.2")
     assert refusal(path).code == "no_columns"
     columns = {"time": "#1", "displacement": "#2", "force": "#3"}
-    (trial,) = read_trials(path, ReadOptions(columns=columns))
+    trial = read(path, ReadOptions(columns=columns))
     assert trial.force_N.tolist() == [2.0, 2.1, 2.2]
     assert [flag.code for flag in trial.flags] == ["units_assumed"] * 3
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tissueid.errors import InputError
 from tissueid.ingest import body
+from tissueid.ingest.body import make_plain
 from tissueid.ingest.layout import Layout
-from tissueid.ingest.plain import make_plain
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import RowReader
 from tissueid.ingest.text import Text

@@ -6,14 +6,7 @@ import pint
 import pytest
 
 from tissueid.ingest.columns import split_name
-from tissueid.units import (
-    INTERNAL_UNITS,
-    KNOWN_UNITS,
-    KNOWN_WORDS,
-    REPEATS,
-    factor_to,
-    quantity_of,
-)
+from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, factor_to, quantity_of
 
 REGISTRY = pint.UnitRegistry()
 

@@ -6,18 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ingest_files import put, read, refusal
 from jpk_archives import SHARED, STIFFNESS_N_PER_M, Curve, zipped
 
-from tissueid.errors import InputError
-from tissueid.ingest import find_inputs, read_each, read_trials
+from tissueid.ingest import find_inputs, read_trials
 from tissueid.segment import segment
 from tissueid.trial import Trial
-
-
-def refused(path: Path) -> InputError:
-    (item,) = read_each(path)
-    assert isinstance(item, InputError)
-    return item
 
 
 def assert_is(trial: Trial, curve: Curve) -> None:
@@ -28,10 +22,9 @@ def assert_is(trial: Trial, curve: Curve) -> None:
 
 
 def test_a_force_curve_is_decoded_through_its_slots_and_segmented(tmp_path: Path) -> None:
-    path = tmp_path / "cell.jpk-force"
-    path.write_bytes(zipped(Curve().files()))
+    path = put(tmp_path / "cell.jpk-force", zipped(Curve().files()))
     assert find_inputs([tmp_path]) == [path]
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert_is(trial, Curve())
     assert (trial.source.recipe, trial.source.sheet) == ("jpk-force", None)
     assert trial.source.columns["displacement"] == "measuredHeight"
@@ -69,19 +62,16 @@ def test_a_curve_without_its_calibration_is_refused_by_what_it_lacks(
     tmp_path: Path, lacking: str, word: str
 ) -> None:
     shared = {key: value for key, value in SHARED.items() if key != lacking}
-    path = tmp_path / "cell.jpk-force"
-    path.write_bytes(zipped(Curve(shared).files()))
-    error = refused(path)
+    error = refusal(put(tmp_path / "cell.jpk-force", zipped(Curve(shared).files())))
     assert error.code == "unreadable_archive"
     assert word in error.message
 
 
-def test_segments_without_a_common_height_are_refused(tmp_path: Path) -> None:
+def test_segments_without_a_common_height_are_refusal(tmp_path: Path) -> None:
     files = Curve().files()
     del files["segments/1/channels/measuredHeight.dat"]
-    path = tmp_path / "cell.jpk-force"
-    path.write_bytes(zipped(files))
-    assert refused(path).code == "no_columns"
+    path = put(tmp_path / "cell.jpk-force", zipped(files))
+    assert refusal(path).code == "no_columns"
 
 
 PIUMA = (
@@ -101,7 +91,7 @@ def test_a_piuma_header_gives_tip_speed_and_hold(tmp_path: Path, mark: str) -> N
     )
     path = tmp_path / "sample Indentation_001.txt"
     path.write_text(PIUMA.replace("{m}", mark) + rows.replace(".", mark), encoding="cp1252")
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert trial.source.recipe == "chiaro"
     assert trial.protocol.tip_radius_mm == pytest.approx(0.05)
     assert trial.protocol.speed_mm_s == pytest.approx(0.005)

@@ -5,22 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from ingest_files import codes, put, read, refusal
 
-from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each, read_trials
-from tissueid.trial import Trial
 
 ROWS = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
 
 
-def read(path: Path, head: str, rows: str = ROWS, **options: dict[str, str]) -> Trial | InputError:
-    path.write_text(f"{head}\n{rows}", encoding="utf-8")
-    (item,) = read_each(path, ReadOptions(**options))
-    return item
-
-
-def codes(trial: Trial) -> list[str]:
-    return [flag.code for flag in trial.flags]
+def written(path: Path, head: str, rows: str = ROWS) -> Path:
+    return put(path, f"{head}\n{rows}")
 
 
 @pytest.mark.parametrize(
@@ -38,27 +31,23 @@ def codes(trial: Trial) -> list[str]:
 def test_units_glued_to_a_name_and_french_crossheads_are_read(
     tmp_path: Path, head: str, factors: tuple[float, float]
 ) -> None:
-    trial = read(tmp_path / "a.csv", head)
-    assert isinstance(trial, Trial)
+    trial = read(written(tmp_path / "a.csv", head))
     assert trial.flags == ()
     assert trial.displacement_mm[2] == pytest.approx(0.1 * factors[0])
     assert trial.force_N[2] == pytest.approx(1.5 * factors[1])
 
 
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
-    trial = read(tmp_path / "a.csv", "t,x,F")
-    assert isinstance(trial, Trial)
+    trial = read(written(tmp_path / "a.csv", "t,x,F"))
     assert codes(trial) == ["units_assumed"] * 3
     assert "--axes displacement=strain" in trial.flags[1].message
     assert "--axes force=stress" in trial.flags[2].message
-    two = read(tmp_path / "b.csv", "t,x,F,u", ROWS.replace("\n", ",1.5\n"))
-    assert isinstance(two, InputError)
+    two = refusal(written(tmp_path / "b.csv", "t,x,F,u", ROWS.replace("\n", ",1.5\n")))
     assert two.code == "no_columns"
     # a capital T is a temperature
-    warm = read(tmp_path / "c.csv", "T,x,F")
-    assert isinstance(warm, InputError)
-    named = read(tmp_path / "d.csv", "Time (s),x,Force (N),Extension (mm)", ROWS.replace("\n", ",1.5\n"))
-    assert isinstance(named, Trial)
+    refusal(written(tmp_path / "c.csv", "T,x,F"))
+    head = "Time (s),x,Force (N),Extension (mm)"
+    named = read(written(tmp_path / "d.csv", head, ROWS.replace("\n", ",1.5\n")))
     assert named.source.columns["displacement"] == "Extension (mm)"
 
 
@@ -74,8 +63,7 @@ def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) 
 def test_strain_and_stress_are_taken_as_such_where_nothing_else_is_there_and_said(
     tmp_path: Path, head: str, axes: tuple[str, str], factor: tuple[float, float]
 ) -> None:
-    trial = read(tmp_path / "a.csv", head)
-    assert isinstance(trial, Trial)
+    trial = read(written(tmp_path / "a.csv", head))
     assert (trial.axes.length, trial.axes.force) == axes
     assert "normalised_axes" in codes(trial)
     assert trial.displacement_mm[2] == pytest.approx(0.1 * factor[0])
@@ -84,12 +72,10 @@ def test_strain_and_stress_are_taken_as_such_where_nothing_else_is_there_and_sai
 
 def test_a_stress_without_unit_or_a_strain_rate_is_no_channel(tmp_path: Path) -> None:
     for head in ("Time (s),Extension (mm),Stress", "Time (s),Strain rate (%/s),Force (N)"):
-        assert isinstance(read(tmp_path / "a.csv", head), InputError)
+        refusal(written(tmp_path / "a.csv", head))
     # a length is taken before a strain
-    both = read(
-        tmp_path / "b.csv", "Time (s),Extension (mm),Force (N),Strain (%)", ROWS.replace("\n", ",1.5\n")
-    )
-    assert isinstance(both, Trial)
+    head = "Time (s),Extension (mm),Force (N),Strain (%)"
+    both = read(written(tmp_path / "b.csv", head, ROWS.replace("\n", ",1.5\n")))
     assert (both.axes.length, both.axes.force) == ("mm", "N")
 
 
@@ -98,13 +84,12 @@ SHIFTED = "".join(f"{k},{k / 10:.1f},{k * 0.5:.2f},{1 + k * 0.25:.3f}\n" for k i
 
 @pytest.mark.parametrize("name", ["Comment", "Bemerkung", "Commentaires", "Observaciones", "Note"])
 def test_numbers_under_comments_are_asked_about(tmp_path: Path, name: str) -> None:
-    error = read(tmp_path / "a.csv", f"Time,Extension,Load,{name}", SHIFTED)
-    assert isinstance(error, InputError)
+    path = written(tmp_path / "a.csv", f"Time,Extension,Load,{name}", SHIFTED)
+    error = refusal(path)
     assert (error.code, error.line, error.column) == ("ragged_rows", 2, 4)
     assert "--columns time=#1" in error.message
     answered = {"time": "#2", "displacement": "#3", "force": "#4"}
-    trial = read(tmp_path / "a.csv", f"Time,Extension,Load,{name}", SHIFTED, columns=answered)
-    assert isinstance(trial, Trial)
+    trial = read(path, ReadOptions(columns=answered))
     assert trial.time_s[2] == pytest.approx(0.2)
 
 
@@ -112,14 +97,13 @@ def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_co
     tmp_path: Path,
 ) -> None:
     rows = "".join(line + ",\n" for line in SHIFTED.splitlines())
-    error = read(tmp_path / "a.csv", ",Time,Extension,Load,Comment", rows)
-    assert isinstance(error, InputError)
+    error = refusal(written(tmp_path / "a.csv", ",Time,Extension,Load,Comment", rows))
     assert (error.code, error.column) == ("ragged_rows", 1)
     # the row numbers that other programs write have no name either
-    assert isinstance(read(tmp_path / "b.csv", ",Time,Extension,Load", SHIFTED), Trial)
+    read(written(tmp_path / "b.csv", ",Time,Extension,Load", SHIFTED))
     # and comments may be comments
     said = "".join(f"{line},{'slow' if k == 3 else ''}\n" for k, line in enumerate(ROWS.splitlines()))
-    assert isinstance(read(tmp_path / "c.csv", "Time,Extension,Load,Comment", said), Trial)
+    read(written(tmp_path / "c.csv", "Time,Extension,Load,Comment", said))
 
 
 def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Path) -> None:
@@ -130,10 +114,8 @@ def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Pa
     head = '"A","","B","",""\n"Force","Course","Temps","Force","Course"\n"N","mm","sec","N","mm"\n'
     path.write_text(head + rows)
     first, second = read_each(path)
-    assert isinstance(first, InputError)
     assert (first.code, first.sheet) == ("no_columns", "A")
     assert "add the time to the channels of the export" in first.message
-    assert isinstance(second, Trial)
     assert second.force_N[7] == pytest.approx(7 / 6, abs=1e-4)
 
 
@@ -152,10 +134,23 @@ def test_a_mach1_force_negative_in_compression_keeps_its_sign_and_the_search_is_
     text = "<Mach-1 File>\n<INFO>\nTime:\t10:21:07\n<END INFO>\n"
     text += block("Find Contact", "Stage velocity, mm/s:\t0.1\n", 0.0)
     text += block("Stress Relaxation", relax + "Fixed relaxation time, s:\t25.000\n", 5.0)
-    path = tmp_path / "a.txt"
-    path.write_text(text)
-    search, test = read_trials(path)
+    search, test = read_trials(put(tmp_path / "a.txt", text))
     assert "not_a_specimen" in codes(search)
     assert "not_a_specimen" not in codes(test)
     assert (test.protocol.speed_mm_s, test.protocol.depth_mm, test.protocol.hold_s) == (0.1, 0.5, 25.0)
     assert test.force_N.min() == pytest.approx(-20.0 * 0.00980665, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("line", "limit_N"),
+    [
+        ('Test : Load limit,"0.05000",kN', 50.0),
+        ('Control : Force limit,"50.00000",N', 50.0),
+        ('Test : Kraftgrenze,"50.00000",N', 50.0),
+        ('Results : Maximum load,"50.00000",N', None),
+        ('Test : Load limit,"50.00000",mm', None),
+    ],
+)
+def test_a_stated_load_limit_is_read(tmp_path: Path, line: str, limit_N: float | None) -> None:
+    trial = read(written(tmp_path / "limit.csv", f"{line}\n\nTime,Extension,Load\n(s),(mm),(N)"))
+    assert trial.protocol.load_limit_N == (None if limit_N is None else pytest.approx(limit_N))

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ingest_files import put, read, refusal
 
-from tissueid.errors import InputError, UsageError
-from tissueid.ingest import ReadOptions, forget_readers, match_of, read_each, read_trials, reader_faults
-from tissueid.trial import Trial
+from tissueid.errors import UsageError
+from tissueid.ingest import ReadOptions, forget_readers, match_of, reader_faults
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "readers.md"
 LOG = "INDENTO 1\nsample=A 7\nspeed=0.5\nms um mN\n0 0 0.5\n10 5 2.5\n20 10 6.5\n"
@@ -32,6 +32,7 @@ def install(folder: Path, name: str, module: str) -> None:
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[tissueid.readers]\n{name} = {name}:RECIPE\n")
+    forget_readers()
 
 
 @pytest.fixture
@@ -51,24 +52,18 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    path = tmp_path / "synthetic.indento"
-    path.write_text(LOG)
-    return path
+    return put(tmp_path / "synthetic.indento", LOG)
 
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Path:
-    path = tmp_path / "synthetic.csv"
-    path.write_text(BARE)
-    return path
+    return put(tmp_path / "synthetic.csv", BARE)
 
 
 def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log: Path) -> None:
-    (before,) = read_each(log)
-    assert isinstance(before, InputError)
+    refusal(log)
     install(site, "indento", example())
-    forget_readers()
-    (trial,) = read_trials(log)
+    trial = read(log)
     assert trial.time_s.tolist() == [0.0, 0.01, 0.02]
     assert trial.displacement_mm.tolist() == [0.0, 0.005, 0.01]
     # parse, factor, product: a rounding each
@@ -81,16 +76,13 @@ def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log
 
 def test_the_worked_example_refuses_with_line_and_column(site: Path, log: Path) -> None:
     install(site, "indento", example())
-    forget_readers()
     log.write_text(LOG.replace("10 5 2.5", "10 5,5 2.5"))
-    (error,) = read_each(log)
-    assert isinstance(error, InputError)
+    error = refusal(log)
     assert (error.code, error.line, error.column) == ("inconsistent_decimal", 6, 2)
 
 
 def test_an_installed_reader_can_be_asked_for_by_its_key(site: Path, log: Path) -> None:
     install(site, "indento", example())
-    forget_readers()
     assert match_of(log, ReadOptions(recipe="indento")).recipe.key == "indento"
     with pytest.raises(UsageError, match="indento"):
         match_of(log, ReadOptions(recipe="other"))
@@ -114,8 +106,7 @@ BROKEN = {
 def test_a_reader_that_cannot_be_loaded_is_named_and_stops_nobody(site: Path, bare: Path, name: str) -> None:
     module, word = BROKEN[name]
     install(site, "broken_reader", module)
-    forget_readers()
-    (trial,) = read_trials(bare)
+    trial = read(bare)
     assert trial.source.recipe == "bluehill-csv"
     (fault,) = reader_faults()
     assert "broken_reader" in fault
@@ -129,8 +120,7 @@ def test_a_reader_that_breaks_while_it_looks_is_out_for_that_file(site: Path, ba
         "RECIPE = Recipe('breaks', 'x', detect, lambda file: iter(()))\n"
     )
     install(site, "breaking", module)
-    forget_readers()
-    (trial,) = read_trials(bare)
+    trial = read(bare)
     assert trial.source.recipe == "bluehill-csv"
     (fault,) = reader_faults()
     assert "'breaks'" in fault
@@ -159,13 +149,8 @@ def test_a_reader_that_breaks_while_it_reads_is_a_refusal_of_that_file(
         "RECIPE = Recipe('breaks', 'x', detect, read)\n"
     )
     install(site, "breaking", module)
-    forget_readers()
-    mine = tmp_path / "mine.csv"
-    mine.write_text(BARE)
-    (error,) = read_each(mine)
-    assert isinstance(error, InputError)
+    error = refusal(put(tmp_path / "mine.csv", BARE))
     assert error.code == "reader_failed"
     assert "'breaks'" in error.message
     assert "--recipe" in error.message
-    (other,) = read_each(bare)
-    assert isinstance(other, Trial)
+    read(bare)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import openpyxl
 import pytest
+from ingest_files import put, read
 from real_recordings import RECORDINGS
 
 from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
@@ -35,7 +36,7 @@ def assert_same(trial: Trial, rows: Rows, factors: tuple[float, float, float] = 
 
 def test_bluehill_cyclic(shared_data):
     path = shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv"
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert_same(trial, plain_rows(path, (0, 1, 2), skip=5))
     assert trial.specimen == "22L.3"
     assert trial.source.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -45,7 +46,7 @@ def test_bluehill_cyclic(shared_data):
 
 def test_bluehill_universal_sample_in_kilonewtons(shared_data):
     path = shared_data / "bluehill-universal-sample-mit" / "sample_bluehill.csv"
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert_same(trial, plain_rows(path, (0, 1, 2), skip=1), (1.0, 1.0, 1000.0))
     assert trial.specimen == str(path)
 
@@ -58,7 +59,7 @@ def test_testxpert_tra(shared_data, name, columns):
     path = shared_data / "zwick-tra-mit" / name
     if not path.exists():
         pytest.skip(f"no {path}")
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert_same(trial, plain_rows(path, columns, skip=12, encoding="latin-1"))
     assert (trial.source.recipe, trial.source.encoding) == ("testxpert-tra", "latin-1")
     assert trial.protocol.speed_mm_s == pytest.approx(1 / 60, rel=1e-15)
@@ -96,14 +97,14 @@ def test_workbook_one_sheet_and_its_other_displacement(shared_data):
 def test_muscle_with_a_column_map(shared_data):
     options = ReadOptions(columns={"displacement": "L", "force": "F"})
     for path in sorted((shared_data / "muscle-ramp-hold-mit").glob("*.csv")):
-        (trial,) = read_trials(path, options)
+        trial = read(path, options)
         assert_same(trial, plain_rows(path, (0, 1, 2), skip=1))
         assert [flag.code for flag in trial.flags].count("units_assumed") == 3
 
 
 def test_afm_columns_carry_their_units(shared_data):
     path = shared_data / "oocyte-afm-mit" / "cell1-0008_full.csv"
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert_same(trial, plain_rows(path, (0, 2, 1), skip=1), (1.0, 1000.0, 1.0))
     assert dict(trial.source.columns)["displacement"] == "height_measured_m"
 
@@ -158,10 +159,9 @@ def test_chiaro_text_and_archive(shared_data, tmp_path):
         data = archive.read(member)
     lines = [line.split("\t") for line in data.decode("cp1252").split("Auxiliary\r\n")[1].splitlines()]
     rows = [(float(cells[0]), float(cells[2]), float(cells[1])) for cells in lines if len(cells) == 6]
-    unpacked = tmp_path / "export.txt"
-    unpacked.write_bytes(data)
+    unpacked = put(tmp_path / "export.txt", data)
     for source, sheet in ((path, member), (unpacked, None)):
-        (trial,) = read_trials(source)
+        trial = read(source)
         assert trial.time_s.size == len(rows)
         for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
             expected = [row[channel] * (1.0, 1e-6, 1e-6)[channel] for row in rows]

@@ -6,8 +6,8 @@ import json
 import zipfile
 from pathlib import Path
 
-import openpyxl
 import pytest
+from ingest_files import put, read, refusal, workbook
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import (
@@ -25,8 +25,7 @@ GOOD = "Time,Extension,Load\n(s),(mm),(N)\n0.0,0.0,0.1\n0.1,0.5,0.2\n0.2,1.0,0.4
 
 
 def refused(path: Path) -> InputError:
-    (item,) = read_each(path)
-    assert isinstance(item, InputError)
+    item = refusal(path)
     assert item.code in REFUSAL_CODES
     assert item.path == str(path)
     return item
@@ -58,28 +57,22 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_files_are_refused_with_their_kind(tmp_path, name):
     data, code, word = WRONG[name]
-    path = tmp_path / f"{name}.csv"
-    path.write_bytes(data)
-    error = refused(path)
+    error = refused(put(tmp_path / f"{name}.csv", data))
     assert error.code == code
     assert word in error.message
 
 
 def test_unknown_columns_are_listed_with_the_way_out(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("Time,x,u,F\n0,1,2,3\n1,2,3,4\n")
-    error = refused(path)
+    error = refused(put(tmp_path / "a.csv", "Time,x,u,F\n0,1,2,3\n1,2,3,4\n"))
     assert (error.code, error.line) == ("no_columns", 1)
     assert "'x', 'u'" in error.message
     assert "--columns" in error.message
 
 
 def test_a_column_the_user_named_must_exist_once(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("Time,L,L\n0,1,2\n1,2,3\n")
+    path = put(tmp_path / "a.csv", "Time,L,L\n0,1,2\n1,2,3\n")
     for wanted, word in (("X", "'L'"), ("L", "#2, #3")):
-        (error,) = read_each(path, ReadOptions(columns={"displacement": wanted, "force": "#3"}))
-        assert isinstance(error, InputError)
+        error = refusal(path, ReadOptions(columns={"displacement": wanted, "force": "#3"}))
         assert error.code == "column_not_found"
         assert word in error.message
 
@@ -112,17 +105,6 @@ def test_directories_in_natural_order_without_hidden_files_and_own_output(tmp_pa
     names = [path.relative_to(tmp_path).as_posix() for path in find_inputs([tmp_path])]
     assert names == ["log_2.CSV", "log_10.csv", "sub/log_1.txt"]
     assert find_inputs([tmp_path / "x.md", tmp_path / "x.md"]) == [tmp_path / "x.md"]
-
-
-def workbook(path: Path, sheets: dict[str, list[list[object]]]) -> Path:
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for name, rows in sheets.items():
-        sheet = book.create_sheet(name)
-        for row in rows:
-            sheet.append(row)
-    book.save(path)
-    return path
 
 
 def trial_sheet(name: str, rows: list[list[object]] | None = None) -> list[list[object]]:
@@ -171,7 +153,7 @@ def test_plain_workbook_with_a_bluehill_table(tmp_path):
     path = workbook(
         tmp_path / "t.xlsx", {"Sheet1": [*rows, *([0.1 * i, float(i), 0.5 * i] for i in range(9))]}
     )
-    (trial,) = read_trials(path)
+    trial = read(path)
     assert (trial.source.recipe, trial.specimen) == ("workbook", "kidney 4")
     assert trial.force_N[2] == 1000.0
 
@@ -204,12 +186,11 @@ def test_a_workbook_that_unpacks_beyond_reason_is_refused_unread(tmp_path):
 
 
 def test_recipe_says_why_and_can_be_forced(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text(GOOD)
+    path = put(tmp_path / "a.csv", GOOD)
     match = match_of(path)
     assert match.recipe.key == "bluehill-csv"
     assert "brackets" in match.reason
-    (trial,) = read_trials(path, ReadOptions(recipe="columns"))
+    trial = read(path, ReadOptions(recipe="columns"))
     assert trial.source.recipe == "columns"
     with pytest.raises(UsageError, match="bluehill-csv"):
         list(read_each(path, ReadOptions(recipe="nonsense")))

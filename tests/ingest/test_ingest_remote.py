@@ -6,9 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from ingest_files import read, refusal
 
-from tissueid.errors import InputError, UsageError
-from tissueid.ingest import each_input, read_each, read_trials
+from tissueid.errors import UsageError
+from tissueid.ingest import each_input, read_trials
 from tissueid.ingest.loading import url_of
 
 fsspec = pytest.importorskip("fsspec")
@@ -52,7 +53,7 @@ def test_a_folder_at_a_url_is_searched_as_one_of_this_machine_is(memory: object)
 
 def test_a_recording_at_a_url_is_that_of_the_file(memory: object, tmp_path: Path) -> None:
     (tmp_path / "ramp-2.csv").write_bytes(LOG)
-    (local,) = read_trials(tmp_path / "ramp-2.csv")
+    local = read(tmp_path / "ramp-2.csv")
     remote = {
         url: read_trials(url)[0] for url in ("memory://lab/ramp-2.csv", f"file://{tmp_path}/ramp-2.csv")
     }
@@ -65,9 +66,7 @@ def test_a_recording_at_a_url_is_that_of_the_file(memory: object, tmp_path: Path
 def test_what_is_not_there_is_refused_by_name(memory: object) -> None:
     with pytest.raises(UsageError, match="memory://nowhere: there is no such file or directory"):
         list(each_input(["memory://nowhere"]))
-    (refusal,) = read_each("memory://lab/gone.csv")
-    assert isinstance(refusal, InputError)
-    assert refusal.code == "unreadable_file"
+    assert refusal("memory://lab/gone.csv").code == "unreadable_file"
 
 
 def test_a_protocol_that_nothing_reads_is_refused_with_the_way_out() -> None:

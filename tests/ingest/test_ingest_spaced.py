@@ -6,12 +6,12 @@ import datetime as dt
 from pathlib import Path
 
 import numpy as np
-import openpyxl
 import pytest
+from ingest_files import refusal, workbook
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_trials
-from tissueid.ingest.spaced import by_spaces, with_seconds
+from tissueid.ingest.text import by_spaces, with_seconds
 
 TIME = np.arange(0.0, 4.0, 0.01)
 DEPTH = np.clip(2.0 * (TIME - 0.5), -1.0, 4.0)
@@ -171,33 +171,27 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["date", "clock", "span"])
 def test_dates_and_clocks_of_a_sheet_are_seconds(kind: str, tmp_path: Path) -> None:
-    book = openpyxl.Workbook()
-    sheet = book.active
-    sheet.append(["Time", "Extension (mm)", "Load (N)"])
-    start = dt.datetime(2026, 3, 4, 10)
+    rows: list[list[object]] = [["Time", "Extension (mm)", "Load (N)"]]
     for t, x, f in zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True):
-        at = start + dt.timedelta(seconds=t)
-        sheet.append([{"date": at, "clock": at.time(), "span": dt.timedelta(seconds=t)}[kind], x, f])
-    book.save(tmp_path / "a.xlsx")
+        span = dt.timedelta(seconds=t)
+        at = dt.datetime(2026, 3, 4, 10) + span
+        rows.append([{"date": at, "clock": at.time(), "span": span}[kind], x, f])
 
-    (trial,) = read_trials(tmp_path / "a.xlsx")
+    (trial,) = read_trials(workbook(tmp_path / "a.xlsx", {"A": rows}))
 
     # a sheet keeps days as a number of fifteen digits
     assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=2e-3)
 
 
 def test_a_number_that_a_spreadsheet_made_a_date_is_refused(tmp_path: Path) -> None:
-    book = openpyxl.Workbook()
-    sheet = book.active
-    sheet.append(["Time (s)", "Extension (mm)", "Load (N)"])
-    for k, (t, x, f) in enumerate(zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True)):
-        sheet.append([dt.datetime(2026, 5, 1) if k == 150 else t, x, f])
-    book.save(tmp_path / "a.xlsx")
+    rows: list[list[object]] = [["Time (s)", "Extension (mm)", "Load (N)"]]
+    rows += map(list, zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True))
+    rows[151][0] = dt.datetime(2026, 5, 1)
 
-    with pytest.raises(InputError, match="stored as text or date") as caught:
-        read_trials(tmp_path / "a.xlsx")
+    error = refusal(workbook(tmp_path / "a.xlsx", {"A": rows}))
 
-    assert caught.value.line == 152
+    assert "stored as text or date" in error.message
+    assert error.line == 152
 
 
 def test_whole_numbers_whose_marks_are_printed_have_lost_none(tmp_path: Path) -> None:

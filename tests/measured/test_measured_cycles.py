@@ -38,6 +38,11 @@ def recording(time, depth, force, turns, kinds, *, noise=0.0, seed=None):
     return trial, Segmentation(1, 1, contact, phases_of(time, turns, kinds), noise)
 
 
+def there_and_back(x, force):
+    """A ramp of 401 samples at 100 Hz and its retract."""
+    return recording(np.arange(x.size) / 100.0, x, force, [0, 400, x.size - 1], ["ramp", "retract"])
+
+
 def triangle(depth=4.0, speed=2.0, loops_=1, rate=500.0):
     """Time, depth and turning samples of a triangle wave from zero."""
     half = round(depth / speed * rate)
@@ -172,9 +177,7 @@ def test_a_ramp_and_retract_is_a_loop_and_a_hold_between_is_said():
     assert held.kind == "ramp-hold-retract"
     assert held.viscosity_N_s_per_mm.value is None
     straight = np.concatenate([half, half[-2::-1]])
-    trial, segmentation = recording(
-        np.arange(straight.size) / 100.0, straight, SLOPE * straight, [0, 400, 800], ["ramp", "retract"]
-    )
+    trial, segmentation = there_and_back(straight, SLOPE * straight)
     (row,) = cycle_rows(trial, segmentation)
     assert row.kind == "ramp-retract"
     assert [loop.peak for loop in loops(segmentation, straight)] == [400]
@@ -186,10 +189,7 @@ def test_an_open_loop_is_closed_at_the_depth_both_ways_reach():
     way_in, way_out = np.linspace(0.0, 4.0, 401), np.linspace(4.0, 2.0, 201)[1:]
     x = np.concatenate([way_in, way_out])
     force = np.concatenate([10.0 * way_in, 10.0 * way_out - 5.0])
-    trial, segmentation = recording(
-        np.arange(x.size) / 100.0, x, force, [0, 400, x.size - 1], ["ramp", "retract"]
-    )
-    (row,) = cycle_rows(trial, segmentation)
+    (row,) = cycle_rows(*there_and_back(x, force))
     assert row.floor_mm == 2.0
     # a band of 5 N over 2 mm; the jump at the top is half a step wide
     assert row.dissipated_mJ.value == pytest.approx(10.0, rel=5e-3)
@@ -199,10 +199,7 @@ def test_residual_depth_is_where_the_force_has_gone():
     way_in = np.linspace(0.0, 4.0, 401)
     x = np.concatenate([way_in, way_in[-2::-1]])
     force = np.concatenate([10.0 * way_in, np.maximum(20.0 * (way_in[-2::-1] - 2.0), 0.0)])
-    trial, segmentation = recording(
-        np.arange(x.size) / 100.0, x, force, [0, 400, x.size - 1], ["ramp", "retract"]
-    )
-    (row,) = cycle_rows(trial, segmentation)
+    (row,) = cycle_rows(*there_and_back(x, force))
     # 1 % of the 40 N peak is reached 0.02 mm above 2 mm
     assert row.residual_depth_mm.value == pytest.approx(2.02, abs=0.011)
 

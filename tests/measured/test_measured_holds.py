@@ -11,10 +11,9 @@ from pushed import pushed
 from tissueid.documents.measured import Measured
 from tissueid.flags import Flag
 from tissueid.measured import measure, spread
-from tissueid.measured.comparison import measured_pairs
 from tissueid.measured.geometry import Geometry, TipOf
 from tissueid.measured.relaxation import relaxation_rows
-from tissueid.measured.spread import programs, ramp_reason
+from tissueid.measured.spread import measured_pairs, programs, ramp_reason
 from tissueid.measured.verdict import verdict_of
 from tissueid.model.moduli import Indenter
 from tissueid.segment import segment

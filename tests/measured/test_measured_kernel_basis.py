@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tissueid.measured.kernel_basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, kernel_basis
+from tissueid.measured.exponentials import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, kernel_basis
 from tissueid.model.kernels import branch_sensitivity
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"

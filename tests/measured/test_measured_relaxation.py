@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from tissueid.measured.exponentials import fit_exponentials
+from tissueid.measured.exponentials import ExponentialSums, curve_of
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.trial import Contact, Phase, Protocol, Segmentation, Trial
 
@@ -20,6 +20,12 @@ TIME = np.arange(1500) * 0.02
 
 def decay(time, plateau, amplitudes, taus):
     return plateau + sum(a * np.exp(-time / tau) for a, tau in zip(amplitudes, taus, strict=True))
+
+
+def fit_exponentials(time, force, count):
+    """Relaxation times of the fit with so many exponentials, and its curve."""
+    tau = ExponentialSums.of(time, force).ladder(count)[-1]
+    return tau, curve_of(time, force, tau)
 
 
 @pytest.mark.parametrize(
@@ -118,8 +124,11 @@ def true_segmentation(trial, *, noise_N=0.0):
     return Segmentation(1, 1, Contact(0, 0.0, 1e-4), phases, noise_N)
 
 
-def codes(row):
-    return {flag.code: flag for flag in row.flags}
+def row_of(amplitudes, taus, *, noise_N=0.0, **made):
+    """The one row of a hold that relaxes to 20 N, and its flags."""
+    trial = hold_trial(lambda t: decay(t, 20.0, amplitudes, taus), **made)
+    (row,) = relaxation_rows(trial, true_segmentation(trial, noise_N=noise_N))
+    return row, {flag.code: flag for flag in row.flags}
 
 
 def test_window_runs_from_the_stop_to_the_end_of_the_hold():
@@ -155,23 +164,17 @@ def test_forces_recorded_with_the_other_sign_and_a_baseline_give_the_same_row():
 
 
 def test_a_clean_single_exponential_has_no_flag():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]), sigma=0.05)
-    (row,) = relaxation_rows(trial, true_segmentation(trial, noise_N=0.05))
-    assert not row.flags
+    assert row_of([10.0], [2.0], sigma=0.05, noise_N=0.05)[1] == {}
 
 
 def test_relaxation_longer_than_a_third_of_its_window_is_flagged_with_both():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [15.0]))
-    (row,) = relaxation_rows(trial, true_segmentation(trial))
-    flag = codes(row)["tau_exceeds_window"]
+    flag = row_of([10.0], [15.0])[1]["tau_exceeds_window"]
     assert flag.values["tau_s"] == pytest.approx(15.0, rel=1e-3)
     assert flag.values["window_length_s"] == pytest.approx(30.0)
 
 
 def test_two_relaxations_make_one_inadequate_and_dependent_on_its_window():
-    trial = hold_trial(lambda t: decay(t, 20.0, [6.0, 6.0], [0.3, 9.0]))
-    (row,) = relaxation_rows(trial, true_segmentation(trial))
-    flags = codes(row)
+    row, flags = row_of([6.0, 6.0], [0.3, 9.0])
     assert flags["one_tau_inadequate"].values["nrmsd_ratio"] > 2.0
     shift = flags["window_dependent"].values
     assert abs(shift["tau_half_window_s"] / shift["tau_s"] - 1.0) > 0.2
@@ -179,18 +182,13 @@ def test_two_relaxations_make_one_inadequate_and_dependent_on_its_window():
 
 
 def test_relaxation_faster_than_sampling_is_flagged():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [0.06]))
-    (row,) = relaxation_rows(trial, true_segmentation(trial))
-    assert codes(row)["tau_below_resolution"].values["step_s"] == pytest.approx(0.05)
+    assert row_of([10.0], [0.06])[1]["tau_below_resolution"].values["step_s"] == pytest.approx(0.05)
 
 
-def test_no_hold_no_row():
+def test_no_hold_or_no_contact_no_row():
     time = np.arange(200) * 0.01
     trial = Trial("s", time, time * 2.0, time * 10.0, Protocol(speed_mm_s=2.0, depth_mm=3.98))
     assert relaxation_rows(trial, true_segmentation(trial)) == ()
-
-
-def test_no_contact_no_row():
     trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
     segmentation = Segmentation(1, 1, None, true_segmentation(trial).phases, 0.0)
     assert relaxation_rows(trial, segmentation) == ()

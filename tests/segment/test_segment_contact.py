@@ -31,7 +31,6 @@ def test_contact_in_the_record_is_covered_by_its_interval(rate_Hz, sigma_N):
             trial = as_trials(simulate(settings, rng=rng))[0]
             shifted = Trial("air", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + 5.0)
             contact = segment(shifted).contact
-            assert contact is not None
             assert contact.in_record
             assert contact.baseline_N == pytest.approx(5.0, abs=5.0 * sigma_N)
             scores.append((contact.displacement_mm + 2.0 - offset) / contact.sd_mm)
@@ -48,7 +47,6 @@ def test_logs_that_start_at_contact_are_consistent_with_it(rate_Hz):
     for log, trial in zip(logs[:10], as_trials(logs)[:10], strict=True):
         found = segment(trial)
         contact = found.contact
-        assert contact is not None
         assert not contact.in_record, log.name
         assert contact.index == 0
         assert contact.baseline_N == 0.0
@@ -69,7 +67,6 @@ def test_preloaded_start_is_extrapolated_back(preload_mm):
         settings = Recipe("p", (log,), rate_Hz=1000.0, sigma_N=0.3, contact_offset_mm=-preload_mm)
         found = segment(as_trials(simulate(settings, rng=rng))[0])
         assert "preload" in codes(found)
-        assert found.contact is not None
         scores.append((found.contact.displacement_mm + preload_mm) / found.contact.sd_mm)
     # extrapolation of a curve by 5-13 % of its length: within three of its own sd
     assert np.abs(scores).max() < 3.0
@@ -82,7 +79,6 @@ def test_contact_frame_is_zero_at_contact():
     trial = as_trials(simulate(settings, rng=np.random.default_rng(5)))[0]
     found = segment(trial)
     depth, force = contact_frame(trial, found)
-    assert found.contact is not None
     assert [phase.kind for phase in found.phases] == ["approach", "ramp"]
     assert found.phases[1].start == found.contact.index
     assert abs(depth[found.contact.index]) < 0.02
@@ -105,7 +101,6 @@ def test_user_contact_wins():
     trial = as_trials(simulate(settings, rng=np.random.default_rng(7)))[0]
     options = SegmentOptions(contact_displacement_mm=1.25, contact_sd_mm=0.01)
     contact = segment(trial, options=options).contact
-    assert contact is not None
     assert (contact.displacement_mm, contact.sd_mm, contact.in_record) == (1.25, 0.01, True)
     assert trial.displacement_mm[contact.index] >= 1.25 > trial.displacement_mm[contact.index - 1]
 
@@ -117,8 +112,6 @@ def test_scaling_lengths_forces_and_times_scales_the_contact():
     small = segment(
         Trial("s", trial.time_s * 1e-3, trial.displacement_mm * 1e-4, trial.force_N * 1e-6)
     ).contact
-    assert plain is not None
-    assert small is not None
     # the same arithmetic up to rounding and the last pass of the lattice
     assert small.displacement_mm == pytest.approx(plain.displacement_mm * 1e-4, abs=0.2 * plain.sd_mm * 1e-4)
     assert small.sd_mm == pytest.approx(plain.sd_mm * 1e-4, rel=0.2)
@@ -162,8 +155,6 @@ def test_one_wild_sample_does_not_move_the_contact(which, at):
     values = getattr(trial, which).copy()
     values[at] += 500.0 if which == "force_N" else 30.0
     hit = segment(replace(trial, **{which: values})).contact
-    assert plain is not None
-    assert hit is not None
     assert hit.in_record
     # the wild sample becomes the mean of its neighbours; a ramp that it cuts in two shows less of the shape
     assert hit.displacement_mm == pytest.approx(plain.displacement_mm, abs=2.0 * plain.sd_mm)
@@ -173,7 +164,6 @@ def test_a_load_cell_that_drifts_in_air_does_not_move_the_contact():
     trial = ramp_in_air()
     drifting = replace(trial, force_N=trial.force_N + 0.5 * trial.time_s)
     contact = segment(drifting).contact
-    assert contact is not None
     assert contact.displacement_mm == pytest.approx(1.0, abs=3.0 * contact.sd_mm)
 
 
@@ -184,7 +174,6 @@ def test_a_recording_without_noise_has_its_contact_at_any_scale(scale):
     found = segment(
         Trial("n", trial.time_s * seconds, trial.displacement_mm * millimetres, trial.force_N * newtons)
     ).contact
-    assert found is not None
     assert found.in_record
     assert 0.0 < found.sd_mm < 0.02 * millimetres
     # the branch's first rise lies between two samples 0.04 mm apart
@@ -204,7 +193,6 @@ def test_a_stated_contact_that_is_never_reached_is_none_and_says_the_range(sign)
 
 def test_a_stated_contact_before_the_record_is_taken_and_said():
     found = segment(ramp_in_air(), options=SegmentOptions(contact_displacement_mm=-0.5, contact_sd_mm=0.1))
-    assert found.contact is not None
     assert (found.contact.displacement_mm, found.contact.in_record, found.contact.index) == (-0.5, False, 0)
     assert any(
         one.code == "starts_in_contact" and "before the first sample" in one.message for one in found.flags
@@ -244,7 +232,6 @@ def test_a_curved_tip_after_clear_air_is_not_in_contact_from_the_start():
             force = 8.0 * np.maximum(travel - at, 0.0) ** 1.5 + 0.5 * rng.standard_normal(time.size)
             found = segment(Trial("ball", time, travel, force))
             contact = found.contact
-            assert contact is not None
             assert contact.in_record
             assert "starts_in_contact" not in codes(found)
             scores.append((contact.displacement_mm - at) / contact.sd_mm)
@@ -270,3 +257,18 @@ def test_logs_that_start_in_contact_are_seldom_cut():
     settings = Recipe("c", (ramp,), rate_Hz=1000.0, sigma_N=1.0, branches=(Branch((0.0, 63.62), 0.021),))
     trials = (as_trials(simulate(settings, rng=rng))[0] for _ in range(100))
     assert sum(segment(one).contact.in_record for one in trials) <= 11
+
+
+@pytest.mark.parametrize(("zero_N", "baseline_N", "preloaded"), [(-5.0, -5.0, False), (5.0, 0.0, True)])
+def test_a_force_at_rest_is_the_zero_of_the_load_cell_where_negative_and_a_preload_where_positive(
+    zero_N, baseline_N, preloaded
+):
+    # 1 s at rest on the surface, a ramp of 2 mm in 1 s, 10 s hold; 100 Hz, 10 N/mm, noise 0.01 N
+    time = np.arange(1200) * 0.01
+    depth = 2.0 * np.clip(time - 1.0, 0.0, 1.0)
+    noise = np.random.default_rng(3).normal(0.0, 0.01, time.size)
+    found = segment(Trial("synthetic", time, depth, 10.0 * depth + zero_N + noise))
+    # mean of 100 samples of noise 0.01 N: sd 0.001 N
+    assert found.contact.baseline_N == pytest.approx(baseline_N, abs=0.005)
+    assert preloaded or abs(found.contact.displacement_mm) <= 4.0 * found.contact.sd_mm
+    assert ("preload" in codes(found)) is preloaded

@@ -64,7 +64,6 @@ def one_score(condition: Condition, speed: float, rng: np.random.Generator) -> t
     zero = 5.0 * condition.sigma_N * float(rng.uniform(-1.0, 1.0))
     zero *= condition.start == "air" and condition.rate_Hz > 10.0
     contact = segment(Trial("c", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + zero)).contact
-    assert contact is not None
     return contact.displacement_mm + 2.0 - offset, contact.sd_mm
 
 

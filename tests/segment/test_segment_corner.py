@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tissueid.segment import segment
-from tissueid.segment.corner import corners_of
-from tissueid.segment.edges import corner_near
+from tissueid.segment.motion import corner_near
+from tissueid.segment.stop import corners_of
 from tissueid.trial import Corner, Phase, Segmentation, Trial
 
 RATE_HZ = 500.0

@@ -53,7 +53,6 @@ def test_cyclic_bluehill_file_is_cyclic_without_a_hold(shared_data):
     assert (found.compression_sign, found.force_sign) == (-1, -1)
     assert kinds(found) == ["cycle"] * 3
     assert {"cyclic", "no_hold", "preload"} <= codes(found)
-    assert found.contact is not None
     # -4.3 N of preload at some 5-8 N/mm: contact 0.5-0.9 mm before the start at -2.047 mm
     assert abs(found.contact.displacement_mm + 1.35) < 2.5 * found.contact.sd_mm
     assert found.contact.sd_mm < 1.0

@@ -72,7 +72,7 @@ def command(flags: CompareFlags) -> int:
     if are_recordings(flags.paths):
         return compare_recordings(flags)
     from tissueid.contrast.document import contrast_document
-    from tissueid.measured.comparison import measured_pairs
+    from tissueid.measured.spread import measured_pairs
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 

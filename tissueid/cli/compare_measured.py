@@ -42,7 +42,7 @@ def _is_fit(path: Path) -> bool:
 def compare_recordings(flags: CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid import __version__
-    from tissueid.measured.comparison import measured_pairs
+    from tissueid.measured.spread import measured_pairs
     from tissueid.store.files import json_bytes, plain_json
 
     if len(flags.paths) < 2:

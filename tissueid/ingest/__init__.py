@@ -6,10 +6,17 @@ refused with line and column (:data:`REFUSAL_CODES`), never repaired.
 
 from tissueid.ingest.discovery import each_input, find_inputs
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.reading import match_of, read_each, read_one, read_trials
+from tissueid.ingest.reading import (
+    RECIPES,
+    forget_readers,
+    match_of,
+    read_each,
+    read_one,
+    read_trials,
+    reader_faults,
+)
 from tissueid.ingest.recipe import InputFile, Match, Recipe, Table
 from tissueid.ingest.refusals import REFUSAL_CODES, REFUSAL_MEANINGS
-from tissueid.ingest.registry import RECIPES, forget_readers, reader_faults
 
 __all__ = [
     "RECIPES",

@@ -1,30 +1,25 @@
 """Recipe for zip archives of exports: every member is read as if it stood in a folder.
 
-A trial's sheet is the name of its member, with the member's own sheet or block behind ``::``.  Unpacking
-is bounded by what comes out, not by what the archive says of itself.
+Unpacking is bounded by what comes out, not by what the archive says of itself.
 """
 
 from __future__ import annotations
 
 import io
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import PurePosixPath
 
 from tissueid.errors import InputError
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_BYTES, UNPACKED_BYTES
 
-#: Largest member, and largest sum of all, unpacked [bytes]: 5 M rows of 40 characters are 200 MB.
-MEMBER_BYTES = 1 << 29
+#: Largest sum of all members, unpacked [bytes].
 ARCHIVE_BYTES = 1 << 30
-#: Text of numbers shrinks to a third or a tenth; a bomb to a thousandth.
-LARGEST_RATIO = 200
-#: Below this a ratio says nothing [bytes].
-RATIO_FROM_BYTES = 1 << 24
 MOST_MEMBERS = 10_000
 _SUFFIXES = frozenset(
     {".csv", ".tsv", ".txt", ".tra", ".dat", ".asc", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ""}
@@ -55,11 +50,8 @@ def detect_archive(file: InputFile) -> Detection:
 
 def archive_recipe(match: Callable[[InputFile], Match]) -> Recipe:
     """The recipe, given how a member's own recipe is found."""
-
-    def read(file: InputFile) -> Iterator[Table | InputError]:
-        yield from _read(file, match)
-
-    return Recipe("zip", "a zip archive of any of these files, one trial a member", detect_archive, read)
+    about = "a zip archive of any of these files, one trial a member"
+    return Recipe("zip", about, detect_archive, partial(_read, match=match))
 
 
 def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Table | InputError]:
@@ -100,7 +92,7 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
 
 def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, left: int, place: Place) -> bytes:
     """The bytes of a member, as far as they are bounded."""
-    limit = min(MEMBER_BYTES, left)
+    limit = min(UNPACKED_BYTES, left)
     if member.compress_size > 0:
         limit = min(limit, max(RATIO_FROM_BYTES, LARGEST_RATIO * member.compress_size))
     if member.flag_bits & 1:
@@ -108,15 +100,7 @@ def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, left: int, plac
     try:
         with archive.open(member) as stream:
             data = stream.read(limit + 1)
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        OSError,
-        ValueError,
-        NotImplementedError,
-        EOFError,
-        RuntimeError,
-    ) as error:
+    except BROKEN_ARCHIVE as error:
         place.refuse("unreadable_archive", f"the file can't be unpacked ({str(error)[:120]}); pack it again")
     if len(data) > limit:
         place.refuse(

@@ -1,8 +1,7 @@
 """Columns of time, displacement and force, and factors that turn them into s, mm and N.
 
-The rule is the ranked table of :mod:`tissueid.ingest.vocabulary`; a column whose unit measures
-something else is no candidate; the user's map wins over everything.  Where there was a choice the flag
-``column_choice`` names what was left.
+The rule is the ranked table of :mod:`tissueid.ingest.vocabulary`; a column whose unit measures something else
+is no candidate; the user's map wins over everything.
 """
 
 from __future__ import annotations
@@ -172,26 +171,16 @@ def _named(columns: Sequence[_Column], wanted: str) -> list[_Column]:
     """The columns a user's name means: by number, as printed, or but for case, accents and unit."""
     if number := re.fullmatch(r"#(\d+)", wanted.strip()):
         return [column for column in columns if column.index == int(number[1]) - 1]
-    exact = [column for column in columns if column.name == wanted.strip()]
-    if exact:
+    if exact := [column for column in columns if column.name == wanted.strip()]:
         return exact
     plain = plain_words(wanted)
-    return [
-        column
-        for column in columns
-        if plain and plain in (plain_words(column.name), plain_words(column.base))
-    ]
+    return [one for one in columns if plain and plain in (plain_words(one.name), plain_words(one.base))]
 
 
 def choose_columns(
     names: Sequence[str], units: Sequence[str], *, options: ReadOptions, place: Place, line: int | None
 ) -> ColumnChoice:
-    """Find the three channels among the printed names.
-
-    ``names``, ``units``: the names row and the units row (or empty texts); the longer names row counts;
-    ``place``: where to point a refusal; ``line``: one-based line of the names row.  Raises InputError:
-    ``no_columns``, ``column_not_found``, ``unknown_unit``, ``wrong_unit`` or ``unit_conflict``.
-    """
+    """Find the three channels among the printed names."""
     columns = _describe(names, units)
     options = _normalised(columns, options)
     taken: dict[Channel, _Column] = {}
@@ -207,14 +196,10 @@ def choose_columns(
         others = [column.name for _, column in found[1:]]
         others += _ruled_out(columns, channel, found, options)
         if others:
-            flags.append(
-                Flag(
-                    "column_choice",
-                    f"{channel} was taken from {taken[channel].name!r}, not from {others[0]!r}"
-                    f"{f' or {len(others) - 1} more' if others[1:] else ''}",
-                    {"quantity": channel, "taken": taken[channel].name, "alternatives": others},
-                )
-            )
+            name, more = taken[channel].name, f" or {len(others) - 1} more" if others[1:] else ""
+            message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"
+            values = {"quantity": channel, "taken": name, "alternatives": others}
+            flags.append(Flag("column_choice", message, values))
     factors = {
         channel: _factor(column, channel, options=options, place=place, line=line, flags=flags)
         for channel, column in taken.items()
@@ -302,26 +287,18 @@ def _factor(
     if channel in options.units:
         factor = factor_to(options.units[channel], quantity)
         if column.unit is not None and not _agrees(column.unit, quantity, factor):
-            flags.append(
-                Flag(
-                    "unit_overridden",
-                    f"column {column.name!r} is in {column.unit!r}; {options.units[channel]!r} was taken by"
-                    " --units",
-                    {"quantity": channel, "column": column.name, "unit": options.units[channel]},
-                )
-            )
+            unit = options.units[channel]
+            taken = f"column {column.name!r} is in {column.unit!r}; {unit!r} was taken by --units"
+            values = {"quantity": channel, "column": column.name, "unit": unit}
+            flags.append(Flag("unit_overridden", taken, values))
         return factor
     internal = INTERNAL_UNITS[quantity]
     if column.unit is None:
-        letter = rank_of(column.base, channel, loose=True) == SYMBOL_RANK and channel in AXES
-        flags.append(
-            Flag(
-                "units_assumed",
-                f"column {column.name!r} has no unit; {internal} was assumed"
-                + (f" (a {AXES[channel][1]}? --axes {channel}={AXES[channel][1]})" if letter else ""),
-                {"quantity": channel, "column": column.name, "unit": internal},
-            )
-        )
+        message = f"column {column.name!r} has no unit; {internal} was assumed"
+        if rank_of(column.base, channel, loose=True) == SYMBOL_RANK and channel in AXES:
+            message += f" (a {AXES[channel][1]}? --axes {channel}={AXES[channel][1]})"
+        values = {"quantity": channel, "column": column.name, "unit": internal}
+        flags.append(Flag("units_assumed", message, values))
         return 1.0
     try:
         factors = [factor_to(unit, quantity) for unit in column.units]
@@ -337,9 +314,8 @@ def _factor(
     if len(set(factors)) > 1:
         place.refuse(
             "unit_conflict",
-            f"column {column.name!r} is in {column.units[0]!r} by its units row and in"
-            f" {column.units[1]!r} by its"
-            f" name; state the right one with --units {channel}={column.units[0]}",
+            f"column {column.name!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
+            f" by its name; state the right one with --units {channel}={column.units[0]}",
             line=line,
             column=column.index + 1,
         )

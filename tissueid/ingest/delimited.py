@@ -1,12 +1,6 @@
-"""Recipes for delimited text: Bluehill raw CSV, testXpert TRA, and any table with a column map.
+"""Recipes for delimited text: Bluehill CSV, testXpert TRA, Optics11 Chiaro, any table with a column map.
 
-They differ in how they are recognised; all are read by the same layout, columns and rows::
-
-    Text Inputs : Specimen label,"22L.3"           "Specimen thickness",1.5,"mm"
-                                                   "v1",1,"mm/min"
-    Time,Extension,Load,Segment ID                 "Time","Standard travel","Standard force"
-    (sec),(mm),(N),                                "s","mm","N"
-    0.00000,-2.04726,-4.31900,22476                2.63805,0,103.053
+They differ in how they are recognised; all are read by the same layout, columns and rows.
 """
 
 from __future__ import annotations
@@ -18,7 +12,7 @@ from dataclasses import replace
 from tissueid.errors import InputError
 from tissueid.ingest.body import read_body
 from tissueid.ingest.columns import choose_columns, has_channels, split_name
-from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.header import header_entries, protocol_of, specimen_in
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
@@ -142,11 +136,7 @@ def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -
 def read_table(
     text: Text, layout: Layout, options: ReadOptions, place: Place, *, metadata: Mapping[str, str]
 ) -> Table:
-    """One laid-out table: its columns chosen, its rows read.
-
-    ``place``: file, and sheet where the table has a name of its own; ``metadata``: entries of its header.
-    Raises InputError: the columns or the rows can't be trusted.
-    """
+    """One laid-out table: its columns chosen, its rows read."""
     if len(layout.names) > layout.n_columns:
         place.refuse(
             "ragged_rows",
@@ -188,3 +178,54 @@ TESTXPERT_TRA = Recipe(
 COLUMNS_TEXT = Recipe(
     "columns", "any delimited text, by known names or the user's column map", detect_columns, read_delimited
 )
+
+# Piuma and Chiaro: "D[Z1] (nm)<tab>10000.000<tab>t[1] (s)<tab>2.000" in the header says where the piezo goes
+# and in which time; a step to the same place is a hold.
+_STEP = re.compile(r"([-+\d.,]+) t\[\d\] \(s\) ([-+\d.,]+)")
+_NM_TO_MM = 1e-6
+_COLUMNS = frozenset({"time", "load", "indentation", "cantilever", "piezo"})
+
+
+def detect_chiaro(file: InputFile) -> Detection:
+    """The columns of a cantilever indenter."""
+    if file.layout is None:
+        return 0.0, "no table of numbers"
+    names = {plain_words(split_name(name)[0]) for name in file.layout.names}
+    if names >= _COLUMNS:
+        return 0.98, "the columns are those of a cantilever on a piezo: Load, Indentation, Cantilever, Piezo"
+    return 0.0, "no columns of cantilever and piezo"
+
+
+def read_chiaro(file: InputFile) -> Iterator[Table | InputError]:
+    """The one table, with the tip and the sweep of the header as its protocol."""
+    for item in read_delimited(file):
+        if isinstance(item, InputError):
+            yield item
+            continue
+        stated = protocol_of(item.metadata, file.path, decimal=item.decimal)
+        steps = _sweep(item.metadata)
+        if stated.speed_mm_s is None and steps and steps[0][0] != 0.0:
+            stated = replace(stated, speed_mm_s=abs(steps[0][0]) / steps[0][1])
+        if stated.hold_s is None and len(steps) > 1 and steps[1][0] == steps[0][0]:
+            stated = replace(stated, hold_s=steps[1][1])
+        yield replace(item, protocol=stated)
+
+
+def _sweep(metadata: Mapping[str, str]) -> list[tuple[float, float]]:
+    """The steps of the piezo up to the first that is not used: where to [mm], and in which time [s]."""
+    steps: list[tuple[float, float]] = []
+    for number in range(1, 10):
+        match = _STEP.fullmatch(metadata.get(f"D[Z{number}] (nm)", ""))
+        try:
+            place, seconds = (
+                (float(text.replace(",", ".")) for text in match.groups()) if match else (0.0, 0.0)
+            )
+        except ValueError:
+            break
+        if seconds <= 0.0:
+            break
+        steps.append((place * _NM_TO_MM, seconds))
+    return steps
+
+
+CHIARO = Recipe("chiaro", "Optics11 Piuma and Chiaro text (nano-indenter)", detect_chiaro, read_chiaro)

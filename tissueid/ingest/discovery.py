@@ -18,8 +18,7 @@ from tissueid.ingest.layout import find_layout
 from tissueid.ingest.loading import LARGEST_BYTES, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.spaced import HEAD_BYTES
-from tissueid.ingest.text import decode_text
+from tissueid.ingest.text import HEAD_BYTES, decode_text
 
 #: Suffixes taken from a directory.
 SUFFIXES = (
@@ -59,11 +58,8 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
 def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
     """The recordings among and under some paths, one by one: one folder is in memory at a time.
 
-    ``paths``: files are taken as named, whatever their suffix.  Directories are searched through: known
-    suffixes, natural order, without hidden files, lock files and tissueid's own output.  Yields each file
-    once, whatever links lead to it; a link that leads out of its folder, or in a circle, is refused in its
-    place (``unreadable_file``).  Raises UsageError: a path does not exist; InputError: a directory holds no
-    recording (``no_recording``).
+    Files are taken as named; directories are searched for known suffixes, without hidden files and tissueid's
+    own output.  Each file comes once; a link that leads out of its folder, or in a circle, is refused.
     """
     seen: set[bytes] = set()
     for path in map(Path, paths):
@@ -77,9 +73,8 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
             if first is None:
                 Place(str(path)).refuse(
                     "no_recording",
-                    f"the directory holds no recording: no {', '.join(SUFFIXES[:-2])} file and no table"
-                    f" in a .txt"
-                    " file; name the files themselves",
+                    f"the directory holds no recording: no {', '.join(SUFFIXES[:-2])} file and no table in a"
+                    " .txt file; name the files themselves",
                 )
             files = chain([first], files)
         elif url is not None or path.exists():
@@ -207,11 +202,9 @@ def _head(path: Path) -> bytes:
 
 def _holds_table(path: Path) -> bool:
     try:
-        head = _head(path)
-        place = Place(str(path))
-        if head.startswith(_SIGNED):
-            return True
-        find_layout(decode_text(head, place), ReadOptions(), place)
+        head, place = _head(path), Place(str(path))
+        if not head.startswith(_SIGNED):
+            find_layout(decode_text(head, place), ReadOptions(), place)
     except InputError as error:
         # a table that can't be trusted is refused by name later, not overlooked
         return error.code not in _NO_TABLE

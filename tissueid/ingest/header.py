@@ -54,35 +54,23 @@ def header_entries(header: Sequence[Row]) -> dict[str, str]:
 
 def _lying(header: Sequence[Row]) -> list[Row]:
     """A header whose cells stand below each other, laid down; any other as it is."""
-    lines = [
-        row[0].strip() for row in header if sum(bool(cell.strip()) for cell in row) == 1 and row[0].strip()
-    ]
+    lines = [row[0].strip() for row in header if row[0].strip() and not any(map(str.strip, row[1:]))]
     if len(lines) < 2 or len(lines) < len(header) or not any(map(_is_key, lines)):
         return list(header)
     rows: list[list[str]] = []
     for line in lines:
-        current = rows[-1] if rows else None
-        if current is None or _is_key(line) or len(current) == 3:
+        current = rows[-1] if rows else []
+        if _is_key(line) or len(current) in (0, 3):
             rows.append([line])
-        elif len(current) == 1 or (looks_numeric(current[1]) and _is_unit(line)):
+        elif len(current) == 1 or (looks_numeric(current[1]) and quantity_of(line) is not None):
             current.append(line)
         else:
             rows.append([line])
     return [tuple(row) for row in rows]
 
 
-def _key_unit(key: str) -> str:
-    """The unit in brackets, or behind a comma, at the end of a key; empty where there is none."""
-    match = _UNIT_OF_KEY.fullmatch(key.rstrip(": "))
-    return "" if match is None else match[1] or match[2]
-
-
 def _is_key(line: str) -> bool:
     return " : " in line or specimen_key_rank(line) is not None or is_protocol_key(line)
-
-
-def _is_unit(line: str) -> bool:
-    return quantity_of(line) is not None
 
 
 def specimen_in(metadata: Mapping[str, str]) -> str | None:
@@ -96,11 +84,7 @@ def specimen_in(metadata: Mapping[str, str]) -> str | None:
 
 
 def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) -> Protocol:
-    """Protocol that the header and the folder's name state.
-
-    ``metadata``: entries of the header; ``path``: as the user named it; Bluehill names folders
-    ``X.is_comp_RawData``; ``decimal``: decimal mark of the file.
-    """
+    """Protocol that the header and the folder's name state."""
     mark = decimal or "."
     diameter = stated(metadata, TIP_DIAMETER, "displacement", mark)
     radius = stated(metadata, TIP_RADIUS, "displacement", mark)
@@ -118,11 +102,7 @@ def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) 
 def stated(
     metadata: Mapping[str, str], keys: re.Pattern[str], quantity: Quantity, decimal: str
 ) -> float | None:
-    """The first value above zero under such a key that has a unit of this quantity.
-
-    ``metadata``: entries of the header; ``keys``: matches the whole last part of a key, in plain words;
-    ``decimal``: decimal mark of the file.
-    """
+    """The first value above zero under such a key that has a unit of this quantity."""
     for key, text in metadata.items():
         if not keys.fullmatch(last_part(key)):
             continue
@@ -130,8 +110,9 @@ def stated(
             seconds = 3600.0 * float(clock[1]) + 60.0 * float(clock[2]) + float(clock[3].replace(",", "."))
             return seconds if seconds > 0.0 else None
         number, _, unit = text.rpartition(" ")
-        if not number:  # the unit stands in the key: "Velocity, mm/s"
-            number, unit = text, _key_unit(key)
+        if not number:  # the unit stands at the end of the key: "Velocity, mm/s"
+            in_key = _UNIT_OF_KEY.fullmatch(key.rstrip(": "))
+            number, unit = text, "" if in_key is None else in_key[1] or in_key[2]
         value = parse_number(number, decimal)
         if isinstance(value, CellFault) or value <= 0.0:
             continue

@@ -2,15 +2,13 @@
 
 A zip archive of Java property files and arrays of big-endian numbers::
 
-    header.properties
     shared-data/header.properties
     segments/0/segment-header.properties
     segments/0/channels/vDeflection.dat
 
-A map holds ``index/0/header.properties`` and ``index/0/segments`` for each curve.  ``channel.C.lcd-info.*=3``
-stands for all that is said of ``lcd-info.3`` in the shared header.  A number is scaled by the encoder, then
-from slot to slot (volts, distance, force), each ``multiplier * value + offset`` of its base slot.  The layout
-is that of the manufacturer's open data format as public readers describe it (afmformats, gwyddion).
+A map has ``index/0/segments`` for each curve.  ``channel.C.lcd-info.*=3`` stands for all that is said of
+``lcd-info.3`` in the shared header.  A number is scaled by the encoder, then from slot to slot (volts,
+distance, force).  The layout is as public readers describe it (afmformats, gwyddion).
 """
 
 from __future__ import annotations
@@ -228,14 +226,12 @@ def _bending(travel: FloatArray, force: FloatArray, stiffness: str | None) -> tu
     if not bent > _BENDING_SAID * float(np.ptp(travel)):
         return ()
     per_mm = newton_per_m / _M_TO_MM
-    return (
-        Flag(
-            "cantilever_bending",
-            f"the cantilever of {per_mm:.3g} N/mm bends by {1e3 * _M_TO_MM * bent:.3g} um of"
-            f" {1e3 * _M_TO_MM * float(np.ptp(travel)):.3g} um of travel",
-            {"stiffness_N_per_mm": per_mm, "bending_mm": bent * _M_TO_MM},
-        ),
+    message = (
+        f"the cantilever of {per_mm:.3g} N/mm bends by {1e3 * _M_TO_MM * bent:.3g} um of"
+        f" {1e3 * _M_TO_MM * float(np.ptp(travel)):.3g} um of travel"
     )
+    values = {"stiffness_N_per_mm": per_mm, "bending_mm": bent * _M_TO_MM}
+    return (Flag("cantilever_bending", message, values),)
 
 
 JPK_FORCE = Recipe("jpk-force", "JPK force curves, one trial a curve", detect_jpk, read_jpk)

@@ -1,8 +1,7 @@
-"""Layout of the table in a file: delimiter, header, names, units, first row, decimal mark.
+"""Layout of the table in a file: delimiter, header, names, units, first row, decimal mark, and results.
 
-The table is the longest run of rows of numbers in the head of the file.  The names are sought above
-it, the units below the names; what stands higher is the header.  Nothing depends on blank lines: a
-Bluehill file may begin with one, or have none.
+The table is the longest run of rows of numbers in the head of the file, the names are sought above it.  A
+table of results is known by its title, by a row of statistics, or by names and units of its own.
 """
 
 from __future__ import annotations
@@ -14,24 +13,173 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from tissueid.ingest.columns import has_channels
+from tissueid.flags import Flag
+from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.numbers import decimal_evidence, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import (
-    announced_results,
-    is_statistics,
-    is_units_row,
-    results_below,
-    results_spans,
-)
-from tissueid.ingest.spaced import HEAD_BYTES
-from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import is_comment_name
+from tissueid.ingest.text import HEAD_BYTES, Text
+from tissueid.ingest.vocabulary import is_comment_name, plain_words
+from tissueid.units import quantity_of
 
-__all__ = ["Anchor", "Layout", "Row", "anchor", "find_decimal", "find_layout", "is_units_row", "split_line"]
-
+Cells = Sequence[str]
 Row = tuple[str, ...]
+
+_BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
+_STATISTICS = re.compile(
+    r"mean|average|median|(?:sample )?standard deviation|std(?: dev)?|s d|sd|(?:mean|media|moyenne) [\d ]*sd"
+    r"|coefficient of variation|c ?v|minimum|maximum|range|count"
+    r"|mittelwert|standardabweichung|variationskoeffizient|spannweite"
+    r"|moyenne|ecart type|mediane|coefficient de variation|etendue"
+    r"|medi[ao]|mediana|desviacion (?:estandar|tipica)|coeficiente de variacion|minimo|maximo|rango"
+    r"|desvio padrao|coeficiente de variacao|amplitude"
+    r"|deviazione standard|coefficiente di variazione|massimo"
+    r"|srednia|odchylenie standardowe|wspolczynnik zmiennosci|rozstep"
+    r"|平均值?|均值|标准偏差|标准差|標準偏差|中值|中位数|最大值?|最小值?|范围|变异系数"
+)
+_TITLE = re.compile(
+    r"(?:results?(?: table)?|statistics|ergebnis(?:se|tabelle)?|statistik|(?:tableau (?:de |des )?)?resultats"
+    r"|(?:tabla |tabela )?(?:de |dos )?resultados|(?:tabella )?(?:dei )?risultati|(?:tabela )?wynik(?:i|ow)"
+    r"|结果表?|结果表格|統計|统计|結果表?)(?: \d+)?"
+)
+
+
+def _filled(row: Cells) -> list[str]:
+    return [cell.strip() for cell in row if cell.strip()]
+
+
+def is_statistics(row: Cells) -> bool:
+    """True where a row is a mean, a standard deviation and the like: its first filled cell says so."""
+    opening = next((cell for cell in row if cell.strip()), "")
+    # nearly all rows are samples, and done with here
+    if not opening or looks_numeric(opening):
+        return False
+    return len(_filled(row)) > 1 and _STATISTICS.fullmatch(plain_words(opening.strip())) is not None
+
+
+def is_title(row: Cells) -> bool:
+    """True where a line announces results."""
+    filled = _filled(row)
+    return len(filled) == 1 and _TITLE.fullmatch(plain_words(filled[0])) is not None
+
+
+def is_units_row(row: Cells) -> bool:
+    """True where a row states units: ``(sec),(mm),(N),,`` or ``"s","mm","N"``."""
+    filled = _filled(row)
+    if not filled or any(map(looks_numeric, filled)):
+        return False
+    if all(_BRACKETED.fullmatch(cell) for cell in filled):
+        return True
+    unknown = 0
+    for cell in filled:
+        if quantity_of(cell) is None and _BRACKETED.fullmatch(cell) is None:
+            unknown += 1
+            if 2 * unknown >= len(filled):
+                return False
+    return len(filled) - unknown >= 2
+
+
+def _is_text(row: Cells) -> bool:
+    """A line that holds something, but no number."""
+    opening = next((cell for cell in row if cell.strip()), "")
+    return bool(opening) and not looks_numeric(opening) and not any(map(looks_numeric, _filled(row)))
+
+
+def _carries_units(row: Cells) -> bool:
+    """Names with their units, as over a table without a units row."""
+    return sum(split_name(cell)[1] is not None for cell in _filled(row)) >= 2
+
+
+def results_below(rows: Sequence[Cells], names: Cells, units: Cells, options: ReadOptions) -> int | None:
+    """First row of a table of results under a recording, ``None`` where all rows belong to a recording."""
+    own = {tuple(_filled(names)), tuple(_filled(units))}
+    statistics = next((index for index, row in enumerate(rows) if is_statistics(row)), None)
+    if statistics is not None:
+        return _top(rows, statistics, own)
+    for index, row in enumerate(rows):
+        if not _is_text(row) or tuple(_filled(row)) in own:
+            continue
+        below = next((later for later in rows[index + 1 :] if _filled(later)), ())
+        named = len(_filled(row)) >= 2 and (is_units_row(below) or _carries_units(row))
+        if has_channels(row, below, options):
+            return None
+        if is_title(row) or (named and tuple(_filled(below)) not in own):
+            return index
+    return None
+
+
+def _top(rows: Sequence[Cells], at: int, own: set[tuple[str, ...]]) -> int:
+    """The first line of the table in which a row of statistics stands."""
+    head = at
+    while head > 0 and _filled(rows[head - 1]) and not _is_text(rows[head - 1]):
+        head -= 1
+    top = head
+    while top > 0 and (_is_text(rows[top - 1]) or not _filled(rows[top - 1])):
+        top -= 1
+    lines = [row for row in rows[top:head] if _filled(row) and tuple(_filled(row)) not in own]
+    # a remark of the operator among the samples is no head
+    if any(is_title(row) or is_units_row(row) or len(_filled(row)) >= 2 for row in lines):
+        return next(index for index in range(top, head) if _filled(rows[index]))
+    return at
+
+
+def results_spans(rows: Sequence[Cells]) -> list[range]:
+    """Tables of results among the lines of a header, each from its title or head to its last row."""
+    spans: list[range] = []
+    index = 0
+    while index < len(rows):
+        if not _opens_results(rows, index):
+            index += 1
+            continue
+        start = index
+        while is_statistics(rows[start]) and start > 0 and _filled(rows[start - 1]):
+            start -= 1
+        index = _end(rows, index)
+        spans.append(range(start, index))
+    return spans
+
+
+def _end(rows: Sequence[Cells], index: int) -> int:
+    """End of a table of results: at a blank line, or at the next head."""
+    below_head = False
+    while index < len(rows) and _filled(rows[index]):
+        text = _is_text(rows[index])
+        if text and below_head:
+            break
+        below_head = below_head or not text
+        index += 1
+    return index
+
+
+def announced_results(rows: Sequence[Cells]) -> list[range]:
+    """Those of :func:`results_spans` that a title or a row of statistics leaves no doubt about."""
+    return [
+        span
+        for span in results_spans(rows)
+        if is_title(rows[span.start]) or any(is_statistics(rows[index]) for index in span)
+    ]
+
+
+def results_flag(first: int, last: int) -> Flag:
+    """Flag of a table of results in the lines ``first`` to ``last``, counted from 1."""
+    return Flag(
+        "rows_skipped",
+        f"lines {first} to {last} are a table of results, not samples: left out",
+        {"count": last - first + 1, "lines": [first, last]},
+    )
+
+
+def _opens_results(rows: Sequence[Cells], index: int) -> bool:
+    row = rows[index]
+    opening = next((cell for cell in row if cell.strip()), None)
+    if opening is None or looks_numeric(opening):
+        # titles, statistics and heads begin with a word: nearly all lines are samples, and done with here
+        return False
+    if is_title(row) or is_statistics(row):
+        return True
+    named = _is_text(row) and len(_filled(row)) >= 2
+    return named and (_carries_units(row) or (index + 1 < len(rows) and is_units_row(rows[index + 1])))
+
 
 _DELIMITERS = (";", "\t", "|", ",")
 _TAIL_BYTES = 1 << 12
@@ -42,7 +190,6 @@ _SCORED_LINES = 100
 _VOTING_ROWS = 40
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
-_BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
@@ -102,7 +249,7 @@ def _runs(rows: Sequence[Row]) -> list[range]:
     results: list[range] = []
     start, stop = -1, -1
     for index, row in enumerate(rows):
-        if not any(cell.strip() for cell in row):
+        if not _filled(row):
             continue
         if _numeric_share(row) >= 0.5 and not is_statistics(row):
             start, stop = (index if start < 0 else start), index + 1
@@ -116,13 +263,10 @@ def _runs(rows: Sequence[Row]) -> list[range]:
 
 
 def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
-    """Find names, units and first row of the recording.
+    """Names, units and first row of the recording, ``None`` where no row holds two numbers.
 
-    It is the first run of two and more rows of numbers under names that say what time, displacement and
-    force are; where there are no such names, the longest run.
-
-    ``rows``: the head of the table, blank rows included; ``options``: the user's names count as names.
-    Returns ``None`` where no row holds two numbers.
+    It is the first run of two and more rows of numbers under names that say what time, displacement and force
+    are; where there are no such names, the longest run.
     """
     inside = {index for span in announced_results(rows) for index in span}
     runs = _runs(rows)
@@ -138,7 +282,7 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
 
 
 def _filled_above(rows: Sequence[Row], first: int) -> list[int]:
-    return [i for i in range(first - 1, -1, -1) if any(cell.strip() for cell in rows[i])]
+    return [i for i in range(first - 1, -1, -1) if _filled(rows[i])]
 
 
 def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anchor | None:
@@ -148,7 +292,7 @@ def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anch
             return None  # what stands higher are results and their names
         if _numeric_share(rows[index]) > 0.0 or is_units_row(rows[index]):
             continue
-        following = [i for i in range(index + 1, first) if any(cell.strip() for cell in rows[i])]
+        following = [i for i in range(index + 1, first) if _filled(rows[i])]
         units = following[0] if following and is_units_row(rows[following[0]]) else None
         if has_channels(rows[index], rows[units] if units is not None else (), options):
             return Anchor(index, units, (units if units is not None else index) + 1)
@@ -165,16 +309,12 @@ def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) 
         if all(_BRACKETED.fullmatch(cell) for cell in rows[above[0]] if cell.strip()):
             return Anchor(None, above[0], best)
     row = rows[above[0]]
-    named = sum(bool(cell.strip()) for cell in row) >= 2 and _numeric_share(row) == 0.0
+    named = len(_filled(row)) >= 2 and _numeric_share(row) == 0.0
     return Anchor(above[0] if named and len(row) >= len(rows[best]) - 1 else None, None, best)
 
 
 def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
-    """Lay out a text file.
-
-    Raises InputError: ``not_an_export`` where there is no table, ``no_rows`` where it has no rows of numbers,
-    ``ambiguous_decimal`` where point and comma can't be told apart.
-    """
+    """Lay out a text file."""
     head = text.data[:HEAD_BYTES]
     raw = head.splitlines(keepends=True)
     if len(text.data) > HEAD_BYTES:
@@ -240,9 +380,7 @@ def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None
 
 def _without_results(header: Sequence[Row]) -> tuple[Row, ...]:
     left_out = {index for span in results_spans(header) for index in span}
-    return tuple(
-        row for index, row in enumerate(header) if index not in left_out and any(cell.strip() for cell in row)
-    )
+    return tuple(row for index, row in enumerate(header) if index not in left_out and _filled(row))
 
 
 def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | None:
@@ -258,10 +396,7 @@ def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | Non
 
 
 def _padded(row: Row, n_columns: int, *, comments: bool = False) -> Row:
-    """Empty cells at the end are added or dropped; a filled one stays and is refused later.
-
-    ``comments``: the name of a column of comments that no row has is dropped as well.
-    """
+    """Empty cells at the end are added or dropped; a filled one stays and is refused later."""
     cells = list(row)
     while len(cells) > n_columns and (not cells[-1].strip() or (comments and is_comment_name(cells[-1]))):
         cells.pop()
@@ -285,7 +420,7 @@ def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place
                 "there is no row of numbers under the names; export the raw data again",
                 line=index + 1,
             )
-    filled = [index for index, row in enumerate(rows) if any(cell.strip() for cell in row)]
+    filled = [index for index, row in enumerate(rows) if _filled(row)]
     line = filled[0] + 1 if filled else 1
     start = delimiter.join(rows[line - 1])[:60].strip() if rows else ""
     return place.refusal(

@@ -1,11 +1,7 @@
 """The bytes of a file, once, whole and bounded: no pipe, no device, no folder, nothing that still grows.
 
-A recording of five million rows is some 200 MB.  What is no table is told by its first bytes, so that a
-disk image named ``.csv`` costs no more than a page of it.
-
-Recordings at a URL: read where they lie, by fsspec, which is asked for only when a URL is.
-A path of two letters or more before its first colon and slash is a URL, unless such a file exists.  Paths
-drop the second slash of ``s3://bucket/logs``; it is put back before fsspec sees it.
+Recordings at a URL are read where they lie, by fsspec.  Paths drop the second slash of ``s3://bucket/logs``;
+it is put back before fsspec sees it.
 """
 
 from __future__ import annotations
@@ -15,12 +11,11 @@ import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NoReturn
 
 from tissueid.errors import UsageError, printable
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.spaced import HEAD_BYTES
-from tissueid.ingest.text import foreign_kind
+from tissueid.ingest.text import HEAD_BYTES, foreign_kind, refuse_foreign
 from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
 #: One letter would be a drive.
@@ -32,9 +27,6 @@ _UNREACHED = (OSError, ValueError, RuntimeError)
 def url_of(path: str | Path) -> str | None:
     """The URL that a path names; ``None`` for one of this machine's files.
 
-    Examples
-    --------
-    >>> from pathlib import Path
     >>> url_of(Path("s3://bucket/logs"))
     's3://bucket/logs'
     """
@@ -46,7 +38,7 @@ def url_of(path: str | Path) -> str | None:
 
 
 def _opened(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path there."""
+    """The file system of a URL, and the path there; asks for fsspec only now."""
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
@@ -55,19 +47,16 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         system, path = url_to_fs(url)
     except (ImportError, *_UNREACHED) as error:
-        # fsspec says which library a protocol needs
-        msg = f"{printable(url)}: this place can't be reached: {error}"
-        raise UsageError(msg) from error
+        raise _unreached(url, error) from error  # fsspec says which library a protocol needs
     return system, str(path)
 
 
-def remote_bytes(url: str, limit: int, head: int | None = None) -> tuple[bytes, int]:
-    """A file, or its beginning.
+def _unreached(url: str, error: Exception) -> UsageError:
+    return UsageError(f"{printable(url)}: this place can't be reached: {error}")
 
-    ``limit``: bytes above which it is not fetched; ``head``: bytes that are wanted, where not all.  Returns
-    ``data``: empty where the file is larger than ``limit``; ``size``: of the whole file.  Raises OSError: the
-    file can't be read; UsageError: no library reads such URLs.
-    """
+
+def remote_bytes(url: str, limit: int, head: int | None = None) -> tuple[bytes, int]:
+    """A file, or its beginning."""
     system, path = _opened(url)
     try:
         size = int(system.size(path) or 0)
@@ -78,21 +67,14 @@ def remote_bytes(url: str, limit: int, head: int | None = None) -> tuple[bytes, 
 
 
 def remote_files(url: str) -> Iterator[Path] | None:
-    """The files below a URL, folder by folder; ``None`` where it names a file.
-
-    Hidden files and folders are passed over, and folders with a file of the name ``identification.json`` or
-    ``.current``: what tissueid has written is no recording.
-
-    Raises UsageError: there is nothing at the URL, or it can't be reached.
-    """
+    """The files below a URL, folder by folder; ``None`` where it names a file."""
     system, path = _opened(url)
     try:
         if system.isfile(path):
             return None
         there = system.isdir(path)
     except _UNREACHED as error:
-        msg = f"{printable(url)}: this place can't be reached: {error}"
-        raise UsageError(msg) from error
+        raise _unreached(url, error) from error
     if not there:
         msg = f"{printable(url)}: there is no such file or directory"
         raise UsageError(msg)
@@ -121,11 +103,7 @@ _SESSIONS = (RAW_MAGIC, HDF5_MAGIC)
 
 
 def load_bytes(path: str | Path, place: Place) -> bytes:
-    """Read a regular file.
-
-    Raises InputError: ``unreadable_file`` where it is no file, can't be opened, is too large or changes while
-    it is read; ``not_an_export`` where its first bytes are those of something else, or of one endless line.
-    """
+    """Read a regular file."""
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
@@ -140,19 +118,21 @@ def load_bytes(path: str | Path, place: Place) -> bytes:
         # a pipe without a writer would wait for ever
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "its name holds a NUL"
-        place.refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
+        _refuse_unreadable(getattr(error, "strerror", None) or "its name holds a NUL", place)
     try:
         return _read(handle, place)
     except OSError as error:
-        reason = error.strerror or type(error).__name__
-        place.refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
+        _refuse_unreadable(error.strerror or type(error).__name__, place)
     except MemoryError:
         place.refuse(
             "unreadable_file", "the file is larger than the memory that is free; split it, or free memory"
         )
     finally:
         os.close(handle)
+
+
+def _refuse_unreadable(reason: str, place: Place) -> NoReturn:
+    place.refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
 
 
 def _read(handle: int, place: Place) -> bytes:
@@ -184,9 +164,7 @@ def _fetched(url: str, place: Place) -> bytes:
     except UsageError as error:
         place.refuse("unreadable_file", str(error))
     except OSError as error:
-        place.refuse(
-            "unreadable_file", f"the file can't be read: {error.strerror}; check its name and rights"
-        )
+        _refuse_unreadable(str(error.strerror), place)
     _refuse_large(size, place)
     _refuse_foreign(data[:HEAD_BYTES], size, place)
     return data
@@ -207,10 +185,7 @@ def _refuse_foreign(head: bytes, size: int, place: Place) -> None:
         return
     kind = foreign_kind(head)
     if kind is not None:
-        place.refuse(
-            "not_an_export",
-            f"this is {kind}, not the raw data of a test; give the export of the test machine",
-        )
+        refuse_foreign(kind, place)
     if b"\n" not in head and b"\r" not in head and len(head) == HEAD_BYTES:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
 

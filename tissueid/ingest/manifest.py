@@ -22,8 +22,15 @@ import numpy as np
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.stated import canonical_key, in_unit, unit_of
-from tissueid.ingest.stated_priors import PriorError, plain_priors, population_of, priors_of
+from tissueid.ingest.stated import (
+    PriorError,
+    canonical_key,
+    in_unit,
+    plain_priors,
+    population_of,
+    priors_of,
+    unit_of,
+)
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study, TomlTable
 from tissueid.model.frame import linear_frame
@@ -33,28 +40,27 @@ from tissueid.store.schema import first_problem, load_schema
 
 
 def read_frame(path: str | Path) -> FrameCurve:
-    """Read a frame file.
-
-    Raises InputError: ``invalid_frame``: no JSON, not a frame, or knots that do not belong together.
-    """
+    """Read a frame file."""
     file = Path(path)
-    way_out = "write it again with `tissueid calibrate-frame`"
+
+    def refuse(why: object) -> NoReturn:
+        message = f"{why}; write it again with `tissueid calibrate-frame`"
+        raise InputError(code="invalid_frame", message=message, path=str(file))
+
     try:
         content = file.read_bytes()
         document = json.loads(content)
     except (OSError, ValueError) as error:
-        message = f"this is not a frame file ({error}); {way_out}"
-        raise InputError(code="invalid_frame", message=message, path=str(file)) from error
+        refuse(f"this is not a frame file ({error})")
     problem = first_problem(document, "frame")
     if problem is not None:
-        raise InputError(code="invalid_frame", message=f"{problem}; {way_out}", path=str(file))
+        refuse(problem)
     force = np.array(document["force_N"])
     compliance = np.array(document["compliance_mm_per_N"])
     knots = force.size
     square = all(len(row) == knots for row in document["covariance"]) and len(document["covariance"]) == knots
     if compliance.size != knots or not square or force[0] != 0.0 or (np.diff(force) <= 0.0).any():
-        message = f"its knots do not belong together (forces grow from 0, one compliance each); {way_out}"
-        raise InputError(code="invalid_frame", message=message, path=str(file))
+        refuse("its knots do not belong together (forces grow from 0, one compliance each)")
     low, high = document["range_N"]
     return FrameCurve(
         force,
@@ -78,16 +84,18 @@ _READING = ("columns", "units", "axes")
 _PLAIN = (
     (re.compile(r"^'(\w+)' is a required property$"), r"\1 is missing"),
     (re.compile(r"^'(\w+)' is a dependency of '(\w+)'$"), r"\2 needs \1 beside it"),
-    (re.compile(r"^(.*) is not of type 'string'$", re.DOTALL), r"\1 must be text in quotes"),
-    (re.compile(r"^(.*) is not of type 'number'$", re.DOTALL), r"\1 must be a number"),
-    (re.compile(r"^(.*) is not of type 'integer'$", re.DOTALL), r"\1 must be a whole number"),
-    (re.compile(r"^(.*) is not of type 'boolean'$", re.DOTALL), r"\1 must be true or false, without quotes"),
-    (
-        re.compile(r"^(.*) is not of type 'array'$", re.DOTALL),
-        r"\1 must be a list; a table is written [[name]]",
-    ),
-    (re.compile(r"^(.*) is not of type 'object'$", re.DOTALL), r"\1 must be a table"),
     (re.compile(r"^'' should be non-empty$"), "it is empty"),
+    *(
+        (re.compile(rf"^(.*) is not of type '{kind}'$", re.DOTALL), rf"\1 must be {words}")
+        for kind, words in (
+            ("string", "text in quotes"),
+            ("number", "a number"),
+            ("integer", "a whole number"),
+            ("boolean", "true or false, without quotes"),
+            ("array", "a list; a table is written [[name]]"),
+            ("object", "a table"),
+        )
+    ),
 )
 
 
@@ -100,9 +108,8 @@ class _Refuser:
 
     def refuse(self, where: TomlPath, message: str) -> NoReturn:
         """Raise the refusal of the value at ``where``."""
-        raise InputError(
-            code="invalid_study", message=message, path=self.path, line=line_of(self.lines, where)
-        )
+        line = line_of(self.lines, where)
+        raise InputError(code="invalid_study", message=message, path=self.path, line=line)
 
     def line(self, where: TomlPath) -> int:
         """Line of a table."""
@@ -196,14 +203,9 @@ def _check_windows(study: Study) -> None:
 
 def unmatched_files(study: Study) -> list[Refusal]:
     """A refusal for every table of the study that names no recording that exists."""
+    words = 'file = "{}" names no file: correct the name, or take the table out'
     return [
-        Refusal(
-            study.path,
-            None,
-            "study_unmatched",
-            f'file = "{entry.values["file"]}" names no file: correct the name, or take the table out',
-            entry.line,
-        )
+        Refusal(study.path, None, "study_unmatched", words.format(entry.values["file"]), entry.line)
         for entry in study.entries
         if not entry.files
     ]
@@ -221,9 +223,7 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
         place = _SYNTAX_PLACE.search(str(error))
         line, column = (int(place[1]), int(place[2])) if place and place[1] else (None, None)
         said = _SYNTAX_PLACE.sub("", str(error))
-        shown = (
-            "" if line is None else f": {content.decode('utf-8-sig').splitlines()[line - 1].strip()[:60]!r}"
-        )
+        shown = "" if line is None else f": {text.splitlines()[line - 1].strip()[:60]!r}"
         message = f"this is not TOML ({said}){shown}; text stands in quotes, a table name in [brackets]"
         raise InputError(
             code="invalid_study", message=message, path=path, line=line, column=column
@@ -258,7 +258,10 @@ def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
             hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(top)}"
             refuser.refuse((name,), f"there is no table {name!r}; {hint}")
         if name == "priors" and isinstance(value, dict):
-            document[name] = _plain_priors(value, refuser)
+            try:
+                document[name] = plain_priors(value, _properties("priors"))
+            except PriorError as problem:
+                refuser.refuse(("priors", *problem.where), str(problem))
         elif isinstance(value, dict):
             document[name] = _table(value, (name,), refuser)
         elif isinstance(value, list):
@@ -269,13 +272,6 @@ def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
         else:
             document[name] = value
     return document
-
-
-def _plain_priors(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
-    try:
-        return plain_priors(table, _properties("priors"))
-    except PriorError as problem:
-        refuser.refuse(("priors", *problem.where), str(problem))
 
 
 def _priors(plain: TomlTable, refuser: _Refuser) -> Priors:
@@ -301,7 +297,7 @@ def _table(table: TomlTable, where: TomlPath, refuser: _Refuser) -> dict[str, An
             refuser.refuse((*where, written), f"{key} is given twice: take one out")
         plain[key] = value
         if written != key:
-            refuser.lines.setdefault((*where, key), line_of(refuser.lines, (*where, written)) or 1)
+            refuser.lines.setdefault((*where, key), refuser.line((*where, written)))
     return plain
 
 
@@ -312,7 +308,8 @@ def _check_schema(document: TomlTable, refuser: _Refuser) -> None:
     where: TomlPath = tuple(int(p) if p.isdecimal() else p for p in problem.pointer.split("/")[1:])
     if not where and "schema" not in document:
         refuser.refuse((), f'the first line must be: schema = "{SCHEMA}"')
-    said = _in_words(problem.message)
+    message = problem.message
+    said = next((form.sub(words, message) for form, words in _PLAIN if form.match(message)), message)
     missing = said.endswith(" is missing")
     key = said.removesuffix(" is missing") if missing else str(where[-1]) if where else ""
     meaning = _properties(*(where if missing else where[:-1])).get(key, {}).get("description")
@@ -320,11 +317,6 @@ def _check_schema(document: TomlTable, refuser: _Refuser) -> None:
     if not where or where[-1] == "calibration":
         hint = ". frame and frame_stiffness_N_per_mm exclude each other; an _sd needs its value beside it"
     refuser.refuse(where, f"{_place(where)}: {said}{hint}")
-
-
-def _in_words(message: str) -> str:
-    """Message of the validator, in the words of a study file."""
-    return next((form.sub(words, message) for form, words in _PLAIN if form.match(message)), message)
 
 
 def _place(where: TomlPath) -> str:
@@ -345,7 +337,7 @@ def _place(where: TomlPath) -> str:
 
 def _check_names(document: TomlTable, refuser: _Refuser) -> None:
     """Names are unique, and what is referred to exists."""
-    for table, reference in (("specimen", "specimen"), ("protocol", "protocol")):
+    for table in ("specimen", "protocol"):
         names: dict[str, int] = {}
         for i, entry in enumerate(document.get(table, ())):
             if entry["name"] in names:
@@ -353,12 +345,12 @@ def _check_names(document: TomlTable, refuser: _Refuser) -> None:
                 refuser.refuse((table, i, "name"), message)
             names[entry["name"]] = refuser.line((table, i, "name"))
         for i, trial in enumerate(document.get("trial", ())):
-            said = trial.get(reference)
+            said = trial.get(table)
             if said is None or said in names or (table == "specimen" and not names):
                 continue
             near = get_close_matches(said, names, n=1)
             hint = f'did you mean "{near[0]}"?' if near else f'add [[{table}]] with name = "{said}"'
-            refuser.refuse(("trial", i, reference), f'{reference} = "{said}" has no [[{table}]]; {hint}')
+            refuser.refuse(("trial", i, table), f'{table} = "{said}" has no [[{table}]]; {hint}')
 
 
 def _check_reading(document: TomlTable, refuser: _Refuser) -> None:

@@ -67,10 +67,7 @@ def _grammar(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def parse_number(text: str, decimal: str) -> float | CellFault:
-    """The value of a cell, or why it has none.
-
-    ``text``: the cell without its quotes; padding is allowed; ``decimal``: ``"."`` or ``","``.
-    """
+    """The value of a cell, or why it has none."""
     stripped = text.strip(_PADDING)
     plain, grouped = _grammar(decimal)
     if plain.fullmatch(stripped):
@@ -126,10 +123,8 @@ def _fault(text: str, stripped: str, decimal: str) -> CellFault:
 def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
     """Count of cells that speak for the point, for the comma, and for neither though they have a mark.
 
-    A mark is decimal for certain where it stands once and what follows it is not a group of three, or
-    what precedes it can't be a leading group (``0.500``); or where it is the last of two kinds.
-
-    ``cells``: cells that look numeric.  Returns ``point, comma, ambiguous``.
+    A mark is decimal for certain where it stands once and what follows it is not a group of three, or what
+    precedes it can't be a leading group (``0.500``); or where it is the last of two kinds.
     """
     votes = {".": 0, ",": 0, "": 0}
     for cell in cells:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import cast
@@ -60,35 +60,33 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         for name in ("columns", "units", "axes"):
-            mapping = dict(getattr(self, name))
-            for channel in mapping:
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for msg in self._faults():
+            raise UsageError(msg)
+
+    def _faults(self) -> Iterator[str]:
+        """Faults of the options, in one sentence each."""
+        for name in ("columns", "units", "axes"):
+            for channel in getattr(self, name):
                 if channel not in CHANNELS:
-                    msg = f"{name}: unknown channel {channel!r}, one of {', '.join(CHANNELS)}"
-                    raise UsageError(msg)
-            object.__setattr__(self, name, MappingProxyType(mapping))
+                    yield f"{name}: unknown channel {channel!r}, one of {', '.join(CHANNELS)}"
         for channel, axis in self.axes.items():
-            allowed = AXES.get(channel, ())
-            if axis not in allowed:
-                msg = f"axes: {channel} can't be {axis!r}; displacement=strain and force=stress are possible"
-                raise UsageError(msg)
+            if axis not in AXES.get(channel, ()):
+                yield f"axes: {channel} can't be {axis!r}; displacement=strain and force=stress are possible"
         for channel, unit in self.units.items():
             try:
                 factor_to(unit, self.quantity(cast("Channel", channel)))
             except ValueError as error:
-                msg = f"units: {error}"
-                raise UsageError(msg) from error
+                yield f"units: {error}"
         if self.specimen_by is not None:
             try:
                 re.compile(self.specimen_by)
             except re.error as error:
-                msg = f"specimen_by: {self.specimen_by!r} is not a regular expression: {error}"
-                raise UsageError(msg) from error
-        if self.delimiter is not None and self.delimiter not in {",", ";", "\t", "|"}:
-            msg = f"delimiter: {self.delimiter!r} is none of comma, semicolon, tab, bar"
-            raise UsageError(msg)
-        if self.decimal is not None and self.decimal not in {".", ","}:
-            msg = f"decimal: {self.decimal!r} is neither point nor comma"
-            raise UsageError(msg)
+                yield f"specimen_by: {self.specimen_by!r} is not a regular expression: {error}"
+        if self.delimiter not in {None, ",", ";", "\t", "|"}:
+            yield f"delimiter: {self.delimiter!r} is none of comma, semicolon, tab, bar"
+        if self.decimal not in {None, ".", ","}:
+            yield f"decimal: {self.decimal!r} is neither point nor comma"
 
     def picks(self, sheet: str | None) -> bool:
         """True where a sheet is the one asked for, or none was; ``"2"`` is ``"2: Stress Relaxation"``."""

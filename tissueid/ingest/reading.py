@@ -1,30 +1,165 @@
-"""From a path to trials: the shell around the recipes; recordings that are no specimens.
+"""From a path to trials: the recipes, the choice between them, and the shell around them.
 
-Recordings that are no specimens, by the names that test programs give them.
-testXpert writes mean and typical curves as sheets beside the tests (``Eprouvette moyenne``, ``Mittelwert``),
-other programs summaries and statistics; a Mach-1 file begins with the machine's own search for contact.
+An entry point of another distribution names a :class:`~tissueid.ingest.recipe.Recipe`.  One that can't be
+loaded, or breaks while it reads, is named in :func:`reader_faults` and never stops the others.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 
 import numpy as np
 
-from tissueid.errors import InputError
+from tissueid.errors import InputError, UsageError
 from tissueid.flags import Flag
+from tissueid.ingest.archive import archive_recipe
+from tissueid.ingest.blocks import MACH_1, MTS_793, SHIMADZU
+from tissueid.ingest.delimited import BLUEHILL_CSV, CHIARO, COLUMNS_TEXT, TESTXPERT_TRA
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
+from tissueid.ingest.jpk import JPK_FORCE
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import capacity_in, quality_flags
-from tissueid.ingest.recipe import InputFile, Match, Table, open_input
+from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, open_input
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.registry import match_recipe
-from tissueid.ingest.vocabulary import Channel, plain_words
+from tissueid.ingest.session import SESSION_LOG
+from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words
+from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
 from tissueid.trial import Axes, Source, Trial
+
+_faults: dict[str, None] = {}
+
+
+def reader_faults() -> tuple[str, ...]:
+    """Faults of installed readers so far, one sentence each, naming the reader."""
+    return tuple(_faults)
+
+
+def report_fault(name: str, what: str, error: Exception) -> None:
+    """Remember that a reader broke."""
+    _faults[f"the installed reader {name!r} {what}: {type(error).__name__}: {str(error)[:200]}"] = None
+
+
+def forget_readers() -> None:
+    """Look for installed readers again, after distributions were added or removed."""
+    _installed_recipes.cache_clear()
+    _faults.clear()
+
+
+@cache
+def _installed_recipes() -> dict[str, Recipe]:
+    """The recipes of other distributions."""
+    found: dict[str, Recipe] = {}
+    for point in entry_points(group="tissueid.readers"):
+        try:
+            recipe = _checked(point.load(), RECIPES.keys() | found.keys())
+        except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
+            report_fault(f"{point.name} ({point.value})", "can't be used", error)
+            continue
+        found[recipe.key] = _guarded(recipe)
+    return found
+
+
+def _checked(recipe: object, taken: set[str]) -> Recipe:
+    if not isinstance(recipe, Recipe):
+        msg = f"it is a {type(recipe).__name__}, not a tissueid.ingest.Recipe"
+        raise TypeError(msg)
+    if not recipe.key or recipe.key in taken:
+        msg = f"its key {recipe.key!r} is taken; choose another"
+        raise ValueError(msg)
+    return recipe
+
+
+def _table(item: object) -> Table | InputError:
+    if not isinstance(item, Table | InputError):
+        msg = f"it gave a {type(item).__name__}, not a Table"
+        raise TypeError(msg)
+    if isinstance(item, Table):
+        missing = [channel for channel in CHANNELS if channel not in item.columns]
+        if missing:
+            msg = f"its table names no column of {' and '.join(missing)}"
+            raise ValueError(msg)
+        # a trial is made of it later; what that would refuse is the reader's fault
+        Trial("", item.time_s, item.displacement_mm, item.force_N)
+    return item
+
+
+def _guarded(recipe: Recipe) -> Recipe:
+    def read(file: InputFile) -> Iterator[Table | InputError]:
+        try:
+            for item in recipe.read(file):
+                yield _table(item)
+        except InputError as error:
+            yield error
+        except Exception as error:  # noqa: BLE001 - a bug of theirs is a refusal of this file
+            report_fault(recipe.key, f"broke on {file.path}", error)
+            yield Place(file.path).refusal(
+                "reader_failed",
+                f"the installed reader {recipe.key!r} broke on this file ({type(error).__name__}:"
+                f" {str(error)[:160]}); choose another with --recipe, or tell its author",
+            )
+
+    return Recipe(recipe.key, recipe.description, recipe.detect, read)
+
+
+def match_recipe(file: InputFile) -> Match:
+    """The surest recipe for a file, or the one the user asked for."""
+    recipes = {**RECIPES, **_installed_recipes()}
+    wanted = file.options.recipe
+    if wanted is not None:
+        if wanted not in recipes:
+            msg = f"unknown recipe {wanted!r}, one of {', '.join(recipes)}"
+            raise UsageError(msg)
+        return Match(recipes[wanted], 1.0, "the user asked for it")
+    matches = [Match(recipe, *_detect(recipe, file)) for recipe in recipes.values()]
+    best = max(matches, key=lambda match: match.confidence)
+    if best.confidence > 0.0:
+        return best
+    if file.fault is not None:
+        raise file.fault
+    message = "no reader knows this file; give the raw data export of the test machine"
+    refusal = Place(file.path).refusal("not_an_export", message)
+    raise refusal
+
+
+def _detect(recipe: Recipe, file: InputFile) -> Detection:
+    """Detection of a file by a recipe; one that breaks, and is not ours, knows nothing of it."""
+    if recipe.key in RECIPES:
+        return recipe.detect(file)
+    try:
+        confidence, reason = recipe.detect(file)
+        return min(max(float(confidence), 0.0), 1.0), str(reason)
+    except Exception as error:  # noqa: BLE001 - somebody else's code must not stop the others
+        report_fault(recipe.key, f"could not look at {file.path}", error)
+        return 0.0, "the reader broke"
+
+
+#: Key -> recipe, in the order in which equals win.
+RECIPES: Mapping[str, Recipe] = MappingProxyType(
+    {
+        recipe.key: recipe
+        for recipe in (
+            BLUEHILL_CSV,
+            TESTXPERT_TRA,
+            TESTXPERT_WORKBOOK,
+            MACH_1,
+            MTS_793,
+            SHIMADZU,
+            CHIARO,
+            JPK_FORCE,
+            SESSION_LOG,
+            WORKBOOK,
+            COLUMNS_TEXT,
+            archive_recipe(match_recipe),
+        )
+    }
+)
 
 _MEANS = (
     r"(?:mean|averaged?|typical|median|representative)(?: (?:curve|specimen|sample|test|trace|values?))?"
@@ -32,8 +167,7 @@ _MEANS = (
     r"|(?:typische|reprasentative) (?:kurve|probe)|typkurve"
     r"|(?:eprouvette|courbe|essai|valeurs?) (?:moyen(?:ne)?s?|type|typique|medianes?|representative?)|moyenne"
     r"|(?:curva|probeta|ensayo|provino|prova|corpo de prova) (?:medi[ao]|promedio|tipic[ao])"
-    r"|promedio|(?:krzywa|probka) (?:srednia|typowa)|srednia"
-    r"|平均(?:曲线|值|试样)?|典型(?:曲线|试样)|代表曲线"
+    r"|promedio|(?:krzywa|probka) (?:srednia|typowa)|srednia|平均(?:曲线|值|试样)?|典型(?:曲线|试样)|代表曲线"
 )
 _SUMMARIES = (
     r"statistics|summary|results?|statistik|zusammenfassung|ergebnisse|statistiques?|synthese|resume"
@@ -48,32 +182,25 @@ _SEARCHES = (
 )
 #: Words that are a mean among sheets, but may name a file of anything.
 _AMONG_SHEETS = r"medi[ao]s?"
-_KINDS = (("mean", _MEANS), ("summary", _SUMMARIES), ("search", _SEARCHES))
-_WHAT = {
-    "mean": "a mean or typical curve",
-    "summary": "a summary",
-    "search": "the machine's search for contact",
-}
+_KINDS = (
+    ("mean", _MEANS, "a mean or typical curve"),
+    ("summary", _SUMMARIES, "a summary"),
+    ("search", _SEARCHES, "the machine's search for contact"),
+)
 
 
 def no_specimen(path: str, sheet: str | None) -> Flag | None:
-    """``not_a_specimen``, where the name of a file, sheet, block or specimen says so.
-
-    ``path``: file; ``sheet``: sheet, block, specimen or member of an archive; parts behind ``::``.
-    """
+    """``not_a_specimen``, where the name of a file, sheet, block, specimen or member says so."""
     names = [PurePosixPath(path.replace("\\", "/")).stem]
     parts = [] if sheet is None else sheet.split("::")
     names += [PurePosixPath(part).stem if "/" in part or "." in part else part for part in parts]
     for name in names:
         words = re.sub(r"^\d+ | \d+$", "", plain_words(name))
-        for kind, pattern in _KINDS:
+        for kind, pattern, what in _KINDS:
             sheets = kind == "mean" and parts and name is not names[0] and re.fullmatch(_AMONG_SHEETS, words)
             if sheets or re.fullmatch(pattern, words):
-                return Flag(
-                    "not_a_specimen",
-                    f"{name!r} is {_WHAT[kind]}, no specimen, and is not fitted",
-                    {"kind": kind},
-                )
+                message = f"{name!r} is {what}, no specimen, and is not fitted"
+                return Flag("not_a_specimen", message, {"kind": kind})
     return None
 
 
@@ -83,18 +210,12 @@ FORCE_LIMIT_N = 5e6
 
 
 def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
-    """Recipe that reads a file, with its certainty and reason.
-
-    Raises InputError: the file can't be read, or no recipe knows it.
-    """
+    """Recipe that reads a file, with its certainty and reason."""
     return match_recipe(open_input(path, options or ReadOptions()))
 
 
 def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[Trial | InputError]:
-    """Every trial of one file, or the refusal in its place; a bad sheet never stops the others.
-
-    ``path``: a file.  Raises UsageError: the options ask for a recipe that does not exist.
-    """
+    """Every trial of one file, or the refusal in its place; a bad sheet never stops the others."""
     try:
         for item in _read_each(path, options or ReadOptions()):
             yield _without_frames(item) if isinstance(item, InputError) else item
@@ -166,10 +287,7 @@ def read_trials(path: str | Path, options: ReadOptions | None = None) -> list[Tr
 
 
 def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = None) -> Trial:
-    """One trial: of a text file (``sheet=None``), or one sheet of a workbook.
-
-    Raises InputError: the trial was refused, or there is no such sheet (``unknown_sheet``).
-    """
+    """One trial: of a text file (``sheet=None``), or one sheet of a workbook."""
     seen = []
     for trial in read_each(path, options):
         found = trial.sheet if isinstance(trial, InputError) else trial.source.sheet
@@ -255,13 +373,8 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
 def _normalised(axes: Axes) -> tuple[Flag, ...]:
     if not axes.normalised:
         return ()
-    return (
-        Flag(
-            "normalised_axes",
-            f"declared as normalised: for mm read {axes.length}, for N {axes.force}; can't be rendered",
-            {"length": axes.length, "force": axes.force},
-        ),
-    )
+    message = f"declared as normalised: for mm read {axes.length}, for N {axes.force}; can't be rendered"
+    return (Flag("normalised_axes", message, {"length": axes.length, "force": axes.force}),)
 
 
 def _specimen(file: InputFile, table: Table) -> str:
@@ -269,9 +382,6 @@ def _specimen(file: InputFile, table: Table) -> str:
     name = file.path if table.sheet is None else f"{file.path}::{table.sheet}"
     if file.options.specimen_by is not None:
         match = re.search(file.options.specimen_by, name)
-        if match is not None:
-            found = match[1] if match.re.groups else match[0]
-            if found:
-                return str(found)
-        return name
+        found = None if match is None else match[1] if match.re.groups else match[0]
+        return found or name
     return table.specimen or name

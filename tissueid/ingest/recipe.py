@@ -1,8 +1,7 @@
 """Readers: a recipe says how sure it is of a file, and reads it into tables.
 
-A recipe looks at an :class:`InputFile`, which was opened, hashed and laid out once for all of them,
-and gives a confidence from 0 (not mine) to 1 (certainly mine) with its reason.  The surest recipe
-reads; ``tissueid inspect`` prints which it was and why.
+A recipe looks at an :class:`InputFile`, which was opened, hashed and laid out once for all of them, and gives
+a confidence from 0 (not mine) to 1 (certainly mine) with its reason.  The surest recipe reads.
 """
 
 from __future__ import annotations
@@ -18,11 +17,10 @@ from pathlib import Path
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.layout import Layout, find_layout
+from tissueid.ingest.layout import Layout, find_layout, results_flag
 from tissueid.ingest.loading import load_bytes
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import results_flag
 from tissueid.ingest.text import Text, decode_text
 from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import Protocol
@@ -181,30 +179,14 @@ def _members(data: bytes) -> list[str] | None:
 
 
 def open_input(path: str | Path, options: ReadOptions) -> InputFile:
-    """Read a file, start its hash beside the parsing, and lay out its text.
-
-    Raises
-    ------
-    InputError
-        ``unreadable_file``.
-    """
+    """Read a file, start its hash beside the parsing, and lay out its text."""
     name = str(path)
     data = load_bytes(path, Place(name))
     return lay_out(name, data, options, _start_digest(data))
 
 
 def lay_out(path: str, data: bytes, options: ReadOptions, digest: Future[str] | str) -> InputFile:
-    """Bytes as every recipe wants to see them: decoded and laid out where they are text.
-
-    Parameters
-    ----------
-    path : str
-        For refusals.
-    data : bytes
-    options : ReadOptions
-    digest : Future or str
-        SHA-256 of the file.
-    """
+    """Bytes as every recipe wants to see them: decoded and laid out where they are text."""
     if data.startswith(_WORKBOOK_MAGIC):
         return InputFile(path, data, options, digest)
     place = Place(path)

@@ -1,8 +1,6 @@
 """Why a recording was refused: the closed list of codes, and the place a refusal points at.
 
-A refusal is never a guess avoided in silence: it names file, sheet, line, column, the value as it is
-printed there, and what the user can do.  The codes below are repeated as an enumeration in
-``schemas/inspect.schema.json``; a test holds the two together.
+The codes below are repeated as an enumeration in ``schemas/inspect.schema.json``; a test holds both together.
 """
 
 from __future__ import annotations

@@ -8,10 +8,6 @@ is; the fast path reads a subset of this grammar to the same values.
   numbers, or that names other columns or units, is no comment.
 - A last line with too few cells, or broken off inside a number, is left out and flagged.
 - Everything else must have the cells of its neighbours and numbers in the three columns.
-
-Lines beside the rows of a table: remarks that may be passed over, and rows that may not.
-A remark holds no number where a number could stand.  A line of digits that is no row of the table is a
-damaged row, or a row of another table, and leaving it out would lose data.
 """
 
 from __future__ import annotations
@@ -28,11 +24,18 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels
-from tissueid.ingest.layout import Layout, Row, is_units_row, split_line
+from tissueid.ingest.layout import (
+    Layout,
+    Row,
+    announced_results,
+    is_units_row,
+    results_flag,
+    results_spans,
+    split_line,
+)
 from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import announced_results, results_flag, results_spans
 from tissueid.ingest.text import Text
 
 _STARTS = re.compile(r"[\W_]*\d")
@@ -91,11 +94,7 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
 
 
 def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
-    """Flag of results and of rows of numbers above the names, which would pass for a header.
-
-    ``head``: all lines above the names, from the first.  Raises InputError: ``mixed_tables`` where they are
-    another table: three lines and more, or under names of their own.
-    """
+    """Flag of results and of rows of numbers above the names, which would pass for a header."""
     results = announced_results(head)
     said = tuple(results_flag(span.start + 1, span.stop) for span in results)
     inside = {index + 1 for span in results for index in span}
@@ -241,12 +240,7 @@ class RowReader:
         return strict_cells(line, self.layout.delimiter)
 
     def read(self) -> tuple[list[FloatArray], list[Flag]]:
-        """Every terminated row, or a refusal of the first that can't be trusted.
-
-        Returns ``columns``: time, displacement, force as printed, before units; ``flags``.  Raises
-        InputError: with line and column; ``ragged_rows``, ``damaged_number``, ``inconsistent_decimal``,
-        ``ambiguous_decimal``, ``text_in_numbers``, ``empty_cell``, ``not_finite``.
-        """
+        """Every terminated row, or a refusal of the first that can't be trusted."""
         values = [array("d") for _ in self.wanted]
         skipped: list[int] = []
         flags: list[Flag] = []

@@ -1,13 +1,7 @@
 """Recipe for the log of a rendered session: the tissue that a hand felt, with the scales undone.
 
-A log holds positions and forces of the device, and beside them the depth and force of the tissue they stand
-for.  The recording is made from the device's side alone::
-
-    displacement = penetration / s_x,   force = |F_device| / s_F
-
-and must agree with the tissue's side, tick by tick, wherever no limit interfered: a log whose scale was
-changed, or never was the one stated, is refused with both numbers.  What comes out is the force law of a
-bundle, not a measurement: the flag ``rendered`` says so.
+The recording is made from the device's side alone (displacement = penetration / s_x, force = |F_device| /
+s_F) and must agree with the tissue's side wherever no limit interfered, else it is refused.
 """
 
 from __future__ import annotations

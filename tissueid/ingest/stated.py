@@ -1,4 +1,4 @@
-"""Values as a study file states them: ``thickness_mm = 5`` or ``thickness = "5 mm"``, one key inside.
+"""Values and priors as a study file states them: ``thickness_mm = 5`` or ``thickness = "5 mm"``.
 
 A key that ends in a unit holds a number in that unit, or text with another unit of the same kind; the same
 key without its unit takes text with a unit only.  A number without a unit is never taken.
@@ -9,8 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
+from itertools import pairwise
 from typing import Any
 
+from tissueid.manifest import TomlTable
+from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.units import factor_to
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
@@ -93,11 +96,7 @@ def without_unit(key: str) -> str:
 
 
 def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
-    """The key under which a value is kept.
-
-    ``key``: as written; ``known``: keys that there are.  Raises ValueError: there is no such key (the nearest
-    are named), or a number has no unit.
-    """
+    """The key under which a value is kept."""
     if key in known:
         return key
     whole = [name for name in known if without_unit(name) == key and unit_of(name) is not None]
@@ -114,11 +113,7 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
 
 
 def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
-    """A number in the unit of its key, from text with a unit: ``("speed_mm_s", "250 mm/min")`` gives 4.1667.
-
-    ``key``: ends in its unit; ``shown``: what a message calls the key.  Raises ValueError: no number, no
-    unit, or a unit of something else.
-    """
+    """A number in its key's unit, from text: ``("speed_mm_s", "250 mm/min")`` gives 4.1667."""
     unit = unit_of(key)
     key = shown or key
     match = _NUMBER.match(text)
@@ -137,3 +132,99 @@ def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
     except ValueError as error:
         msg = f'{key} = "{text}": {error}'
         raise ValueError(msg) from error
+
+
+#: Keys of a prior that are in the unit of its parameter.
+_IN_UNIT = ("mean", "sd", "median")
+#: What the names of a second and third branch end in.
+_BRANCH = re.compile(r"_b[23]$")
+
+Place = tuple[str | int, ...]
+
+
+class PriorError(ValueError):
+    """Fault of the table, and its place."""
+
+    def __init__(self, where: Place, message: str) -> None:
+        super().__init__(message)
+        self.where = where
+
+
+def _bare(name: str) -> str:
+    """``stiffness_0_N_per_mm_b2`` without its unit: ``stiffness_0_b2``."""
+    branch = _BRANCH.search(name)
+    return without_unit(_BRANCH.sub("", name)) + (branch[0] if branch else "")
+
+
+def _known_name(written: str, known: TomlTable) -> str:
+    """The name of a prior; a unit is never guessed."""
+    if written in known:
+        return written
+    if written.startswith("viscosity"):
+        message = f"{written} has no prior of its own: viscosity is K times tau, state those two"
+        raise PriorError((written,), message)
+    whole = [name for name in known if _bare(name) == written]
+    near = whole[:1] or get_close_matches(written, known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+    raise PriorError((written,), f"there is no prior of {written!r}; {hint}")
+
+
+def _numbers(table: Any, name: str, where: Place) -> Any:
+    """One table with its texts as numbers in the unit of its name."""
+    if not isinstance(table, Mapping):
+        return table
+    plain = dict(table)
+    unit = _BRANCH.sub("", name)
+    for key in _IN_UNIT:
+        if isinstance(plain.get(key), str) and unit_of(unit) is not None:
+            try:
+                plain[key] = in_unit(unit, plain[key], shown=key)
+            except ValueError as error:
+                raise PriorError((*where, key), str(error)) from error
+    return plain
+
+
+def plain_priors(table: TomlTable, known: TomlTable) -> dict[str, Any]:
+    """The table with known names and plain numbers, ready for the schema."""
+    plain: dict[str, Any] = {}
+    for written, value in table.items():
+        name = _known_name(written, known)
+        if isinstance(value, list):
+            plain[name] = [_numbers(one, name, (name, i)) for i, one in enumerate(value)]
+        else:
+            plain[name] = _numbers(value, name, (name,))
+    return plain
+
+
+def priors_of(plain: TomlTable) -> Priors:
+    """Priors from a table that the schema has passed."""
+    default = Priors()
+    times = plain.get("relaxation_time_s", ())
+    for i, (one, after) in enumerate(pairwise(times)):
+        if not one["median"] < after["median"]:
+            message = (
+                f"median = {after['median']:g} is not above the {one['median']:g} before it: "
+                "write the shortest relaxation time first"
+            )
+            raise PriorError(("relaxation_time_s", i + 1, "median"), message)
+    phi = plain.get("phi")
+    if phi is not None and not phi["low"] < phi["high"]:
+        message = f"low = {phi['low']:g} is not below high = {phi['high']:g}"
+        raise PriorError(("phi", "low"), message)
+    sigma = plain.get("sigma_N")
+    return Priors(
+        linear={name: (one["mean"], one["sd"]) for name, one in plain.items() if "mean" in one},
+        relaxation_time_s=tuple(SpreadPrior(**one) for one in times),
+        sigma_N=None if sigma is None else SpreadPrior(**sigma),
+        phi=default.phi if phi is None else (phi["low"], phi["high"]),
+        gain_sd=plain["gain_sd"]["scale"] if "gain_sd" in plain else default.gain_sd,
+    )
+
+
+def population_of(plain: TomlTable) -> PopulationPriors:
+    """Priors of the population from a ``[population]`` table that the schema has passed."""
+    said: dict[str, Any] = {f"tail_{key}": value for key, value in plain.get("tails", {}).items()}
+    for name, value in plain.items():
+        if name != "tails":
+            said[name] = SpreadPrior(**value) if name in ("between", "level") else value
+    return PopulationPriors(**said)

@@ -1,39 +1,142 @@
-"""From the bytes of a text export to ASCII-compatible lines: byte order marks, encodings, line ends.
+"""From the bytes of a text export to ASCII-compatible lines: byte order marks, encodings, line ends, clocks.
 
-Numbers are ASCII in every encoding seen; what must be decoded is the header and the names.  Where the
-bytes are not UTF-8, the code page is the one in which the most column names and header keys are words
-that test machines print; charset-normalizer decides what that leaves open.
-
-Header keys that state the protocol, in the languages of the test programs.
-Each pattern matches the last part of a key in plain words (lower case, without accents, unit and group):
-``"Prüfung : Geschwindigkeit 1"`` is ``geschwindigkeit 1``.
+Numbers are ASCII in every encoding seen.  Where the bytes are not UTF-8, the code page is the one in which
+the most column names and header keys are words that test machines print.
 """
 
 from __future__ import annotations
 
 import codecs
 import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import takewhile
+from typing import NoReturn
 
 import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.spaced import HEAD_BYTES, by_spaces, with_seconds
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, plain_words, rank_of
 
-_NUMBER = r"(?: 1)?"
+#: What is looked at to recognise a file: 48 header lines and several hundred rows; lines of it that are here.
+HEAD_BYTES, HEAD_LINES = 1 << 16, 300
+#: Rows that show a table by spaces, or a clock.
+FEWEST_ROWS = 5
+#: Share of the rows that have the same number of columns.
+ALIKE = 0.9
+#: A longer line is no line of names.
+LONGEST_NAMES = 1000
+#: Written so that a text can be a number in one way only: a line of digits is refused in linear time.
+_NUMBER = rb"[+-]?(?:\d+(?:,\d+|\.\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?nan"
+_ROW = re.compile(rb"[ \t]*(?:%b)(?: +(?:%b))+[ \t]*\r?" % (_NUMBER, _NUMBER), re.IGNORECASE)
+#: Words of a line of names: ``Time (s)`` and ``(s)`` are one each.
+_NAME = re.compile(rb"[^\s(\[]+(?: ?[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]")
+_CLOCK = re.compile(
+    rb"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T])?(\d{1,2}):(\d{2}):(\d{2})([.,]\d{1,9})?"
+    rb"(?: ?([AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d{2}:?\d{2})?"
+)
+_CELL_CLOCK = re.compile(
+    rb"(?:(?<=[,;\t|\"])|(?<=^))[ ]*" + _CLOCK.pattern + rb"[ ]*(?=[,;\t|\"\r]|$)", re.MULTILINE
+)
+_DECIMAL_COMMA = re.compile(rb"(?:^|[;\t|])\"?[+-]?\d*,\d+")
+DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
+
+
+def by_spaces(data: bytes) -> bytes:
+    """The text with tabs in place of spaces between columns; as it is where other delimiters part them."""
+    lines = _head(data)
+    counts = {k: len(line.split()) for k, line in enumerate(lines) if _ROW.fullmatch(line)}
+    if not counts:
+        return data
+    columns, often = Counter(counts.values()).most_common(1)[0]
+    rows = [k for k, count in counts.items() if count == columns]
+    first = next(
+        (k for k, after in zip(rows, rows[FEWEST_ROWS - 1 :], strict=False) if after - k < FEWEST_ROWS), None
+    )
+    # a damaged row is named by its line once the others are cells
+    if first is None or often < ALIKE * len(counts):
+        return data
+    head = [_named(line, columns) if k >= first - 2 else line for k, line in enumerate(lines[:first])]
+    offset = sum(len(line) + 1 for line in lines[:first])
+    body = re.sub(rb"(?m)^\t", b"", re.sub(rb" +", b"\t", data[offset:]))
+    body = body.replace(b"\t\n", b"\n").replace(b"\t\r\n", b"\r\n").removesuffix(b"\t")
+    return b"".join(line + b"\n" for line in head) + body
+
+
+def _head(data: bytes) -> list[bytes]:
+    """The first whole lines."""
+    head = data[:HEAD_BYTES]
+    lines = head.split(b"\n")
+    return (lines[:-1] if len(data) > len(head) else lines)[:HEAD_LINES]
+
+
+def _named(line: bytes, columns: int) -> bytes:
+    """A line of names or units, parted by tabs where it has as many words as there are columns."""
+    plain = line.strip()
+    if len(plain) > LONGEST_NAMES:
+        return line
+    for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
+        if len(words) == columns:
+            return b"\t".join(words)
+    return line
+
+
+def with_seconds(data: bytes) -> bytes:
+    """The text with seconds in the place of clock times in its rows; as it is where rows have none."""
+    lines = _head(data)
+    first = _first_row(lines)
+    if first is None:
+        return data
+    offset = sum(len(line) + 1 for line in lines[:first])
+    other = _CELL_CLOCK.sub(b"", lines[first])
+    mark = b"," if re.search(rb"[;\t|]", other) and _DECIMAL_COMMA.search(other) else b"."
+    days, last = 0.0, 0.0
+
+    def seconds(match: re.Match[bytes]) -> bytes:
+        nonlocal days, last
+        hour, minute, second, fraction, half = match.groups()
+        hours = int(hour) % 12 + 12 * (half in b"Pp") if half else int(hour)
+        value = 3600.0 * hours + 60.0 * int(minute) + int(second)
+        value += float(b"0." + fraction[1:]) if fraction else 0.0
+        days += DAY_S * (value < last - HALF_DAY_S)
+        last = value
+        digits = len(fraction) - 1 if fraction else 0
+        return f"{days + value:.{digits}f}".encode().replace(b".", mark)
+
+    return data[:offset] + _CELL_CLOCK.sub(seconds, data[offset:])
+
+
+def _first_row(lines: Sequence[bytes]) -> int | None:
+    """The first of several lines on end with one clock time and two numbers."""
+    for k in range(len(lines)):
+        run = list(takewhile(_is_clocked, lines[k : k + FEWEST_ROWS]))
+        if len(run) == FEWEST_ROWS:
+            return k
+    return None
+
+
+def _is_clocked(line: bytes) -> bool:
+    cells = re.split(rb"[;\t|]", line) if re.search(rb"[;\t|]", line) else line.split(b",")
+    numbers = [
+        cell for cell in cells if re.fullmatch(rb"[\s\"]*(?:%b)[\s\"]*" % _NUMBER, cell, re.IGNORECASE)
+    ]
+    return len(_CELL_CLOCK.findall(line)) == 1 and len(numbers) >= 2
+
+
+_FIRST = r"(?: 1)?"
 RATE = re.compile(
     r"(?:test |crosshead |ramp |loading |indentation |piezo |displacement |machine )?(?:rate|speed|velocity)"
-    rf"{_NUMBER}|v1|test ?geschwindigkeit{_NUMBER}|rate{_NUMBER}"
-    rf"|(?:pruf|eindring|verfahr|traversen)?geschwindigkeit{_NUMBER}"
-    rf"|vitesse(?: d essai| de (?:la )?traverse| d indentation)?{_NUMBER}|taux{_NUMBER}"
-    rf"|velocidad(?: de(?:l)? (?:ensayo|la cruceta|indentacion))?{_NUMBER}|tasa{_NUMBER}"
-    rf"|velocidade(?: d[eo] (?:ensaio|teste|indentacao))?{_NUMBER}|taxa{_NUMBER}"
-    rf"|velocita(?: di prova| della traversa| di indentazione)?{_NUMBER}"
-    rf"|predkosc(?: (?:badania|testu|trawersy))?{_NUMBER}"
-    rf"|(?:试验|测试|加载|压入)?(?:速度|速率){_NUMBER}|試験速度{_NUMBER}"
+    rf"{_FIRST}|v1|test ?geschwindigkeit{_FIRST}|rate{_FIRST}"
+    rf"|(?:pruf|eindring|verfahr|traversen)?geschwindigkeit{_FIRST}"
+    rf"|vitesse(?: d essai| de (?:la )?traverse| d indentation)?{_FIRST}|taux{_FIRST}"
+    rf"|velocidad(?: de(?:l)? (?:ensayo|la cruceta|indentacion))?{_FIRST}|tasa{_FIRST}"
+    rf"|velocidade(?: d[eo] (?:ensaio|teste|indentacao))?{_FIRST}|taxa{_FIRST}"
+    rf"|velocita(?: di prova| della traversa| di indentazione)?{_FIRST}"
+    rf"|predkosc(?: (?:badania|testu|trawersy))?{_FIRST}"
+    rf"|(?:试验|测试|加载|压入)?(?:速度|速率){_FIRST}|試験速度{_FIRST}"
 )
 DEPTH = re.compile(
     r"(?:indentation|penetration|target|maximum|max) (?:depth|displacement|indentation|extension)|depth"
@@ -45,14 +148,14 @@ DEPTH = re.compile(
     r"|glebokosc(?: (?:wglebienia|indentacji|zaglebienia))?|压入深度|压痕深度|最大深度|押込み深さ"
 )
 HOLD = re.compile(
-    rf"(?:hold|dwell|relaxation|wait)(?:ing)?(?: time| duration)?{_NUMBER}|fixed relaxation time"
-    rf"|(?:halte|relaxations|verweil)(?:zeit|dauer){_NUMBER}"
-    rf"|(?:temps|duree) (?:de )?(?:maintien|relaxation|pause){_NUMBER}"
-    rf"|(?:tiempo|duracion) de (?:retencion|mantenimiento|espera|relajacion){_NUMBER}"
-    rf"|(?:tempo|duracao) de (?:retencao|espera|manutencao|relaxamento|relaxacao){_NUMBER}"
-    rf"|(?:tempo|durata) di (?:mantenimento|attesa|rilassamento|tenuta){_NUMBER}"
-    rf"|czas (?:przetrzymania|utrzymania|relaksacji|wytrzymania){_NUMBER}"
-    rf"|(?:保持|保载|松弛)时间{_NUMBER}|保持時間{_NUMBER}"
+    rf"(?:hold|dwell|relaxation|wait)(?:ing)?(?: time| duration)?{_FIRST}|fixed relaxation time"
+    rf"|(?:halte|relaxations|verweil)(?:zeit|dauer){_FIRST}"
+    rf"|(?:temps|duree) (?:de )?(?:maintien|relaxation|pause){_FIRST}"
+    rf"|(?:tiempo|duracion) de (?:retencion|mantenimiento|espera|relajacion){_FIRST}"
+    rf"|(?:tempo|duracao) de (?:retencao|espera|manutencao|relaxamento|relaxacao){_FIRST}"
+    rf"|(?:tempo|durata) di (?:mantenimento|attesa|rilassamento|tenuta){_FIRST}"
+    rf"|czas (?:przetrzymania|utrzymania|relaksacji|wytrzymania){_FIRST}"
+    rf"|(?:保持|保载|松弛)时间{_FIRST}|保持時間{_FIRST}"
 )
 LOAD_LIMIT = re.compile(
     r"(?:maximum |max |upper )?(?:load|force) (?:limit|threshold|trigger)|trigger (?:load|force)"
@@ -103,6 +206,7 @@ _MAGIC = (
     (b"PK\x03\x04", "a zip archive or workbook"),
     (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
 )
+_BOMS_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 #: A quoted number with its marks is a cell, not a row.
 _ONE_NUMBER = re.compile(rb"[+-]?(?:\d+[.,]?\d*|\d{1,3}(?:[.,]\d{3})+(?:[.,]\d*)?)")
@@ -135,7 +239,7 @@ def foreign_kind(head: bytes) -> str | None:
         # two-letter magics are words too: believe them only among control bytes
         if head.startswith(magic) and (len(magic) > 2 or len(_CONTROL.findall(head)) > 1):
             return kind
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
+    if _is_utf16(head):
         return None
     if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
         return "binary data"
@@ -147,12 +251,20 @@ def foreign_kind(head: bytes) -> str | None:
     return None
 
 
-def _looks_utf16(head: bytes) -> bool:
-    """UTF-16 without a byte order mark: NULs at every second byte, and hardly any elsewhere.
+def refuse_foreign(kind: str, place: Place) -> NoReturn:
+    """Refuse a file that is no text table."""
+    message = f"this is {kind}, not the raw data of a test; give the export of the test machine"
+    place.refuse("not_an_export", message)
+
+
+def _is_utf16(head: bytes) -> bool:
+    """UTF-16, by its mark or by NULs at every second byte and hardly any elsewhere.
 
     Digits and delimiters have one NUL each; a header in Chinese has few, so that all of the head counts, and
     a character such as U+4E00 has one in the other byte.
     """
+    if head.startswith(_BOMS_UTF16):
+        return True
     even, odd = head[0::2].count(0), head[1::2].count(0)
     sample = len(head) // 2
     few, many = sorted((even, odd))
@@ -160,22 +272,16 @@ def _looks_utf16(head: bytes) -> bool:
 
 
 def decode_text(data: bytes, place: Place) -> Text:
-    """Find the encoding and unify byte order marks and line ends.
-
-    Raises InputError: ``not_an_export`` where the bytes are no text, ``empty_file`` where there are none.
-    """
+    """Find the encoding and unify byte order marks and line ends."""
     blank = b" \t\r\n\0"
     if not data[:HEAD_BYTES].strip(blank) and not data.strip(blank):
         place.refuse("empty_file", "the file is empty; export the test again")
     head = data[:HEAD_BYTES]
     kind = foreign_kind(head)
     if kind is not None:
-        place.refuse(
-            "not_an_export",
-            f"this is {kind}, not the raw data of a test; give the export of the test machine",
-        )
+        refuse_foreign(kind, place)
     _refuse_long_lines(data, place)
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
+    if _is_utf16(head):
         return _from_utf16(data, place)
     if head.startswith(codecs.BOM_UTF8):
         text = Text(_line_ends(data[3:]), "utf-8", "utf-8-sig")
@@ -206,7 +312,7 @@ def _refuse_long_lines(data: bytes, place: Place) -> None:
 
 
 def _from_utf16(data: bytes, place: Place) -> Text:
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    if data.startswith(_BOMS_UTF16):
         codec = "utf-16"
     else:
         head = data[:HEAD_BYTES]
@@ -221,10 +327,7 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     unified = _line_ends(decoded.encode())
     head = unified[:HEAD_BYTES]
     if len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
-        place.refuse(
-            "not_an_export",
-            "this is binary data, not the raw data of a test; give the export of the test machine",
-        )
+        refuse_foreign("binary data", place)
     return _plain(Text(unified, "utf-8", "utf-16"))
 
 
@@ -299,7 +402,7 @@ def _unwrapped(text: Text) -> Text:
         return text
     whole = (line.rstrip(b"\r") for line in text.data.split(b"\n"))
     data = b"\n".join(line[1:-1].replace(b'""', b'"') if _is_wrapped(line) else line for line in whole)
-    return Text(data, text.codec, text.encoding, text.flags)
+    return replace(text, data=data)
 
 
 def _is_wrapped(line: bytes) -> bool:

@@ -1,8 +1,7 @@
 """Size of a workbook in memory: told before the parser that builds it is let in.
 
-A workbook is a zip archive, and a sheet is built as a dense rectangle up to its last cell.  A few
-kilobytes may unpack to gigabytes, and one stray cell at ``XFD1048576`` asks for seventeen thousand
-million cells, which the parser does not survive.
+A sheet is built as a dense rectangle up to its last cell: one stray cell at ``XFD1048576`` asks for seventeen
+thousand million cells, which the parser does not survive.
 """
 
 from __future__ import annotations
@@ -27,9 +26,10 @@ BROKEN_ARCHIVE = (
     EOFError,
 )
 
-#: No honest workbook unpacks to more [bytes]: a million rows of four cells are 150 MB.
+#: No honest workbook, file of curves or member of an archive unpacks to more [bytes]: a million rows of four
+#: cells are 150 MB.
 UNPACKED_BYTES = 1 << 29
-#: Sheets of numbers shrink to a tenth, a bomb to a thousandth; below some size the ratio says nothing.
+#: Numbers shrink to a tenth, a bomb to a thousandth; below some size [bytes] the ratio says nothing.
 LARGEST_RATIO = 200
 RATIO_FROM_BYTES = 1 << 24
 #: Cells of one sheet, filled or not: all rows that a sheet can have, in 32 columns.
@@ -48,11 +48,7 @@ _ROW_RECORD, _CELL_RECORDS = 0, range(1, 12)
 
 @lru_cache(maxsize=1)
 def too_much(data: bytes) -> str | None:
-    """Why a zipped workbook can't be built in bounded memory, ``None`` where it can.
-
-    ``data``: the workbook; the last one asked for is remembered.  Raises BROKEN_ARCHIVE: the archive is
-    damaged.
-    """
+    """Why a zipped workbook can't be built in bounded memory, ``None`` where it can."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
         unpacked = sum(entry.file_size for entry in entries)

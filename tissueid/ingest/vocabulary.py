@@ -1,30 +1,7 @@
 """The words test machines print: column names and header keys in nine languages.
 
-One table says which printed name is a time, a displacement or a force, and which of several is taken:
-the lower rank wins, the leftmost column among equals.  It is the written rule behind the
-``column_choice`` flag:
-
-=============  ====  =========================================================================
-quantity       rank  names
-=============  ====  =========================================================================
-time           0     the time of the test (``Time``, ``Temps d'essai``, ``Zeit``, ``时间``)
-..             1     elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's ``X_Value``
-displacement   0     depth of the tool in the tissue, measured as such (``Indentation``)
-..             1     travel of the machine from its zero (``Extension``, ``Standard travel``,
-                     ``Allongement``, ``Traversenweg``, ``位移``)
-..             2     the same with the sense of the test (``Compressive extension``)
-..             3     absolute position (``Crosshead absolute``, ``Position``, ``Height``)
-..             4     what is left between the tools (``Ecartement entre outils``)
-..             5     another sensor (``Extensometer``, ``Capteur de course``, ``Deflection``)
-force          0     the load cell (``Load``, ``Force standard``, ``Kraft``, ``载荷``, ``Fz``)
-..             1     the same with the sense of the test (``Compressive load``)
-..             2     another channel (``Load cell 2``)
-any            8     none of these names, but a word of them and a unit that agrees
-any            9     a letter of the field (``t``; ``x``, ``z``, ``d``, ``u``, ``h``, ``L``; ``F``), where
-                     it is the only one that could be meant
-=============  ====  =========================================================================
-
-A channel number above one (``Load 2``) adds 5.
+One table says which printed name is a time, a displacement or a force, and which of several is taken: the
+lower rank wins, the leftmost column among equals.  It is the written rule behind the ``column_choice`` flag.
 """
 
 from __future__ import annotations
@@ -44,114 +21,80 @@ _SENSE_AFTER = (
     r"(?: (?:de|en|a|di|w) (?:la )?(?:compression|compresion|compressao|compressione|traction|flexion))"
 )
 
-_NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
-    "time": (
-        (
-            0,
-            (
-                r"(?:total |test |running |measured )?time(?: measurement)?|seconds|secs?|zeit|pruf ?zeit"
-                r"|test ?zeit|versuchszeit|laufzeit|messzeit"
-                r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
-                r"|do) ensaio| total)?"
-                r"|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
-            ),
+#: Names of a channel by their rank.
+_NAMES: dict[Channel, dict[int, str]] = {
+    "time": {
+        0: (  # the time of the test
+            r"(?:total |test |running |measured )?time(?: measurement)?|seconds|secs?|zeit|pruf ?zeit"
+            r"|test ?zeit|versuchszeit|laufzeit|messzeit"
+            r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
+            r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
         ),
-        (
-            1,
-            (
-                r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
-                r"|time ?stamp|date ?time|zeitstempel|uhrzeit|x value"
-                r"|tiempo transcurrido"
-            ),
+        1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
+            r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
+            r"|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
         ),
-    ),
-    "displacement": (
-        (
-            0,
-            (
-                r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?"
-                r"|eindring(?:tiefe|weg)|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade"
-                r"|profondita|glebokosc"
-                r"|压入深度|压痕深度"
-            ),
+    },
+    "displacement": {
+        0: (  # depth of the tool in the tissue, measured as such
+            r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?"
+            r"|eindring(?:tiefe|weg)|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade"
+            r"|profondita|glebokosc|压入深度|压痕深度"
         ),
-        (
-            1,
-            (
-                r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
-                r"|standard travel|displ?|distance|dist"
-                r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
-                r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
-                r"|deplacement(?: (?:de (?:la )?)?(?:traverse|machine|verin))?|traverse"
-                r"|crosshead (?:displacement|travel|extension)"
-                r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento"
-                r"|alongamento"
-                r"|curso|estensione|spostamento|allungamento"
-                r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
-                r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ"
-            ),
+        1: (  # travel of the machine from its zero
+            r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
+            r"|standard travel|displ?|distance|dist"
+            r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
+            r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
+            r"|deplacement(?: (?:de (?:la )?)?(?:traverse|machine|verin))?|traverse"
+            r"|crosshead (?:displacement|travel|extension)"
+            r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento"
+            r"|curso|estensione|spostamento|allungamento"
+            r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
+            r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ"
         ),
-        (
-            2,
-            (
-                rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
-                rf"|(?:extension|deplacement|extensao|deslocamento|desplazamiento|estensione|spostamento){_SENSE_AFTER}"
-                r"|压缩位移|压缩伸长"
-            ),
+        2: (  # the same with the sense of the test
+            rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
+            rf"|(?:extension|deplacement|extensao|deslocamento|desplazamiento|estensione|spostamento){_SENSE_AFTER}"
+            r"|压缩位移|压缩伸长"
         ),
-        (
-            3,
-            (
-                r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
-                r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
-                r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja"
-                r"|stroke"
-                r"|actuator"
-                r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
-            ),
+        3: (  # absolute position
+            r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
+            r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
+            r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja"
+            r"|stroke|actuator|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
         ),
-        (
-            4,
-            (
-                r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
-                r"|werkzeugabstand|einspannlange|gap"
-            ),
+        4: (  # what is left between the tools
+            r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
+            r"|werkzeugabstand|einspannlange|gap"
         ),
-        (
-            5,
-            (
-                r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection"
-                r"|durchbiegung|strain 1|lvdt|displacement strain 1"
-            ),
+        5: (  # another sensor
+            r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection"
+            r"|durchbiegung|strain 1|lvdt|displacement strain 1"
         ),
-    ),
-    "force": (
-        (
-            0,
-            (
-                r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?"
-                r"|force standard"
-                r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
-                r"|forca"
-                r"|forza(?: standard)?|carico"
-                r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|試験力"
-                r"|fz|load cell(?: 1)?"
-            ),
+    },
+    "force": {
+        0: (  # the load cell
+            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?"
+            r"|force standard"
+            r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
+            r"|forca|forza(?: standard)?|carico|sila(?: standardowa)?|obciazenie"
+            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load cell(?: 1)?"
         ),
-        (
-            1,
-            (
-                rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
-                rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力"
-            ),
+        1: (  # the same with the sense of the test
+            rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
+            rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力"
         ),
-        (2, r"capteur de force|kraftaufnehmer|load channel|force channel"),
-    ),
+        2: r"capteur de force|kraftaufnehmer|load channel|force channel",  # another channel
+    },
 }
 _CHANNEL_NUMBER = re.compile(r"(.*?) ([2-9])")
+#: A channel number above one adds to the rank.
 _CHANNEL_PENALTY = 5
+#: Rank of none of these names, but a word of them and a unit that agrees.
 _LOOSE_RANK = 8
-#: Rank of a letter; case matters, for ``T`` is a temperature unless its unit says otherwise.
+#: Rank of a letter, where it is the only one that could be meant; case matters,
+#: for ``T`` is a temperature unless its unit says otherwise.
 SYMBOL_RANK = 9
 _SYMBOLS: dict[Channel, frozenset[str]] = {
     "time": frozenset({"t"}),
@@ -169,8 +112,7 @@ _LOOSE_WORDS = {
 #: A name with one of these is a rate, a result or another quantity, never a channel.
 _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
-    r"|average"
-    r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
+    r"|average|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
     r"|position [xy]|[xy] position|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
 )
 
@@ -188,7 +130,6 @@ _SPECIMEN_NAMING = (
     re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|番号|nummer"),
     re.compile(r"\bname\b|\w+name\b|\bnom\b|\bnombre\b|\bnome\b|nazwa|oznaczenie|名称"),
 )
-
 
 _COMMENTS = re.compile(
     r"(?:comment|remark|note|annotation)s?|bemerkung(?:en)?|anmerkung(?:en)?|kommentare?|commentaires?"
@@ -212,15 +153,10 @@ def plain_words(text: str) -> str:
 
 @cache
 def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
-    """Rank of a printed name, without its unit, for a channel.
-
-    ``channel`` {"time", "displacement", "force"}; ``loose``: whether a word inside the name is enough (the
-    unit is known to agree).  Returns rank of the table above, lower is better; ``None`` where the name is not
-    of this channel.
-    """
+    """Rank of a printed name, without its unit, for a channel; ``loose``: a word inside it is enough."""
     words = plain_words(name)
     numbered = _CHANNEL_NUMBER.fullmatch(words)
-    for rank, pattern in _NAMES[channel]:
+    for rank, pattern in _NAMES[channel].items():
         if re.fullmatch(pattern, words):
             return rank
         if numbered and re.fullmatch(pattern, numbered[1]):
@@ -234,10 +170,7 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
 
 
 def specimen_key_rank(key: str) -> int | None:
-    """0 for a specimen label, 1 for its number or ID, 2 for its name, ``None`` for any other header key.
-
-    Only the part after the group prefix counts: ``"Text Inputs : Specimen label"`` is a label.
-    """
+    """0 for a specimen label, 1 for its number or ID, 2 for its name, ``None`` for any other header key."""
     if len(key) > _LONGEST_KEY:
         return None
     words = plain_words(key.rsplit(":", 1)[-1] if not key.endswith(":") else key)

@@ -1,13 +1,7 @@
 """Recipes for workbooks: one trial a sheet, .xlsx, .xls, .xlsb and .ods by python-calamine.
 
-testXpert writes three head rows, and sheets of parameters, results and statistics beside the trials::
-
-    230403-FF1A     230403-FF1A     230403-FF1A    230403-FF1A
-    Temps d'essai   Force standard  Allongement    Ecartement entre outils
-    s               N               mm             mm
-
-Any other workbook may hold the same table as a CSV would, header included.  A sheet without time,
-displacement and force is no trial and is passed over; a workbook without any trial is refused.
+testXpert writes three head rows: the test's name over every column, the columns' names, their units.  A sheet
+without time, displacement and force is passed over; a workbook without any trial is refused.
 """
 
 from __future__ import annotations
@@ -25,15 +19,14 @@ import python_calamine
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.block import shifted, specimen_columns
+from tissueid.ingest.blocks import shifted, specimen_columns
 from tissueid.ingest.broken_rows import broken_row
 from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
-from tissueid.ingest.layout import Anchor, Row, anchor
+from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import results_below, results_flag
 from tissueid.ingest.rows import begins_a_table, flag_head
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
@@ -88,13 +81,12 @@ def _cells(workbook: Any, sheet: str, place: Place) -> Cells:
     return rows
 
 
-def sheet_names(data: bytes, path: str) -> list[str]:
-    """Every sheet of a workbook, trial or not."""
-    return [str(name) for name in _open(data, Place(path)).sheet_names]
-
-
 def _head(cells: Cells) -> list[Row]:
-    return [tuple(_shown(cell) for cell in row) for row in cells[:_HEAD_ROWS]]
+    return _rows(cells[:_HEAD_ROWS])
+
+
+def _rows(cells: Cells) -> list[Row]:
+    return [tuple(map(_shown, row)) for row in cells]
 
 
 def _shown(cell: Any) -> str:
@@ -120,8 +112,7 @@ def _test_name(cells: Cells, found: Anchor) -> str | None:
     """The name that testXpert repeats above every column."""
     if not found.names:
         return None
-    filled = [_shown(cell) for cell in cells[found.names - 1] if _shown(cell)]
-    named = [_shown(cell) for cell in cells[found.names] if _shown(cell)]
+    filled, named = (list(filter(None, row)) for row in _rows(cells[found.names - 1 : found.names + 1]))
     return filled[0] if len(filled) >= 2 and len(set(filled)) == 1 and len(filled) == len(named) else None
 
 
@@ -253,8 +244,7 @@ def _refuse_other_heads(cells: Cells, flags: Sequence[Flag], names: Row, units: 
     """Refuse rows left out as remarks that give other names or units: what follows is another recording."""
     for flag in flags:
         for number in flag.values["lines"] if flag.code == "rows_skipped" else ():
-            row = tuple(_shown(cell) for cell in cells[number - 1])
-            if begins_a_table(row, names, units):
+            if begins_a_table(tuple(map(_shown, cells[number - 1])), names, units):
                 place.refuse(
                     "mixed_tables",
                     f"row {number} gives other names or units than the head of the sheet: two recordings in"
@@ -267,8 +257,7 @@ def _refuse_other_heads(cells: Cells, flags: Sequence[Flag], names: Row, units: 
 def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadOptions) -> int | None:
     """The row at which a table of results begins below the samples, counted from 0."""
     start = max(found.first, len(cells) - _TAIL_ROWS)
-    tail = [tuple(_shown(cell) for cell in row) for row in cells[start:]]
-    below = results_below(tail, names, units, options)
+    below = results_below(_rows(cells[start:]), names, units, options)
     return None if below is None else start + below
 
 
@@ -292,27 +281,16 @@ def _read_columns(
         elif not any(isinstance(cell, float | int) for cell in row):
             skipped.append(number)
         elif number == len(cells) and any(_shown(value) == "" for value in values):
-            flags.append(
-                Flag(
-                    "cut_row",
-                    f"row {number} is the last and incomplete: it was left out",
-                    {"line": number, "kept": False},
-                )
-            )
+            message = f"row {number} is the last and incomplete: it was left out"
+            flags.append(Flag("cut_row", message, {"line": number, "kept": False}))
         else:
             raise _bad_cell(values, wanted, number, place)
     if len(kept) < 2:
         message = f"the sheet has {len(kept)} rows of numbers, a recording needs two; export the test again"
         place.refuse("no_rows", message, line=first + 1)
     if skipped:
-        shown = ", ".join(map(str, skipped[:5]))
-        flags.append(
-            Flag(
-                "rows_skipped",
-                f"{len(skipped)} rows without numbers were left out: {shown}",
-                {"count": len(skipped), "lines": skipped[:20]},
-            )
-        )
+        message = f"{len(skipped)} rows without numbers were left out: {', '.join(map(str, skipped[:5]))}"
+        flags.append(Flag("rows_skipped", message, {"count": len(skipped), "lines": skipped[:20]}))
     table = np.array([values for _, values in kept], dtype=np.float64)
     _check(table, [number for number, _ in kept], wanted, place)
     return [table[:, k] * choice.factors[channel] for k, channel in enumerate(CHANNELS)], flags

@@ -1,17 +1,7 @@
 """Load-unload loops, measured from their samples: work, stiffness, drift, viscosity from the area.
 
-No model is fitted here, so that a recording that can't be fitted still has its cycles.  Work and area
-are linear in the forces, ``sum w_i F_i`` by the trapezoidal rule over measured depth, and polynomials in
-depth are fitted by least squares: standard errors follow from the white force noise alone.
-
-Viscosity from the area (derived): where the path is slow against the relaxation times (v tau much
-smaller than the depth) the branch carries eta v, so that a closed loop in contact dissipates
-
-    W = integral of eta v dx = eta * integral of v^2 dt
-
-on any path: 2 eta v d for a triangle of depth d, pi eta omega a^2 for a sine of amplitude a.  The area is
-taken above the depth at which the tool lets go, because below it the law is cut off at zero.  Whatever
-dissipates without being viscous (plastic flow, adhesion, poroelastic drainage) counts as viscosity here.
+Work and area are linear in the forces, ``sum w_i F_i`` by the trapezoidal rule over measured depth, and
+polynomials in depth are fitted by least squares: standard errors follow from the white force noise alone.
 """
 
 from __future__ import annotations
@@ -64,8 +54,6 @@ def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
     """Cycles, and every loading that is followed by a retract, in time order.
 
     Loading ends with its last move: in a hold the force relaxes while noise alone chooses the deepest sample.
-
-    ``depth_mm`` (n,): in the contact frame.
     """
     found: list[Loop] = []
     start, end, held = -1, -1, False
@@ -93,11 +81,7 @@ def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
 def polynomial_at(
     depth_mm: FloatArray, force_N: FloatArray, at_mm: float, noise_N: float
 ) -> tuple[Measure, Measure]:
-    """Force and slope at a depth from a local quadratic (a line where samples are few).
-
-    ``depth_mm``, ``force_N`` (n,): samples of one direction near ``at_mm``; ``noise_N``: standard deviation
-    of the force.  Returns ``force, slope``: [N] and [N/mm]; empty where there are too few samples.
-    """
+    """Force [N] and slope [N/mm] at a depth from a local quadratic; empty where samples are too few."""
     n = depth_mm.size
     spread = float(np.ptp(depth_mm)) if n else 0.0
     if n < LINE_SAMPLES or spread <= 0.0:
@@ -179,7 +163,11 @@ def _speed_squared(time: FloatArray, depth: FloatArray) -> float:
 def _viscosity(
     time: FloatArray, depth: FloatArray, force: FloatArray, loop: Loop, floor: float, noise: float
 ) -> Measure:
-    """Area over the integral of v^2 dt of the part below ``floor``."""
+    """Area over the integral of v^2 dt of the part below ``floor``.
+
+    Where v tau is much smaller than the depth the branch carries eta v, so that a closed loop dissipates eta
+    times that integral on any path (derived); plastic flow, adhesion and drainage count as viscosity as well.
+    """
     first, last = _trimmed(depth, loop, floor)
     if loop.peak - first < FEWEST_SAMPLES or last - loop.peak < FEWEST_SAMPLES:
         return Measure()
@@ -307,10 +295,7 @@ def _touches(force: FloatArray, loop: Loop, noise: float) -> bool:
 def cycle_rows(
     trial: Trial, segmentation: Segmentation, *, depths_mm: Sequence[float] = ()
 ) -> tuple[Cycle, ...]:
-    """One row for every load-unload loop; none where there is no contact or no unloading.
-
-    ``depths_mm``: depths below contact at which stiffness is wanted as well.
-    """
+    """One row for every load-unload loop; none where there is no contact or no unloading."""
     contact = segmentation.contact
     if contact is None:
         return ()

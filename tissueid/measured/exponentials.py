@@ -1,20 +1,117 @@
 """Least squares of a plateau and decaying exponentials with amplitudes >= 0, from sums over the samples.
 
-Exponentials of a window are mixtures of those of a basis (:mod:`tissueid.measured.kernel_basis`), so that the
-samples are summed once and every relaxation time is then tried on a small matrix.  The plateau is free: all
-columns are taken off their means.
+Exponentials of a window are mixtures of those of a basis, so that the samples are summed once and every
+relaxation time is then tried on a small matrix.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import qr
+from scipy.linalg.blas import dtrsm
 
 from tissueid.arrays import FloatArray
-from tissueid.measured.kernel_basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
+
+# A basis is a few relaxation times whose kernels span those of every other,
+#     exp(-t/tau) = sum_k c_k(tau) exp(-t/tau_k)          on 0 <= t <= T, at steps of h.
+# The nodes tau_k are the pivots of a rank-revealing QR factorisation of the kernels on a fine grid, the
+# weights a triangular solve: 58 nodes give states to 1e-10 relative for h = 1 ms and T = 48 s; Chebyshev
+# nodes in log tau need about 110 for that.
+#: Relaxation times are sought between h / TAU_BELOW_STEP and TAU_ABOVE_LENGTH * T.
+TAU_BELOW_STEP = 5.0
+TAU_ABOVE_LENGTH = 10.0
+#: Pivots below this fraction of the first are dropped; the states' relative error follows it.
+TOLERANCE = 1e-10
+TIMES = 360
+CANDIDATES = 240
+#: Step and length are rounded outwards to this step in their logarithm, so that bases are reused.
+QUANTUM = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelBasis:
+    """Nodes and weights for recordings of one step and length."""
+
+    tau_s: FloatArray  # (n,), nodes, ascending [s]
+    log_bounds: tuple[float, float]  # range of ln(tau / s) in which weights are given
+    _time_s: FloatArray
+    _weight: FloatArray
+    _step_s: float
+    _q: FloatArray
+    _r: FloatArray
+
+    def mean_over_step(self, tau_s: FloatArray) -> FloatArray:
+        """Mean of exp(-t / tau) over the step that the kernels are averaged over."""
+        ratio = self._step_s / np.asarray(tau_s)
+        return np.asarray(-np.expm1(-ratio) / ratio)
+
+    def weights(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weights c and their derivative by ln(tau)."""
+        columns = [_weights(self, float(value)) for value in log_tau]
+        return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
+
+
+@lru_cache(maxsize=8192)
+def _weights(basis: KernelBasis, log_tau: float) -> tuple[FloatArray, FloatArray]:
+    """Weights of one ln(tau); kept, because a scan comes back to the same points for every model."""
+    value, slope = _kernel(np.array([log_tau]), basis._time_s, basis._step_s)  # noqa: SLF001
+    right = np.concatenate([value, slope], axis=1) * basis._weight[:, None]  # noqa: SLF001
+    # LAPACK's triangular solve wakes every thread for two columns, which a busy machine pays in ms
+    solved = dtrsm(1.0, basis._r, basis._q.T @ right)  # noqa: SLF001
+    solved /= _norm(np.log(basis.tau_s), float(basis._time_s[-1]))[:, None]  # noqa: SLF001
+    return solved[:, 0], solved[:, 1]
+
+
+def _kernel(log_tau: FloatArray, time_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Kernel averaged over one step, and its derivative by ln(tau); shape (times, m)."""
+    tau = np.exp(log_tau)
+    ratio = step_s / tau
+    mean = -np.expm1(-ratio) / ratio
+    decay = np.exp(-time_s[:, None] / tau)
+    value = mean * decay
+    slope = value * (time_s[:, None] / tau) + decay * (mean - np.exp(-ratio))
+    return value, slope
+
+
+def _norm(log_tau: FloatArray, length_s: float) -> FloatArray:
+    """Root of the kernel's energy, which makes errors relative to the state of the same tau."""
+    return np.sqrt(np.minimum(np.exp(log_tau), length_s))
+
+
+@lru_cache(maxsize=64)
+def _build(step_key: int, length_key: int) -> KernelBasis:
+    step = math.exp(step_key * QUANTUM)
+    length = math.exp(length_key * QUANTUM)
+    low, high = math.log(step / TAU_BELOW_STEP), math.log(length * TAU_ABOVE_LENGTH)
+    half = step / 2.0
+    time = np.concatenate([[0.0], np.geomspace(half / 4.0, length, TIMES)])
+    weight = np.sqrt(np.gradient(time))
+    candidates = np.linspace(low, high, CANDIDATES)
+    columns = _kernel(candidates, time, half)[0] * weight[:, None] / _norm(candidates, length)
+    _, r, pivots = qr(columns, mode="economic", pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(r))
+    rank = int((diagonal > TOLERANCE * diagonal[0]).sum())
+    nodes = np.sort(candidates[pivots[:rank]])
+    chosen = _kernel(nodes, time, half)[0] * weight[:, None] / _norm(nodes, length)
+    q, r = np.linalg.qr(chosen)
+    return KernelBasis(
+        tau_s=np.exp(nodes), log_bounds=(low, high), _time_s=time, _weight=weight, _step_s=half, _q=q, _r=r
+    )
+
+
+def kernel_basis(*, step_s: float, length_s: float) -> KernelBasis:
+    """The basis for a finest step and a longest duration; raises ValueError unless 0 < step < length."""
+    if not 0.0 < step_s < length_s < math.inf:
+        msg = f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s"
+        raise ValueError(msg)
+    return _build(math.floor(math.log(step_s) / QUANTUM), math.ceil(math.log(length_s) / QUANTUM))
+
 
 #: Spacing of the scan in ln tau, for one exponential and for several.
 SCAN_SINGLE, SCAN_SEVERAL = 0.25, 0.6
@@ -33,11 +130,7 @@ BLOCK = 1 << 15
 
 
 def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Non-negative least squares of a few columns, at many points: every set of columns is tried.
-
-    ``gram`` (p, m, m), ``product`` (p, m).  Returns ``amplitudes, gained`` (p, m) (p,): and by how much the
-    sum of squares falls.
-    """
+    """Non-negative least squares of a few columns, at many points: every set of columns is tried."""
     points, m = product.shape
     best, gained = np.zeros((points, m)), np.zeros(points)
     for size in range(1, m + 1):
@@ -69,10 +162,7 @@ class ExponentialSums:
 
     @classmethod
     def of(cls, time_s: FloatArray, force_N: FloatArray, basis: KernelBasis | None = None) -> ExponentialSums:
-        """Sums of a window; times grow from 0.
-
-        ``time_s``, ``force_N`` (n,); ``basis``: of a window that this one is a part of.
-        """
+        """Sums of a window; times grow from 0."""
         steps = np.diff(time_s)
         step, length = float(np.median(steps[steps > 0.0])), float(time_s[-1])
         basis = basis or kernel_basis(step_s=step, length_s=length)
@@ -202,25 +292,7 @@ def _points(number: int, grid: FloatArray, before: FloatArray) -> Iterator[Float
         )
 
 
-def exponential_ladder(
-    time_s: FloatArray, force_N: FloatArray, count: int
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Fits with 1, 2, ... ``count`` exponentials.
-
-    ``time_s`` (n,): from the start of the window [s], 0 first; ``force_N`` (n,); ``count``: 1 to 3.  Returns
-    tau ascending, shorter where an amplitude is zero; model of shape (n,).
-    """
-    return [
-        (tau, curve_of(time_s, force_N, tau)) for tau in ExponentialSums.of(time_s, force_N).ladder(count)
-    ]
-
-
 def curve_of(time_s: FloatArray, force_N: FloatArray, tau_s: FloatArray) -> FloatArray:
     """The least-squares curve with these relaxation times, shape (n,)."""
     design = np.column_stack([np.ones(time_s.size), *(np.exp(-time_s / value) for value in tau_s)])
     return np.asarray(design @ np.linalg.lstsq(design, force_N, rcond=None)[0])
-
-
-def fit_exponentials(time_s: FloatArray, force_N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """The fit with ``count`` exponentials, as :func:`exponential_ladder` gives it."""
-    return exponential_ladder(time_s, force_N, count)[-1]

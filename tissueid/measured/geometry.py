@@ -1,8 +1,7 @@
-"""Tip and tissue, and Young's modulus of one push where both are known.
+"""Tip and tissue, and Young's modulus of one push where both are known and the strain is small.
 
-Young's modulus of one push, where the tip is known and the depth within what its formula allows.
-Small strain is asked of every law: a/R at most 0.4, depth at most the radius, and the limits of the formula
-and of the layer (:mod:`tissueid.model.moduli`).  Beyond them the modulus is refused with the number.
+Beyond a/R of 0.4, a depth of the radius, and the limits of the formula and of the layer
+(:mod:`tissueid.model.moduli`) the modulus is refused with the number.
 """
 
 from __future__ import annotations
@@ -58,23 +57,19 @@ class Geometry:
 
     def as_json(self) -> dict[str, float | str | None]:
         """Assumptions of the moduli."""
+        layer = "bonded layer" if self.bonded else "slipping layer"
         return {
             "shape": self.indenter.shape,
             "radius_mm": self.indenter.radius_mm,
             "half_angle_deg": self.indenter.half_angle_deg,
             "thickness_mm": self.thickness_mm,
             "poisson": self.poisson,
-            "support": "half-space"
-            if self.thickness_mm is None
-            else ("bonded layer" if self.bonded else "slipping layer"),
+            "support": "half-space" if self.thickness_mm is None else layer,
         }
 
 
 def stated_geometry(tip: Mapping[str, Any], thickness_mm: float | None, poisson: float) -> Geometry | None:
-    """Tip and thickness as a study states them; ``None`` where they do not make a known shape.
-
-    ``tip``: ``[tip]`` of study.toml: shape, radius_mm, half_angle_deg; ``thickness_mm``: of the specimen.
-    """
+    """Tip and thickness as a study states them; ``None`` where they do not make a known shape."""
     try:
         indenter = Indenter(str(tip.get("shape")), tip.get("radius_mm"), tip.get("half_angle_deg"))
     except ValueError:
@@ -100,7 +95,6 @@ class TipOf:
 #: Neither stated nor looked for in headers.
 NO_TIP = TipOf(header=False)
 
-
 KPA_PER_MPA = 1000.0
 #: Contact radius over that of a sphere, in every law.
 MOST_A_OVER_R = 0.4
@@ -111,10 +105,7 @@ DEPTHS = 40
 def modulus_of(
     trial: Trial, segmentation: Segmentation, loading: slice, last: int | None, geometry: Geometry | None
 ) -> MeasuredModulus | None:
-    """The modulus of one push; ``None`` where the tip or the contact is not known.
-
-    ``loading``: samples from contact to the stop; ``last``: last sample of the hold after it.
-    """
+    """The modulus of one push; ``None`` where the tip or the contact is not known."""
     if geometry is None or segmentation.contact is None or trial.axes.normalised:
         return None
     depth, force = contact_frame(trial, segmentation)

@@ -1,8 +1,7 @@
 """Compose what one recording showed from its phases; forces of a hold at stated times.
 
-The force of a hold at a stated time, and its standard deviation.
-A parabola through the samples within a fifth of the time where there are enough of them, without those far
-off it; else between the two neighbours.  Nothing is said beyond the hold, nor where no sample is near.
+Such a force is that of a parabola through the samples within a fifth of the time where there are enough of
+them, without those far off it; else between the two neighbours.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from tissueid.documents.measured import (
 )
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import Geometry, modulus_of
-from tissueid.measured.pushes import Move, braking_before, move_before, moves, peak_of, usable_until
+from tissueid.measured.pushes import HELD, Move, braking_before, move_before, moves, peak_of, usable_until
 from tissueid.measured.relaxation import hold_ladder
 from tissueid.quantities import beyond_ramp
 from tissueid.trial import Phase, Segmentation, Trial
@@ -49,11 +48,7 @@ class ForceAt(NamedTuple):
 
 
 def force_at(time_s: FloatArray, force_N: FloatArray, at_s: float, noise_N: float) -> ForceAt:
-    """The force so long after the start of a window.
-
-    ``time_s``, ``force_N`` (n,): times from the start of the window, 0 first; ``noise_N``: standard deviation
-    of a sample.
-    """
+    """The force so long after the start of a window."""
     last = float(time_s[-1])
     if last < (1.0 - REACHED) * at_s:
         return ForceAt(None, None, f"the hold lasts {last:.4g} s")
@@ -100,22 +95,18 @@ class _Record:
 
 
 def measure(trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None) -> Measured:
-    """Measure a recording, no model.
-
-    ``segmentation``: a recording without phases has nothing but a base; ``geometry``: tip and tissue, for a
-    modulus.
-    """
+    """Measure a recording, no model."""
     record = _record(trial, segmentation)
     phases = segmentation.phases
     pushes = [_push(record, move, geometry) for move in moves(phases)]
-    held = [number for number, phase in enumerate(phases) if phase.kind in ("hold", "creep")]
-    holds = [
-        _hold(record, number, geometry) for number in held if phases[number].end_s > phases[number].start_s
-    ]
     return Measured(
         base=record.base,
         push=max(pushes, key=lambda one: one.peak.force_N, default=None),
-        holds=tuple(holds),
+        holds=tuple(
+            _hold(record, number, geometry)
+            for number, phase in enumerate(phases)
+            if phase.kind in HELD and phase.end_s > phase.start_s
+        ),
         loops=_loops(trial, segmentation),
     )
 
@@ -226,10 +217,8 @@ def _tau(record: _Record, phase: Phase) -> MeasuredTau | None:
     found = hold_ladder(record.trial.time_s[inside], record.force_N[inside], EXPONENTIALS)
     if found is None:
         return None
-    single = found.single_s
-    slope = (
-        None if single is None or found.half_s is None else float(np.log(single / found.half_s) / np.log(2.0))
-    )
+    single, half = found.single_s, found.half_s
+    slope = None if single is None or half is None else float(np.log(single / half) / np.log(2.0))
     return MeasuredTau(
         window_s=(phase.start_s, phase.end_s),
         single_s=single,

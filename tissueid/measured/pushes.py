@@ -6,7 +6,6 @@ the stop to 0.1 s after it: crossheads brake, and the force may fall while they 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +25,7 @@ HELD = ("hold", "creep")
 STANDS = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
+class Move(NamedTuple):
     """One loading move as phases: an approach that moves, and the ramps after it."""
 
     #: Phases: where the motion begins, the first ramp, and the last one.
@@ -91,11 +89,7 @@ class Peak(NamedTuple):
 
 
 def peak_of(time_s: FloatArray, force_N: FloatArray, segmentation: Segmentation, number: int) -> Peak:
-    """The peak before a phase: its first sample where no loading comes before it.
-
-    ``time_s``, ``force_N`` (n,): force that grows with loading; ``number``: the phase that begins with the
-    stop; one past the last where the record ends there.
-    """
+    """The peak before a phase: its first sample where no loading comes before it."""
     phases = segmentation.phases
     move = move_before(phases, number)
     if move is None:
@@ -121,14 +115,9 @@ def _smoothed(
     bias = segmentation.force_noise_N * np.sqrt(2.0 * np.log(max(force.size, 2)))
     if bias <= NOISY_SHARE * float(np.abs(force).max()):
         return force
-    return _local_means(time_s, force_N, window, 0.5 * min(MEAN_S, MEAN_SHARE * ramp_s))
-
-
-def _local_means(time_s: FloatArray, values: FloatArray, window: slice, half_s: float) -> FloatArray:
-    """Means over the samples within ``half_s`` to either side, for the samples of a window."""
-    time = time_s[window]
+    time, half_s = time_s[window], 0.5 * min(MEAN_S, MEAN_SHARE * ramp_s)
     left = np.searchsorted(time_s, time - half_s, "left")
     right = np.searchsorted(time_s, time + half_s, "right")
     first = int(left[0])
-    total = np.concatenate([[0.0], np.cumsum(values[first : int(right[-1])])])
+    total = np.concatenate([[0.0], np.cumsum(force_N[first : int(right[-1])])])
     return np.asarray((total[right - first] - total[left - first]) / (right - left))

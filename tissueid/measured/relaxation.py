@@ -1,10 +1,7 @@
 """The relaxation table: what people quote, each number with the window it was taken from.
 
-For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free
-plateau c and A_j >= 0, uniform weights, from the stop of the tool to the end of the hold: while a
-crosshead brakes it still loads, and times counted from the peak are long.  A relaxation time moves with
-its window, the ramp before it and the weights, so the flags say when it
-did.  This table describes a hold; the contact model is not fitted from it.
+For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free plateau c
+and A_j >= 0, from the stop of the tool to the end of the hold: while a crosshead brakes it still loads.
 """
 
 from __future__ import annotations
@@ -47,10 +44,7 @@ class Ladder:
 
 
 def hold_ladder(time_s: FloatArray, force_N: FloatArray, count: int) -> Ladder | None:
-    """Fit a window with one to ``count`` exponentials; ``None`` where it is too short or constant.
-
-    ``time_s``, ``force_N`` (n,): from the stop on.
-    """
+    """Fit a window with one to ``count`` exponentials; ``None`` where it is too short or constant."""
     time = time_s - time_s[0]
     if time.size < MIN_SAMPLES or time[-1] <= 0.0 or np.ptp(force_N) == 0.0:
         return None
@@ -76,38 +70,18 @@ def _flags(
     share, ratio, beyond_noise = misfit
     flags = []
     if tau > WINDOW_SHARE * window:
-        flags.append(
-            Flag(
-                "tau_exceeds_window",
-                f"one exponential gives {tau:.3g} s, over a third of its window of {window:.3g} s",
-                {"tau_s": tau, "window_length_s": window},
-            )
-        )
+        message = f"one exponential gives {tau:.3g} s, over a third of its window of {window:.3g} s"
+        flags.append(Flag("tau_exceeds_window", message, {"tau_s": tau, "window_length_s": window}))
     if half_tau is not None and abs(half_tau - tau) > WINDOW_SHIFT * tau:
-        flags.append(
-            Flag(
-                "window_dependent",
-                f"half the window gives {half_tau:.3g} s instead of {tau:.3g} s",
-                {"tau_s": tau, "tau_half_window_s": half_tau},
-            )
-        )
+        message = f"half the window gives {half_tau:.3g} s instead of {tau:.3g} s"
+        flags.append(Flag("window_dependent", message, {"tau_s": tau, "tau_half_window_s": half_tau}))
     if tau < 2.0 * step:
-        flags.append(
-            Flag(
-                "tau_below_resolution",
-                f"one exponential gives {tau:.3g} s at a sampling interval of {step:.3g} s",
-                {"tau_s": tau, "step_s": step},
-            )
-        )
+        message = f"one exponential gives {tau:.3g} s at a sampling interval of {step:.3g} s"
+        flags.append(Flag("tau_below_resolution", message, {"tau_s": tau, "step_s": step}))
     if (share > RESIDUAL_SHARE and beyond_noise) or ratio > NRMSD_RATIO:
-        flags.append(
-            Flag(
-                "one_tau_inadequate",
-                f"one exponential leaves {100 * share:.2g} % of the hold's range; "
-                f"two fit {ratio:.2g} times better",
-                {"max_residual_fraction": share, "nrmsd_ratio": ratio},
-            )
-        )
+        lost = f"one exponential leaves {100 * share:.2g} % of the hold's range"
+        values = {"max_residual_fraction": share, "nrmsd_ratio": ratio}
+        flags.append(Flag("one_tau_inadequate", f"{lost}; two fit {ratio:.2g} times better", values))
     return flags
 
 

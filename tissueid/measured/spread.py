@@ -1,16 +1,14 @@
-"""Mean and spread of what was measured, over the logs of a specimen, program by program.
-
-Numbers are pooled within one program only (:mod:`tissueid.measured.spread`), and forces that still know
-the ramp only where ramp times differ by no more than a factor of two.
-"""
+"""Mean and spread of what was measured, program by program, and two sides beside each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 
-from tissueid.documents.measured import Measured, MeasuredForce, MeasuredHold, MeasuredPush, Spread
+from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush, Spread
 from tissueid.measured.measuring import REFERENCE_S, TIMES_S
 from tissueid.quantities import RAMP_TIMES, beyond_ramp, predicted_mean
 
@@ -33,10 +31,7 @@ def clusters(values: Sequence[float], factor: float) -> list[list[int]]:
 
 
 def programs(pushes: Sequence[tuple[float, float]]) -> list[list[int]]:
-    """Places of the logs of each program.
-
-    ``pushes``: speed [mm/s] and depth [mm] of every log.
-    """
+    """Places of the logs of each program."""
     found = []
     for of_speed in clusters([speed for speed, _ in pushes], SAME_SPEED):
         depths = [pushes[i][1] for i in of_speed]
@@ -49,11 +44,7 @@ SAME_PROGRAM = 2.0
 
 
 def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bool = False) -> str:
-    """Why numbers of several ramps may not be pooled or compared; empty where they may.
-
-    ``time_s``: after the stop; ``None`` for a number of the ramp itself, such as the peak; ``peak``: whether
-    the number is put over the peak, which any ramp changes.
-    """
+    """Why numbers of several ramps may not be pooled or compared; empty where they may."""
     if not ramp_times_s:
         return ""
     short, long = min(ramp_times_s), max(ramp_times_s)
@@ -67,32 +58,26 @@ def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bo
     return ""
 
 
-def _push_numbers() -> Iterator[tuple[str, str, Callable[[MeasuredPush], float | None]]]:
-    yield "peak", "N", lambda push: push.peak.force_N
-    yield "depth", "mm", lambda push: push.depth_mm
-    yield "travel", "mm", lambda push: push.travel_mm
-    yield "speed", "mm/s", lambda push: push.speed_mm_s
-    yield "ramp_time", "s", lambda push: push.ramp_time_s
-    yield "modulus_loading", "kPa", lambda push: None if push.modulus is None else push.modulus.loading_kPa
-    yield "modulus_held", "kPa", lambda push: None if push.modulus is None else push.modulus.held_kPa
-
-
-def _hold_numbers() -> Iterator[tuple[str, str, float, Callable[[MeasuredForce], float | None]]]:
-    for time in TIMES_S:
-        yield "force", "N", time, lambda one: one.after_stop_N
-    for time in TIMES_S:
-        if time != REFERENCE_S:
-            yield "force_over_10s", "1", time, lambda one: one.over_10s
-    for time in TIMES_S:
-        yield "force_over_peak", "1", time, lambda one: one.over_peak
+#: Numbers of a push, each with its unit.
+_PUSH_NUMBERS: tuple[tuple[str, str, Callable[[MeasuredPush], float | None]], ...] = (
+    ("peak", "N", lambda push: push.peak.force_N),
+    ("depth", "mm", lambda push: push.depth_mm),
+    ("travel", "mm", lambda push: push.travel_mm),
+    ("speed", "mm/s", lambda push: push.speed_mm_s),
+    ("ramp_time", "s", lambda push: push.ramp_time_s),
+    ("modulus_loading", "kPa", lambda push: None if push.modulus is None else push.modulus.loading_kPa),
+    ("modulus_held", "kPa", lambda push: None if push.modulus is None else push.modulus.held_kPa),
+)
+#: Numbers of a hold at each of its times, with unit and attribute.
+_HOLD_NUMBERS = (
+    ("force", "N", "after_stop_N"),
+    ("force_over_10s", "1", "over_10s"),
+    ("force_over_peak", "1", "over_peak"),
+)
 
 
 def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
-    """Mean and standard deviation between the logs of each program of every measured number.
-
-    ``logs``: of one specimen.  Returns program after program; in each the first hold of each log, then the
-    second, and so on; logs without a hold give their push.
-    """
+    """Mean and standard deviation between the logs of each program of every measured number."""
     rows: list[Spread] = []
     for program, members in enumerate(_programs(logs), 1):
         pushes = [log.push for log in members if log.push is not None and not log.holds]
@@ -127,7 +112,7 @@ def _depth(push: MeasuredPush) -> float:
 
 def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterator[Spread]:
     times = [push.ramp_time_s for push in pushes]
-    for name, unit, value in _push_numbers():
+    for name, unit, value in _PUSH_NUMBERS:
         reason = ramp_reason(None, times) if unit in ("N", "kPa") else ""
         yield _row(name, unit, place, None, [value(push) for push in pushes], times, reason)
 
@@ -135,12 +120,12 @@ def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterat
 def _of_holds(
     place: tuple[int, int], holds: Sequence[MeasuredHold], times: Sequence[float]
 ) -> Iterator[Spread]:
-    for name, unit, time, value in _hold_numbers():
-        found = [hold.at(time) for hold in holds]
+    for (name, unit, attribute), time in product(_HOLD_NUMBERS, TIMES_S):
+        if name == "force_over_10s" and time == REFERENCE_S:
+            continue
+        values = [getattr(hold.at(time), attribute, None) for hold in holds]
         reason = ramp_reason(time, times, peak=name == "force_over_peak")
-        yield _row(
-            name, unit, place, time, [None if one is None else value(one) for one in found], times, reason
-        )
+        yield _row(name, unit, place, time, values, times, reason)
     singles = [None if hold.tau is None else hold.tau.single_s for hold in holds]
     yield _row("relaxation_time", "s", place, None, singles, times, ramp_reason(None, times))
 
@@ -171,3 +156,96 @@ def _row(
         reason=reason or None,
         prediction95=predicted_mean(mean, sd, len(known)),
     )
+
+
+#: Numbers that say what was done to the tissue, whatever it answered.
+_OF_THE_PROGRAM = ("depth", "travel", "speed", "ramp_time")
+#: Depths within this share are equal.
+EQUAL_DEPTH = 0.1
+
+
+def measured_pairs(sides: Sequence[tuple[str, Sequence[Spread]]]) -> list[dict[str, Any]]:
+    """All pairs of sides, each with every number that both have."""
+    return [
+        {"one": one[0], "other": other[0], "numbers": _numbers(one[1], other[1])}
+        for one, other in combinations(sides, 2)
+    ]
+
+
+def _key(row: Spread) -> tuple[str, int, float | None]:
+    return row.name, row.hold, row.time_s
+
+
+def _numbers(one: Sequence[Spread], other: Sequence[Spread]) -> list[dict[str, Any]]:
+    rows = []
+    for own, its in _matched(_by_program(one), _by_program(other)):
+        found = {_key(row): row for row in its}
+        depths = [{row.hold: row.mean for row in every if row.name == "depth"} for every in (own, its)]
+        rows += [_number(row, found[_key(row)], depths) for row in own if _key(row) in found]
+    return rows
+
+
+def _by_program(rows: Sequence[Spread]) -> list[list[Spread]]:
+    numbers = dict.fromkeys(row.program for row in rows)
+    return [[row for row in rows if row.program == number] for number in numbers]
+
+
+def _matched(
+    one: Sequence[list[Spread]], other: Sequence[list[Spread]]
+) -> Iterator[tuple[list[Spread], list[Spread]]]:
+    """Programs of both sides that ran alike; where each side has one, these, whatever they are."""
+    if len(one) == len(other) == 1:
+        yield one[0], other[0]
+        return
+    for own, its in product(one, other):
+        pushes = [_push(own), _push(its)]
+        if None not in pushes and len(programs([push for push in pushes if push is not None])) == 1:
+            yield own, its
+
+
+def _push(rows: Sequence[Spread]) -> tuple[float, float] | None:
+    """Mean speed and depth of a program."""
+    means = {row.name: row.mean for row in rows if row.hold <= 1 and row.mean is not None}
+    depth = means.get("depth", means.get("travel"))
+    return None if depth is None or "speed" not in means else (means["speed"], depth)
+
+
+def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
+    reason = one.reason or other.reason or _reason(one, other, depths)
+    ratio = None
+    if not reason and one.mean and other.mean is not None:
+        ratio = other.mean / one.mean
+    return {
+        "name": one.name,
+        "unit": one.unit,
+        "program": one.program,
+        "hold": one.hold,
+        "time_s": one.time_s,
+        "one": _side(one),
+        "other": _side(other),
+        "ratio": ratio,
+        "reason": reason or None,
+    }
+
+
+def _side(row: Spread) -> dict[str, Any]:
+    return {
+        "mean": row.mean,
+        "sd": row.sd,
+        "count": row.count,
+        "ramp_time_s": None if row.ramp_time_s is None else list(row.ramp_time_s),
+    }
+
+
+def _reason(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> str:
+    """Why two numbers are not compared; empty where they are."""
+    if one.name in _OF_THE_PROGRAM or one.name == "loop_area":
+        return ""
+    times = [*(one.ramp_time_s or ()), *(other.ramp_time_s or ())]
+    reason = ramp_reason(one.time_s, times, peak=one.name == "force_over_peak")
+    if reason:
+        return reason
+    deep = [found.get(one.hold) for found in depths]
+    if one.unit == "N" and deep[0] and deep[1] and abs(deep[1] - deep[0]) > EQUAL_DEPTH * abs(deep[0]):
+        return f"forces at {deep[0]:.3g} and {deep[1]:.3g} mm of depth"
+    return ""

@@ -60,18 +60,13 @@ def verdict_of(
     measured: Measured,
     earlier: Sequence[MeasuredPush] = (),
 ) -> Verdict:
-    """The verdict on one recording.
-
-    ``earlier``: of the same specimen, in the order of testing.
-    """
+    """The verdict on one recording."""
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
     # what broke can't be pushed again, however its ramp ended
     spoiling = SPOILING if "rupture" in flags else (*SPOILING, "aborted_ramp")
-    again = next((code for code in spoiling if code in flags), None)
-    if again is not None:
+    if again := next((code for code in spoiling if code in flags), None):
         return Verdict("repeat", _told(flags[again]))
-    found = next(_doubts(trial, measured, earlier, flags), None)
-    if found is not None:
+    if found := next(_doubts(trial, measured, earlier, flags), None):
         return Verdict("look", found)
     return Verdict("good", _no_air(segmentation.contact, measured.push, flags))
 
@@ -85,8 +80,7 @@ def _doubts(
     """Doubts that ask for a look, the gravest first."""
     if "rupture" in flags:
         yield f"{flags['rupture'].message}. Take another site"
-    softer = _softer(measured.push, earlier)
-    if softer:
+    if softer := _softer(measured.push, earlier):
         yield softer
     if measured.push is not None:
         yield from _too_slow(trial, measured.push)

@@ -1,23 +1,107 @@
-"""End of a test before or beside its plan: aborts, stops at a load, load control.
-
-One recording tells an abort only against something: the depth or hold that its file states, or the steps and
-loops before it.  It tells a load limit by a tool that creeps under constant force, by a force limit that its
-file states, or by loops that turn at one force but not at one depth.
-"""
+"""Load-unload loops, and ends of a test before or beside its plan: aborts, stops at a load, load control."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.cycles import Loop
-from tissueid.segment.edges import corner_near
-from tissueid.segment.motion import Piece
+from tissueid.segment.motion import Piece, corner_near
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
+
+#: Change from loop to loop below which tissue is preconditioned.
+PRECONDITIONED_CHANGE = 0.02
+#: Loops at the end whose changes count.
+LAST_LOOPS = 3
+#: Share of a loop's travel below its peak over which force is averaged by a straight line.
+PEAK_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """One loop."""
+
+    #: Depth and force at its turn, as recorded but for sign.
+    peak_mm: float
+    peak_N: float
+    work_N_mm: float  # work lost in the loop, over the depths that all loops cover
+
+
+def loops_of(depth_mm: FloatArray, force_N: FloatArray, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
+    """Peaks and work of the loops among the phases."""
+    cycles = [phase for phase in phases if phase.kind == "cycle" and phase.peak is not None]
+    if not cycles:
+        return ()
+    paths = [depth_mm[phase.start : phase.stop] for phase in cycles]
+    bottom = max(max(float(path[0]), float(path[-1])) for path in paths)
+    peaks = np.array([float(path.max()) for path in paths])
+    steps = [float(np.abs(np.diff(path)).max(initial=0.0)) for path in paths]
+    # peaks that differ by less than what moves between two samples are one peak, sampled differently
+    common = float(peaks.min()) if np.ptp(peaks) <= max(steps) else None
+    return tuple(
+        Loop(
+            float(peak),
+            _force_at(depth_mm, force_N, phase, float(peak) if common is None else common),
+            _work(depth_mm, force_N, phase, bottom),
+        )
+        for phase, peak in zip(cycles, peaks, strict=True)
+    )
+
+
+def _force_at(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, level_mm: float) -> float:
+    """Force of the loading branch at a depth near its peak, from a straight line through its end."""
+    assert phase.peak is not None  # noqa: S101  (the caller has looked)
+    x, f = depth_mm[phase.start : phase.peak + 1], force_N[phase.start : phase.peak + 1]
+    near = np.flatnonzero(x >= level_mm - PEAK_SHARE * float(np.ptp(x)))
+    if near.size < 3:
+        near = np.arange(max(x.size - 3, 0), x.size)
+    off = x[near] - x[near].mean()
+    spread = float(off @ off)
+    slope = float(off @ f[near]) / spread if spread > 0.0 else 0.0
+    return float(f[near].mean() + slope * (level_mm - x[near].mean()))
+
+
+def _work(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, bottom_mm: float) -> float:
+    """Area of the loop above a depth [N mm]."""
+    x = np.maximum(depth_mm[phase.start : phase.stop], bottom_mm)
+    return float(np.trapezoid(force_N[phase.start : phase.stop], x))
+
+
+def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float) -> list[Flag]:
+    """Their number, and the verdict on preconditioning."""
+    if not loops:
+        return []
+    count = len(loops)
+    flags = [Flag("cyclic", f"{count} load-unload loops", {"loops": count})]
+    last = loops[-LAST_LOOPS:]
+    if len(last) < 2:
+        return flags
+    force = _change([loop.peak_N - baseline_N for loop in last])
+    work = _change([loop.work_N_mm for loop in last])
+    depth = float(np.ptp([loop.peak_mm for loop in last]))
+    still = max(force, work) < PRECONDITIONED_CHANGE
+    message = (
+        f"peak force changes by {100 * force:.2g} %, work by {100 * work:.2g} % a loop over the last "
+        f"{len(last)} of {count}"
+    )
+    values = {
+        "loops": count,
+        "peak_force_change": force,
+        "work_change": work,
+        "peak_depth_range_mm": depth,
+        "before_test": before_test,
+    }
+    return [*flags, Flag("preconditioned" if still else "not_preconditioned", message, values)]
+
+
+def _change(values: list[float]) -> float:
+    """Largest relative change from one value to the next; 1 where there is nothing to compare with."""
+    return max((abs(b / a - 1.0) if a > 0.0 else 1.0) for a, b in pairwise(values))
+
 
 #: A ramp that ends this share short of the stated depth was aborted.
 ABORT_SHARE = 0.05
@@ -45,13 +129,16 @@ TURN_RATIO = 3.0
 #: Peak forces agree within this share of their mean, so many noise sd, or the force between two samples.
 TURN_SHARE = 0.01
 TURN_SD = 3.0
+#: What an aborted ramp lacks, by the value that says so.
+_WANTED = {
+    "stated_mm": "of {:.4g} mm stated",
+    "stated_hold_s": "without the {:.4g} s hold",
+    "earlier_mm": "earlier ones {:.4g} mm",
+}
 
 
 def pull_off(depth_mm: FloatArray, force_N: FloatArray, *, surface_mm: float, noise_N: float) -> list[Flag]:
-    """Tissue that holds the tool as it leaves: the force falls below its reading in air, and comes back.
-
-    ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``surface_mm``: depth of the contact.
-    """
+    """Tissue that holds the tool as it leaves: the force falls below its reading in air, and comes back."""
     away = np.flatnonzero(depth_mm >= surface_mm)
     leaves = int(np.argmax(depth_mm))
     if away.size == 0 or force_N.size - int(away[-1]) < 2 * PULL_SAMPLES:
@@ -75,10 +162,7 @@ def held_from(
     noise_N: float,
     tolerance_mm: float,
 ) -> int | None:
-    """From where the load is held while the tool creeps, if a slow move after a ramp is creep.
-
-    Returns a sample within the ramp or the slow move.
-    """
+    """From where the load is held while the tool creeps, if a slow move after a ramp is creep."""
     ramp_s, slow_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (ramp, slow))
     if not (ramp_s > 0.0 and slow_s > 0.0):
         return None
@@ -108,10 +192,7 @@ def held_from(
 def aborts(
     time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], protocol: Protocol
 ) -> list[Event]:
-    """At most one abort: of the ramp that should have gone deeper, or been held.
-
-    ``time_s``, ``depth_mm`` (n,): displacement growing into the tissue.
-    """
+    """At most one abort: of the ramp that should have gone deeper, or been held."""
     ramps = [phase for phase in phases if phase.kind == "ramp"]
     if not ramps:
         return []
@@ -159,12 +240,7 @@ def load_limits(
     zero: tuple[float, float],
     stated_N: float | None = None,
 ) -> list[Event]:
-    """Moves that ended at a force.
-
-    ``time_s``, ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``loops``: those of the cycle phases,
-    in their order; ``zero``: depth of contact [mm] and force in air [N]; ``stated_N``: the limit that the
-    file states.
-    """
+    """Moves that ended at a force."""
     contact_mm, baseline_N = zero
     events: list[Event] = []
     for before, after in pairwise(phases):
@@ -230,25 +306,17 @@ def ending_flags(events: list[Event]) -> list[Flag]:
     for event in events:
         values = dict(event.values)
         if event.kind == "abort":
-            wanted = [f"of {values['stated_mm']:.4g} mm stated"] if "stated_mm" in values else []
-            wanted += (
-                [f"without the {values['stated_hold_s']:.4g} s hold"] if "stated_hold_s" in values else []
-            )
-            wanted += [f"earlier ones {values['earlier_mm']:.4g} mm"] if "earlier_mm" in values else []
-            message = f"the ramp ends at {values['reached_mm']:.4g} mm, {', '.join(wanted)}"
+            wanted = ", ".join(words.format(values[key]) for key, words in _WANTED.items() if key in values)
+            message = f"the ramp ends at {values['reached_mm']:.4g} mm, {wanted}"
             flags.append(Flag("aborted_ramp", message, values))
-        elif "creep_mm" in values:
-            message = (
-                f"{values['force_N']:.4g} N are held while the tool creeps {values['creep_mm']:.3g} mm: load "
-                "control, no relaxation hold"
-            )
-            flags.append(Flag("load_limit_stop", message, values))
-        elif "limit_N" in values:
-            message = (
-                f"the ramp ends at {values['force_N']:.4g} N, the stated limit of {values['limit_N']:.4g} N"
-            )
-            flags.append(Flag("load_limit_stop", message, values))
         elif event.kind == "load_limit":
-            message = f"{values['turns']} loops turn at {values['force_N']:.4g} N, not at one depth: a limit"
-            flags.append(Flag("load_limit_stop", message, values))
+            force = f"{values['force_N']:.4g} N"
+            if "creep_mm" in values:
+                crept = f"{force} are held while the tool creeps {values['creep_mm']:.3g} mm"
+                limit = f"{crept}: load control, no relaxation hold"
+            elif "limit_N" in values:
+                limit = f"the ramp ends at {force}, the stated limit of {values['limit_N']:.4g} N"
+            else:
+                limit = f"{values['turns']} loops turn at {force}, not at one depth: a limit"
+            flags.append(Flag("load_limit_stop", limit, values))
     return flags

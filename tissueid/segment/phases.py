@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.segment.edges import corner_near, leaves_line
-from tissueid.segment.motion import SPEED_RATIO, Piece
+from tissueid.segment.motion import SPEED_RATIO, Piece, corner_near, leaves_line
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Contact, Phase
@@ -108,11 +107,7 @@ def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Pie
     """True where a move was only interrupted, by a standstill too short to be one."""
     if before.direction == 0 or before.direction != after.direction:
         return False
-    slow, fast = sorted(
-        abs(float(depth_mm[piece.stop] - depth_mm[piece.start]))
-        / max(float(time_s[piece.stop] - time_s[piece.start]), 1e-300)
-        for piece in (before, after)
-    )
+    slow, fast = sorted(abs(piece.speed(time_s, depth_mm)) for piece in (before, after))
     return fast <= SPEED_RATIO * slow
 
 
@@ -182,12 +177,10 @@ def name_phases(
     creeps: Callable[[Piece, Piece], int | None],
     again: Contact | None = None,
 ) -> tuple[Phase, ...]:
-    """Name each piece.
+    """Name each settled piece; neighbours share their corner sample, together they cover the recording.
 
-    ``time_s``, ``depth_mm`` (n,): displacement growing into the tissue; ``found``: settled pieces that cover
-    the recording; ``creeps``: ``creeps(ramp, slow move)``: sample from which the load was held while the tool
-    crept, or ``None``; ``again``: where the tool met the tissue again, on a later ramp.  Returns neighbours
-    share their corner sample; together they cover the recording.
+    ``creeps(ramp, slow move)``: sample from which the load was held while the tool crept, or ``None``;
+    ``again``: where the tool met the tissue again, on a later ramp.
     """
     loops = _loops(depth_mm, found, surface)
     named: list[tuple[str, Piece, int | None]] = []

@@ -1,32 +1,133 @@
 """Density of (contact, branch length) of one loading ramp, its linear coefficients estimated at each.
 
-The force at displacement u of a tool that meets relaxed tissue at c and moves on at constant speed is
-
-    F = b + d (u - c) + p1 z + p2 z^2 + p3 z^3 + A (1 - exp(-w/l)),
-    z = max(0, u - c),  w = max(0, u - max(c, u0)),
-
-a load cell that drifts a little, a cubic static curve and one branch of length l = speed x relaxation time;
-u0 is where the record starts.  b, d, p and A are linear.  At every (c, l) they are taken at their
-least-squares values, and
-
-    density = likelihood x sqrt(I_c) x I_l^(1/4) x P(p1 + A/l >= -s) / (1 + (l / 3 L)^2).
-
-I_c and I_l are the Fisher information of c and of ln l with the linear coefficients projected out: Jeffreys'
-rule (1946) for c makes the interval one that covers as often as it says; half that weight for ln l keeps
-lengths that data can't tell from none out of the way.  A has either sign, so that a branch too small to be
-seen (A > 0 by nature) does not push the contact to one side.  The initial slope may be negative by no more
-than the slope s of the ramp itself.  Lengths far above the resolution L of the record, where a branch can't
-be told from the static curve, count less.
+Nothing is compiled: the first look at a file must not wait for a compiler.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.segment.ramp_squares import ramp_squares
+
+_Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+#: Largest change of force with contact, in noise sd: its square is a number.
+LARGEST = 1e75
+#: Least information.
+LEAST = 1e-12
+#: Largest exponent by which the branch's part is moved.
+FURTHEST = 600.0
+#: Powers of depth in the static curve.
+POWERS = 3
+
+
+class _Static(NamedTuple):
+    """Orthonormal static columns (n, k, b), their part in the prior rows (n, k, k), and their moves."""
+
+    basis: FloatArray
+    beside: FloatArray
+    moves: FloatArray
+
+    def outside(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Remainder of rows (n, m, b) beside the static columns, and what that leaves in prior rows."""
+        along = rows @ self.basis.transpose(0, 2, 1)
+        return rows - along @ self.basis, -along @ self.beside
+
+
+def _static(bins: _Columns, prior: FloatArray, scale: float, contact: FloatArray, window: float) -> _Static:
+    """Static columns over the noise, made orthonormal, and their change with contact."""
+    depth, variance, weight, _ = bins
+    beyond = (depth - contact[:, None]) / window
+    z = np.maximum(beyond, 0.0)
+    touching = z > 0.0
+    within = touching * (variance / window**2)
+    columns = [z, z * z + within, z * (z * z + 3.0 * within)]
+    if prior.size > POWERS:
+        columns += [beyond, np.ones_like(beyond)]
+    rows = np.stack(columns, axis=1) * (prior[:, None] * weight)
+    moves = np.stack([1.0 * touching, 2.0 * z, 3.0 * z * z], axis=1) * (weight * scale / window)
+    unit = np.broadcast_to(np.eye(prior.size), (contact.size, prior.size, prior.size))
+    orthonormal, _ = np.linalg.qr(np.concatenate([rows.transpose(0, 2, 1), unit], axis=1))
+    turned = orthonormal.transpose(0, 2, 1)
+    return _Static(turned[:, :, : depth.size], turned[:, :, depth.size :], moves)
+
+
+def _ahead(depth: FloatArray, from_mm: FloatArray, phase_share: float) -> FloatArray:
+    """Shift of the first bin in contact towards half a bin behind contact [mm], shape (n,)."""
+    beyond = depth > from_mm[:, None]
+    first = beyond.argmax(axis=1)
+    gap = 0.5 * np.abs(depth[first] - depth[first - 1]) - (depth[first] - from_mm)
+    return np.where(beyond.any(axis=1) & (first > 0), phase_share * gap, 0.0)
+
+
+def _branch(
+    bins: _Columns, contact: FloatArray, length: FloatArray, place: tuple[float, float, float], scale: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rise of the branch, its change with contact and with ln l, over the noise: (n, m, b) each."""
+    depth, variance, weight, _ = bins
+    window, start, phase_share = place
+    from_mm = np.maximum(contact, start)
+    of = length[:, :, None]
+    ahead = _ahead(depth, from_mm, phase_share)[:, None, None] / of
+    ratio = np.maximum(depth - from_mm[:, None], 0.0)[:, None, :] / of
+    touching = ratio > 0.0
+    kept = np.exp(-ratio)
+    lost = -np.expm1(-ratio)
+    share = of / window
+    left = kept * touching * np.exp(np.clip(-ahead, -FURTHEST, FURTHEST))
+    blurred = np.minimum(0.5 * variance / of**2, 1.0)
+    rise = (lost - touching * blurred * kept) * (share * (scale * weight))
+    turned = (1.0 - left - (ratio + ahead * touching) * left) * touching * (share * weight)
+    moves = (contact >= start)[:, None, None]
+    return rise, left * (weight * moves), turned
+
+
+def _products(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Products of what is left of rows, with what they leave in the priors' rows; shape (n, m)."""
+    beside = (one[1] * other[1]).sum(axis=-1)
+    return np.asarray(np.einsum("nmb,nmb->nm", *np.broadcast_arrays(one[0], other[0])) + beside)
+
+
+def ramp_squares(
+    bins: _Columns,
+    prior: FloatArray,
+    scale: float,
+    place: tuple[float, float, float],
+    contact: FloatArray,
+    length: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Least squares of the shape at every (contact, length).
+
+    ``bins`` (b,): depth [mm], its variance [mm^2], one over the noise of the mean force [1/N], the force over
+    it; ``prior`` (k,), ``scale``: prior sd of the static columns and of the branch [N]; ``place``: window,
+    first displacement [mm], phase share; ``contact`` (n,), ``length`` (n, m).  Returns coefficients (n, m, k)
+    and branch (n, m) in their prior sd, chi-square (n, m), and (3, n, m): information about contact and about
+    ln length, variance of the initial slope.
+    """
+    static = _static(bins, prior, scale, contact, place[0])
+    rise, moved, turned = _branch(bins, contact, length, place, scale)
+    force = static.outside(np.broadcast_to(bins[3], (contact.size, 1, bins[3].size)))
+    rose = static.outside(rise)
+    own = 1.0 + _products(rose, rose)
+    unexplained = _products(rose, force)
+    branch = unexplained / own
+    coefficients = rose[1] * branch[:, :, None] - force[1]
+    misfit = np.maximum(_products(force, force) - unexplained * branch, 0.0)
+    moved *= (branch * (scale / place[0]))[:, :, None]
+    moved += coefficients[:, :, :POWERS] @ static.moves
+    turned *= (branch * scale)[:, :, None]
+    judged = np.empty((3, *length.shape))
+    for row, changed in enumerate((moved, turned)):
+        left = static.outside(np.clip(changed, -LARGEST, LARGEST))
+        shared = _products(left, rose)
+        judged[row] = np.maximum(_products(left, left) - shared * shared / own, LEAST)
+    slope = (static.beside[:, :, 0] ** 2).sum(axis=1)
+    judged[2] = (1.0 + rose[1][:, :, 0]) ** 2 / own + slope[:, None]
+    return coefficients, branch, misfit, judged
+
 
 #: Bins of equal width next to the centre, on each side, and the growth of those further out.
 NEAR_BINS = 24
@@ -47,11 +148,10 @@ class Bins:
 
 
 def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, balance: float) -> Bins:
-    """Average samples in bins along the record.
+    """Average samples in bins along the record, narrow about ``centre_mm``.
 
-    ``depth_mm``, ``force_N`` (n,): one loading ramp; ``centre_mm``: where the bins are narrow; ``balance``:
-    (noise / slope)^(2/3): the sd of a bin mean falls as 1/sqrt(m), what m samples blur grows as m, and the
-    two balance at m^(3/2) = noise / (slope x spacing).
+    ``balance``: (noise / slope)^(2/3): the sd of a bin mean falls as 1/sqrt(m), what m samples blur grows as
+    m, and the two balance at m^(3/2) = noise / (slope x spacing).
     """
     n = depth_mm.size
     at = int(np.searchsorted(np.maximum.accumulate(depth_mm), centre_mm))
@@ -71,6 +171,18 @@ def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, 
     return Bins(mean, variance, force, count, fine_mm=NEAR_BINS * width * step, spacing_mm=step)
 
 
+# The force at displacement u of a tool that meets relaxed tissue at c and moves on at constant speed is
+#     F = b + d (u - c) + p1 z + p2 z^2 + p3 z^3 + A (1 - exp(-w/l)),
+#     z = max(0, u - c),  w = max(0, u - max(c, u0)):
+# a load cell that drifts a little, a cubic static curve and one branch of length l = speed x relaxation time;
+# u0 is where the record starts.  b, d, p and A take their least-squares values at every (c, l), and
+#     density = likelihood x sqrt(I_c) x I_l^(1/4) x P(p1 + A/l >= -s) / (1 + (l / 3 L)^2).
+# I_c and I_l are the Fisher information of c and of ln l with the linear coefficients projected out:
+# Jeffreys' rule (1946) for c makes the interval one that covers as often as it says; half that weight for ln
+# l keeps lengths that data can't tell from none out of the way.  A has either sign, so that a branch too
+# small to be seen does not push the contact to one side.  The initial slope may be negative by no more than
+# the slope s of the ramp.  Lengths far above the resolution L, where a branch can't be told from the static
+# curve, count less.
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
 SHAPE_PRIOR = 10.0
 #: ... of the force in air about the first one: in effect none ...
@@ -129,10 +241,7 @@ class RampShape:
         return float(np.cbrt(ratio * ratio * spacing + spacing**3))
 
     def posterior(self, contact_mm: FloatArray, length_mm: FloatArray) -> Posterior:
-        """Density over (contact, ln length).
-
-        ``contact_mm`` (n,); ``length_mm`` (n, m): lengths at each contact.
-        """
+        """Density over (contact, ln length)."""
         bins, window = self.bins, self.window_mm
         weight = np.sqrt(bins.count) / self.noise_N
         span = max(float(np.ptp(bins.force_N)), self.noise_N)

@@ -1,24 +1,20 @@
 """Collapse of force while the tool moves on: rupture of a layer, tear, or slip.
 
-Force rises and falls between alternate extremes (a zigzag with a reversal threshold above noise).  A fall
-within one move is a rupture where it is steep against the loading before it, or where most of the force is
-lost.  Passive tissue at constant speed can do neither: its relaxing branch only grows towards K v tau, and a
-softening static curve falls over lengths like those over which it rose (criterion reconstructed).  A running
-median takes out single samples.  Falls from where the tool slows down, or within 0.1 s of a stop or a turn,
-are relaxation or release; where next to nothing is left they are asked about.  A small loss that the same
-ramp makes good again is a slip.
+A fall within one move is a rupture where it is steep against the loading before it, or where most of the
+force is lost.  Passive tissue at constant speed can do neither: its relaxing branch only grows towards K v
+tau, and a softening static curve falls over lengths like those over which it rose (criterion reconstructed).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.edges import leaves_line, straight_line
-from tissueid.segment.motion import Piece
+from tissueid.segment.motion import Piece, leaves_line, straight_line
 from tissueid.signal_noise import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
@@ -55,8 +51,7 @@ BREAK_SHARE = 0.5
 BREAK_TIME = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class _Fall:
+class _Fall(NamedTuple):
     """From the highest sample to the lowest, both included."""
 
     top: int
@@ -73,13 +68,7 @@ def ruptures(
     tolerance_mm: float,
     zero: tuple[float, float],
 ) -> list[Event]:
-    """Ruptures on the loading moves, in time order.
-
-    ``time_s``, ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``loading``: moves into the tissue;
-    ``tolerance_mm``: what noise and resolution of the displacement explain; ``zero``: depth of contact [mm]
-    and force in air [N].  Returns kind ``rupture``, ``slip`` or ``doubtful_rupture``; ``index`` is the last
-    sample before the fall.
-    """
+    """Ruptures, slips and doubtful ruptures of loading moves; ``index`` is the last sample before a fall."""
     contact_mm, baseline_N = zero
     depth, force = depth_mm - contact_mm, force_N - baseline_N
     least = max(DROP_SD * noise_N, RANGE_SHARE * float(np.ptp(force_N)))
@@ -155,14 +144,7 @@ def _event(
 def _slower_than_before(time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece]) -> bool:
     """True where a move goes on from a faster one without a stop."""
     before = next((one for one in loading if one.stop == piece.start), None)
-    if before is None:
-        return False
-    speeds = [
-        float(depth_mm[one.stop] - depth_mm[one.start])
-        / max(float(time_s[one.stop] - time_s[one.start]), 1e-300)
-        for one in (before, piece)
-    ]
-    return speeds[1] < speeds[0]
+    return before is not None and piece.speed(time_s, depth_mm) < before.speed(time_s, depth_mm)
 
 
 def _falls(force: FloatArray, least_N: float) -> list[_Fall]:
@@ -269,40 +251,29 @@ def rupture_flags(events: list[Event]) -> list[Flag]:
         [event for event in events if event.kind == kind] for kind in ("rupture", "slip", "doubtful_rupture")
     )
     if broken:
-        flags.append(Flag("rupture", _rupture_words(broken[0], len(broken)), _values(broken)))
+        deep = f"{broken[0].values['depth_mm']:.3g} mm deep"
+        message = f"force falls by {_drop(broken[0])}, {deep}{_more(broken)}"
+        flags.append(Flag("rupture", message, _values(broken)))
     if slipped:
-        flags.append(Flag("slip", _slip_words(slipped[0], len(slipped)), _values(slipped)))
+        message = f"force slips by {_drop(slipped[0])}{_more(slipped)} and recovers"
+        flags.append(Flag("slip", message, _values(slipped)))
     if doubtful:
-        flags.append(Flag("doubtful_rupture", _doubtful_words(doubtful[0]), _values(doubtful)))
+        values = _values(doubtful)
+        lost = f"{100 * values['drop_fraction']:.0f} % of the force is lost at the stop"
+        message = f"{lost}, {values['time_s']:.4g} s: relaxation or rupture?"
+        flags.append(Flag("doubtful_rupture", message, values))
     return flags
+
+
+def _drop(event: Event) -> str:
+    values = event.values
+    return f"{values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at {event.time_s:.4g} s"
+
+
+def _more(events: list[Event]) -> str:
+    return "" if len(events) == 1 else f", first of {len(events)}"
 
 
 def _values(events: list[Event]) -> dict[str, float]:
     """Numbers of the first of some events, and how many there are."""
     return {"time_s": events[0].time_s, "count": len(events), **events[0].values}
-
-
-def _rupture_words(first: Event, count: int) -> str:
-    """One sentence on the first rupture."""
-    values = first.values
-    more = "" if count == 1 else f", first of {count}"
-    return (
-        f"force falls by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
-        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep{more}"
-    )
-
-
-def _slip_words(first: Event, count: int) -> str:
-    """One sentence on the first slip."""
-    values = first.values
-    more = "" if count == 1 else f", first of {count}"
-    return (
-        f"force slips by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
-        f"{first.time_s:.4g} s{more} and recovers"
-    )
-
-
-def _doubtful_words(first: Event) -> str:
-    """One sentence on the first fall that may be relaxation."""
-    lost = 100 * first.values["drop_fraction"]
-    return f"{lost:.0f} % of the force is lost at the stop, {first.time_s:.4g} s: relaxation or rupture?"

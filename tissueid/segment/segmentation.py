@@ -11,16 +11,29 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.contact import find_contact
-from tissueid.segment.corner import corner_flags, corners_of
-from tissueid.segment.cycles import cycle_flags, loops_of
-from tissueid.segment.edges import leaves_line
-from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits, pull_off
-from tissueid.segment.motion import Piece, displacement_tolerance, pieces
+from tissueid.segment.endings import (
+    aborts,
+    cycle_flags,
+    ending_flags,
+    held_from,
+    load_limits,
+    loops_of,
+    pull_off,
+)
+from tissueid.segment.motion import Piece, displacement_tolerance, leaves_line, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import drift_in_air, signs
-from tissueid.segment.stop import placed_stops, settlings, speed_flags, travel_line, with_braking
+from tissueid.segment.stop import (
+    corner_flags,
+    corners_of,
+    placed_stops,
+    settlings,
+    speed_flags,
+    travel_line,
+    with_braking,
+)
 from tissueid.signal_noise import white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
@@ -36,17 +49,14 @@ def by_hand(trial: Trial, options: SegmentOptions) -> tuple[Flag, ...]:
         return ()
     words = ", ".join(f"{key} = {str(value).lower()}" for key, value in stated.items())
     because = "stated for this run"
-    message = f"{words}, because: {because}"
-    return (Flag("decision_overridden", message, {"keys": list(stated), "because": because}),)
+    values = {"keys": list(stated), "because": because}
+    return (Flag("decision_overridden", f"{words}, because: {because}", values),)
 
 
 def held_from_here(
     time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], start_s: float
 ) -> tuple[Phase, ...]:
-    """Phases of which the hold nearest to a time begins there; a ramp is parted where there is no hold.
-
-    ``time_s``, ``depth_mm`` (n,); ``start_s``: as recorded [s].
-    """
+    """Phases of which the hold nearest to a time begins there; a ramp is parted where there is no hold."""
     at = int(np.argmin(np.abs(time_s - start_s)))
     holds = [k for k, phase in enumerate(phases) if phase.kind in ("hold", "creep") and k > 0]
     if holds:
@@ -105,23 +115,13 @@ class _Path:
 
     def ruptures(self, loading: list[Piece], zero: tuple[float, float]) -> list[Event]:
         """Ruptures on loading moves, depth and force counted from ``zero``."""
-        return ruptures(
-            self.time_s,
-            self.depth_mm,
-            self.force_N,
-            loading,
-            noise_N=self.noise_N,
-            tolerance_mm=self.tolerance_mm,
-            zero=zero,
-        )
+        noise, tolerance = self.noise_N, self.tolerance_mm
+        path = self.time_s, self.depth_mm, self.force_N
+        return ruptures(*path, loading, noise_N=noise, tolerance_mm=tolerance, zero=zero)
 
 
 def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation:
-    """Divide a recording into phases and find its contact point.
-
-    ``options``: what the user decides instead of the data.  Returns ``contact`` is ``None`` where none was
-    found, and no hold is in ``phases`` where there is none: both are results, with a flag.
-    """
+    """Divide a recording into phases and find its contact point; none of either is a result, with a flag."""
     options = options or SegmentOptions()
     decided = options
     if trial.protocol.kind == RENDERED and options.contact_displacement_mm is None:
@@ -159,19 +159,12 @@ def _nothing(message: str, count: int, travel_mm: float) -> tuple[Flag, ...]:
 def _shifted(found: Segmentation, by: int) -> Segmentation:
     """Sample indices of a part of a recording as those of the whole."""
     contact = found.contact
-    phases = tuple(
-        replace(
-            phase,
-            start=phase.start + by,
-            stop=phase.stop + by,
-            peak=None if phase.peak is None else phase.peak + by,
-        )
-        for phase in found.phases
-    )
+    phases = [replace(phase, start=phase.start + by, stop=phase.stop + by) for phase in found.phases]
+    phases = [one if one.peak is None else replace(one, peak=one.peak + by) for one in phases]
     return replace(
         found,
         contact=None if contact is None else replace(contact, index=contact.index + by),
-        phases=phases,
+        phases=tuple(phases),
         corners=tuple(replace(corner, index=corner.index + by) for corner in found.corners),
         events=tuple(replace(event, index=event.index + by) for event in found.events),
     )
@@ -224,10 +217,7 @@ def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tup
     first = min(broken, default=None)
     if first is None:
         return phases
-    return tuple(
-        replace(phase, kind="rest") if phase.kind == "hold" and phase.start > first else phase
-        for phase in phases
-    )
+    return tuple(replace(p, kind="rest") if p.kind == "hold" and p.start > first else p for p in phases)
 
 
 def _shallow_from(depth: FloatArray, moves: list[Piece]) -> int:
@@ -260,11 +250,7 @@ def _located(
 
 
 def _whole(path: _Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
-    """Moves into the tissue that may show its surface: from the first that meets it, up to where it breaks.
-
-    Contact is told from a force that rises; what an earlier move in air shows is the reading in air.
-    ``breaks``: tissue may break; what the user decided is no rupture here either.
-    """
+    """Moves that may show the tissue's surface: from the first that meets it, up to where it breaks."""
     loading = [piece for piece in found if piece.direction > 0]
     if not loading:
         return []
@@ -342,19 +328,11 @@ def _remarks(
             broken = path.ruptures(loading, zero)
             flags += rupture_flags(broken)
             events += broken
+        limit, noise = protocol.load_limit_N, path.noise_N
         endings = aborts(time_s, depth, phases, protocol)
-        endings += load_limits(
-            time_s,
-            depth,
-            force,
-            phases,
-            loops,
-            noise_N=path.noise_N,
-            zero=zero,
-            stated_N=protocol.load_limit_N,
-        )
+        endings += load_limits(time_s, depth, force, phases, loops, noise_N=noise, zero=zero, stated_N=limit)
         flags += ending_flags(endings)
-        flags += pull_off(depth, force, surface_mm=zero[0], noise_N=path.noise_N)
+        flags += pull_off(depth, force, surface_mm=zero[0], noise_N=noise)
         events += endings
     flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
     flags += _missing(phases)

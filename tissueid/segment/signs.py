@@ -1,9 +1,7 @@
 """Signs of compression and of the recorded force, and the drift of the force in air.
 
-Drift of the load cell while the tool is in air: the force changes though nothing is touched.
 The samples in air are averaged in blocks, whose scatter about a straight line tells how sure its slope is,
-whatever the noise is correlated like.  A first touch that was found late bends the line at its end; drift
-shows in the first half alone as well.
+whatever the noise is correlated like.
 """
 
 from __future__ import annotations
@@ -25,10 +23,7 @@ FIRST_SAMPLES = 5
 
 
 def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
-    """Signs of compression and of force, with what is doubtful about them.
-
-    Returns ``compression_sign, force_sign``; ``flags``.
-    """
+    """Signs of compression and of force, with what is doubtful about them."""
     flags: list[Flag] = []
     x, force = trial.displacement_mm, trial.force_N
     out, back = float(x.max() - x[0]), float(x[0] - x.min())
@@ -37,13 +32,9 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
         compression = 1 if out >= back else -1
         minor, major = sorted((out, back))
         if major > 0.0 and minor > DOUBTFUL_EXCURSION * major:
-            flags.append(
-                Flag(
-                    "sign_assumed",
-                    f"displacement goes {out:.4g} mm one way, {back:.4g} mm the other; the larger was taken",
-                    {"positive_mm": out, "negative_mm": back, "compression_sign": compression},
-                )
-            )
+            message = f"displacement goes {out:.4g} mm one way, {back:.4g} mm the other; the larger was taken"
+            values = {"positive_mm": out, "negative_mm": back, "compression_sign": compression}
+            flags.append(Flag("sign_assumed", message, values))
     depth = compression * (x - x[0])
     force_sign = options.force_sign
     # force at the deepest part against force at the start of the travel
@@ -60,29 +51,20 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
         if doubtful or min(rise, fall) < DOUBTFUL_FORCE * max(rise, fall):
             force_sign = 1 if rise >= fall else -1
         if doubtful:
-            flags.append(
-                Flag(
-                    "sign_assumed",
-                    f"force changes by {change:.4g} N over the travel but by {np.ptp(force):.4g} N in all; "
-                    f"force_sign {force_sign:+d} was taken",
-                    {"change_N": change, "range_N": float(np.ptp(force)), "force_sign": force_sign},
-                )
+            reach = float(np.ptp(force))
+            message = (
+                f"force changes by {change:.4g} N over the travel but by {reach:.4g} N in all; "
+                f"force_sign {force_sign:+d} was taken"
             )
+            values = {"change_N": change, "range_N": reach, "force_sign": force_sign}
+            flags.append(Flag("sign_assumed", message, values))
     stated = (trial.protocol.kind or "").lower()
     if stated.startswith("tens"):
-        flags.append(
-            Flag(
-                "tension", f"the file says {trial.protocol.kind!r}: the specimen is pulled", {"kind": stated}
-            )
-        )
+        message = f"the file says {trial.protocol.kind!r}: the specimen is pulled"
+        flags.append(Flag("tension", message, {"kind": stated}))
     elif force_sign != compression:
-        flags.append(
-            Flag(
-                "tension",
-                "recorded force and displacement have opposite signs: force against the travel, or tension",
-                {"compression_sign": compression, "force_sign": force_sign},
-            )
-        )
+        message = "recorded force and displacement have opposite signs: force against the travel, or tension"
+        flags.append(Flag("tension", message, {"compression_sign": compression, "force_sign": force_sign}))
     return compression, force_sign, flags
 
 
@@ -104,10 +86,7 @@ LOADING_SHARE = 0.2
 def drift_in_air(
     time_s: FloatArray, force_N: FloatArray, phases: tuple[Phase, ...], contact: Contact | None
 ) -> tuple[Flag, ...]:
-    """``baseline_drift``, where the force drifts in air by what would matter later.
-
-    ``time_s``, ``force_N`` (n,).
-    """
+    """``baseline_drift``, where the force drifts in air by what would matter later."""
     if contact is None or not contact.in_record or not phases or phases[0].kind != "approach":
         return ()
     start, stop = phases[0].start, contact.index
@@ -126,19 +105,15 @@ def drift_in_air(
     loading = largest / max(float(time_s[peak] - time_s[stop]), float(time[-1] - time[0]) / time.size)
     if abs(slope) * rest <= SAID_SHARE * largest or abs(slope) > LOADING_SHARE * loading:
         return ()
-    return (
-        Flag(
-            "baseline_drift",
-            f"force drifts by {slope:.3g} N/s in air: {slope * rest:.3g} N by the end, of {largest:.3g} N",
-            {
-                "slope_N_per_s": slope,
-                "slope_sd_N_per_s": error,
-                "in_air_s": float(time[-1] - time[0]),
-                "by_the_end_N": slope * rest,
-                "largest_N": largest,
-            },
-        ),
-    )
+    message = f"force drifts by {slope:.3g} N/s in air: {slope * rest:.3g} N by the end, of {largest:.3g} N"
+    values = {
+        "slope_N_per_s": slope,
+        "slope_sd_N_per_s": error,
+        "in_air_s": float(time[-1] - time[0]),
+        "by_the_end_N": slope * rest,
+        "largest_N": largest,
+    }
+    return (Flag("baseline_drift", message, values),)
 
 
 def _line(time_s: FloatArray, force_N: FloatArray) -> tuple[float, float]:
