@@ -28,7 +28,7 @@ from tissueid.covariates import (
     without_excluded,
 )
 from tissueid.decided import arithmetic_refusal
-from tissueid.errors import InputError, exit_code
+from tissueid.errors import InputError, UsageError, exit_code
 from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
 from tissueid.inference.prior import calibration_priors
@@ -37,7 +37,7 @@ from tissueid.inference.tip import tip_handles
 from tissueid.inference.verdict import unsampled, without_posterior
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
-from tissueid.model.grammar import KELVIN_VOIGT
+from tissueid.model.grammar import KELVIN_VOIGT, candidates, unused_priors
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
@@ -183,6 +183,18 @@ def _fit(
     return fit_with_state(
         name, handles, options=fit, priors=_priors(study), machine=not normalised, tick=tick
     )
+
+
+def _refuse_unused(model: str | None, study: Study | None) -> None:
+    """UsageError where a study states a prior of a parameter that the fitted law does not have."""
+    priors, laws = _priors(study), candidates(model or KELVIN_VOIGT)
+    unused = unused_priors(laws, (*priors.linear, *priors.shapes))
+    if unused:
+        msg = (
+            f"{'' if study is None else study.path}: [priors.{unused[0]}] is of no parameter of "
+            f"{model or KELVIN_VOIGT}; take it out, or name a law that has it (`tissueid models`)"
+        )
+        raise UsageError(msg)
 
 
 def _priors(study: Study | None) -> Priors:
@@ -353,6 +365,7 @@ def identify(
         Its ``exit`` says whether something was left out or not identified.
     """
     options = with_model(options or IdentifyOptions(), study)
+    _refuse_unused(options.fit.model, study)
     progress = progress or (lambda _message, _done, _total: None)
     collected = collect(
         trials,

@@ -13,7 +13,7 @@ time in question, so that for short times the prior is one of viscosity and not 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -109,8 +109,8 @@ class PopulationPriors:
         return {
             "mean_sd": self.mean_sd,
             "effect_sd": self.effect_sd,
-            "between": {"median": self.between.median, "sd_ln": self.between.sd_ln},
-            "level": {"median": self.level.median, "sd_ln": self.level.sd_ln},
+            "between": asdict(self.between),
+            "level": asdict(self.level),
             "correlation_shape": self.correlation_shape,
             "tails": {"shape": self.tail_shape, "rate": self.tail_rate},
         }
@@ -157,12 +157,13 @@ class Priors:
     def as_json(self) -> dict[str, Any]:
         """Stated priors of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
         linear: dict[str, Any] = {name: {"mean": mean, "sd": sd} for name, (mean, sd) in self.linear.items()}
-        times = [{"median": one.median, "sd_ln": one.sd_ln} for one in self.relaxation_time_s]
+        times = [asdict(one) for one in self.relaxation_time_s]
         sigma = self.sigma_N
         return {
             **linear,
+            **{name: asdict(one) for name, one in self.shapes.items()},
             **({"relaxation_time_s": times} if times else {}),
-            **({} if sigma is None else {"sigma_N": {"median": sigma.median, "sd_ln": sigma.sd_ln}}),
+            **({} if sigma is None else {"sigma_N": asdict(sigma)}),
             "phi": {"low": self.phi[0], "high": self.phi[1]},
             "gain_sd": {"scale": self.gain_sd},
         }

@@ -7,8 +7,11 @@ from pathlib import Path
 import pytest
 from study_folder import fit, lab, specimen
 
+from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.cli.main import main
-from tissueid.errors import InputError
+from tissueid.documents.base import typed
+from tissueid.documents.study import Priors as Recorded
+from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.store.schema import first_problem
@@ -185,3 +188,51 @@ def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp
     sampled = time["detail"].get("posterior") or time
     assert sampled["sd"] <= 1.15 * 0.02 * 0.021
     assert main(["validate", str(tmp_path / "out")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "linear", "shapes"),
+    [
+        ("[priors.static_N_per_mm]\nmean = '2 N/mm'\nsd = 1\n", {"static_N_per_mm": (2.0, 1.0)}, {}),
+        (
+            "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n",
+            {},
+            {"static_exponent": SpreadPrior(1.5, 0.1)},
+        ),
+        (
+            "[priors.relaxation_ratio_b2]\nmedian = 0.5\nsd_ln = 1\n",
+            {},
+            {"relaxation_ratio_b2": SpreadPrior(0.5, 1)},
+        ),
+    ],
+)
+def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path: Path, text, linear, shapes) -> None:
+    found = priors_in(tmp_path, text)
+    assert (dict(found.linear), dict(found.shapes)) == (linear, shapes)
+    recorded = found.as_json()
+    assert typed(recorded, Recorded) is not None
+    assert {*linear, *shapes} <= set(recorded)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[priors.static_exponent]\nmean = 1.5\nsd = 0.1\n", "static_exponent takes median and sd_ln"),
+        ("[priors.static_N_per_mm]\nmedian = 1.5\nsd_ln = 0.1\n", "static_N_per_mm takes mean and sd"),
+        ("[priors.static_exponant]\nmedian = 1.5\nsd_ln = 0.1\n", "did you mean static_exponent?"),
+        ("[priors.static_exponent]\nmedian = -1\nsd_ln = 0.1\n", "static_exponent"),
+    ],
+)
+def test_a_prior_of_the_wrong_kind_is_refused(tmp_path: Path, text, words) -> None:
+    with pytest.raises(InputError, match=words):
+        priors_in(tmp_path, text)
+
+
+def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text('schema = "tissueid/study/1"\n[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n')
+    study = read_study(path)
+    with pytest.raises(UsageError, match=r"static_exponent\] is of no parameter of kelvin-voigt"):
+        identify([], study=study)
+    options = IdentifyOptions(fit=FitOptions(model="power * prony:2"))
+    assert identify([], study=study, options=options).exit.code == 3

@@ -34,10 +34,7 @@ class LogNormalPrior(Document, frozen=True):
 
 
 class Phi(Document, frozen=True):
-    """Correlation of the noise over one reference step (the commonest sampling step) is uniform between.
-
-    Hese.
-    """
+    """Bounds of a uniform correlation of the noise over one reference step, the commonest sampling step."""
 
     low: Fraction  # From 0
     high: Fraction  # To 1, above low
@@ -49,8 +46,14 @@ class GainSd(Document, frozen=True):
     scale: Positive  # Standard deviation of the normal that is cut in half, a fraction: 0.3 allows 30 %
 
 
-class Priors(Document, frozen=True):
-    """Knowledge before the data."""
+class Priors(Document, frozen=True, forbid_unknown_fields=False):
+    """Knowledge before the data; of laws beside the Kelvin-Voigt one, by their parameters' names."""
+
+    RULES: ClassVar[JsonSchema] = {
+        "additionalProperties": {
+            "anyOf": [{"$ref": "#/$defs/normal_prior"}, {"$ref": "#/$defs/log_normal_prior"}]
+        }
+    }
 
     #: Normal prior of one coefficient, cut to the passive set [N/mm]
     static_1_N_per_mm: NormalPrior | None = None

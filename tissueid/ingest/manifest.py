@@ -259,7 +259,7 @@ def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
             refuser.refuse((name,), f"there is no table {name!r}; {hint}")
         if name == "priors" and isinstance(value, dict):
             try:
-                document[name] = plain_priors(value, _properties("priors"))
+                document[name] = plain_priors(value, _known_priors(value))
             except PriorError as problem:
                 refuser.refuse(("priors", *problem.where), str(problem))
         elif isinstance(value, dict):
@@ -272,6 +272,17 @@ def _normalised(table: TomlTable, refuser: _Refuser) -> dict[str, Any]:
         else:
             document[name] = value
     return document
+
+
+def _known_priors(table: TomlTable) -> TomlTable:
+    """Names of priors: those of the schema, and where one is not among them those of every law."""
+    known = _properties("priors")
+    if all(name in known for name in table):
+        return known
+    # loaded here: the laws bring a compiler, and a look at a file needs none
+    from tissueid.model.grammar import stated_names
+
+    return {**stated_names(), **known}
 
 
 def _priors(plain: TomlTable, refuser: _Refuser) -> Priors:

@@ -193,7 +193,16 @@ def plain_priors(table: TomlTable, known: TomlTable) -> dict[str, Any]:
             plain[name] = [_numbers(one, name, (name, i)) for i, one in enumerate(value)]
         else:
             plain[name] = _numbers(value, name, (name,))
+            _kind(plain[name], name, linear=known[name])
     return plain
+
+
+def _kind(table: Any, name: str, *, linear: bool | TomlTable) -> None:
+    """PriorError unless a coefficient of a law has a mean, and another parameter a median."""
+    keys = ("mean", "sd") if linear else ("median", "sd_ln")
+    if isinstance(linear, bool) and isinstance(table, Mapping) and set(table) != set(keys):
+        message = f"{name} takes {keys[0]} and {keys[1]}, and has {', '.join(map(str, table)) or 'neither'}"
+        raise PriorError((name,), message)
 
 
 def priors_of(plain: TomlTable) -> Priors:
@@ -215,6 +224,11 @@ def priors_of(plain: TomlTable) -> Priors:
     return Priors(
         linear={name: (one["mean"], one["sd"]) for name, one in plain.items() if "mean" in one},
         relaxation_time_s=tuple(SpreadPrior(**one) for one in times),
+        shapes={
+            name: SpreadPrior(**one)
+            for name, one in plain.items()
+            if name not in {"sigma_N", "relaxation_time_s"} and "median" in one
+        },
         sigma_N=None if sigma is None else SpreadPrior(**sigma),
         phi=default.phi if phi is None else (phi["low"], phi["high"]),
         gain_sd=plain["gain_sd"]["scale"] if "gain_sd" in plain else default.gain_sd,

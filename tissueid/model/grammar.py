@@ -6,7 +6,7 @@ Laws are found in the folder :mod:`tissueid.model.laws`, a file each, and behind
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
@@ -184,6 +184,30 @@ def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
         "purpose": about.purpose,
         "refuses": about.refuses,
     }
+
+
+@lru_cache
+def stated_names() -> Mapping[str, bool]:
+    """Parameters of all laws, beside their times, of which priors may be stated; true of coefficients."""
+    of_kind = {kind: [key for key, one in known_laws().items() if one.about.kind == kind] for kind in KINDS}
+    names = [f"{one} * tangent * prony:3" for one in of_kind["static"]]
+    names += [f"flat * quadratic * {one}" for one in of_kind["relaxation"]]
+    names += [f"flat * tangent * {one}" for one in of_kind["relaxation"] if one != "spectrum"]
+    names += [f"flat * {one}" for one in of_kind["damping"]]
+    found: dict[str, bool] = {}
+    for model in (kelvin_voigt(3, 2, 1.0), *(parsed(one).model(1.0, 0.01, 1.0) for one in names)):
+        linear = set(model.linear_places.tolist())
+        found |= {one: place in linear for place, one in enumerate(model.parameter_names)}
+    # times have a table of their own, a row a branch
+    return {one: linear for one, linear in found.items() if not one.startswith("relaxation_time")}
+
+
+def unused_priors(laws: Candidates, stated: Iterable[str]) -> list[str]:
+    """Stated priors of parameters that none of some candidates has."""
+    there = set(kelvin_voigt(3, 2, 1.0).parameter_names) if laws.paper is not None else set()
+    for one in laws.laws:
+        there |= set() if one.parts is None else set(one.model(1.0, 0.01, 1.0).parameter_names)
+    return [name for name in stated if name not in there]
 
 
 def _law(word: str, kind: str, name: str) -> Any:
