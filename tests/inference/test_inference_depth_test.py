@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.inference.holds import drainage_time, drained_share
-from tissueid.inference.material import depth_test
+from tissueid.inference.quoted import depth_test
 from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import Indenter
 

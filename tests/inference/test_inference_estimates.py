@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.inference.estimates import MAX_WIDTH, estimate_tissue
-from tissueid.inference.profile import LEVEL_95
+from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue
 from tissueid.synth import Branch
 
 GROWING = Branch((30.0, 6.0), 0.2)

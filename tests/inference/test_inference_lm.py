@@ -10,7 +10,7 @@ import pytest
 from inference_cases import draw, handle_for, handles_for, identified, small_recipe
 
 from tissueid.inference.estimates import estimate_tissue
-from tissueid.inference.lm import both_optimisers
+from tissueid.inference.second_looks import both_optimisers
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import branch_states
 from tissueid.model.kelvin_voigt import kelvin_voigt

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.inference.memory import scan_memory
+from tissueid.inference.evidence import scan_memory
 from tissueid.synth import Hold, Log, Move
 
 STEP = 0.01

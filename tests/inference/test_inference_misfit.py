@@ -11,8 +11,13 @@ from scipy.stats import binomtest
 
 from tissueid.documents import plain
 from tissueid.documents.identification import NoiseFit
-from tissueid.inference.misfit import block_covariance, misfit_alarm, shared_structure
-from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks
+from tissueid.inference.residual_blocks import (
+    HOLD_BLOCKS_PER_DECADE,
+    ResidualBlocks,
+    block_covariance,
+    misfit_alarm,
+    shared_structure,
+)
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.synth import Branch, recipe, simulate
 

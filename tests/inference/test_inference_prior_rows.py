@@ -7,7 +7,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference.prior import bernstein
-from tissueid.inference.prior_rows import log_theta_prior, prior_table
+from tissueid.inference.reported import log_theta_prior, prior_table
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.channels import branch_states
 from tissueid.model.grammar import candidates

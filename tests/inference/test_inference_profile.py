@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.inference.profile import LEVEL_95, _crossing, profile
+from tissueid.inference.estimates import LEVEL_95, _crossing, profile
 from tissueid.synth import Branch, Hold, Log, Move
 
 

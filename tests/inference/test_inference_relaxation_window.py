@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.inference.relaxation_window import _slope, relaxation_window
+from tissueid.inference.second_looks import _slope, relaxation_window
 from tissueid.inference.specimen import window_flags
 from tissueid.synth import Branch, Hold, Log, Move
 

@@ -8,7 +8,7 @@ from inference_cases import model_force, small_recipe
 from test_inference_estimates import estimate, named
 from test_inference_trials import MODEL, NEITHER, THETA, recorded
 
-from tissueid.inference.profile import LEVEL_95
+from tissueid.inference.estimates import LEVEL_95
 from tissueid.inference.residual_blocks import residual_blocks
 from tissueid.inference.summaries import BINS, residual_summary
 from tissueid.inference.trials import CORNER_POINTS, CURVE_POINTS, ResidualTotals, summarise_trial

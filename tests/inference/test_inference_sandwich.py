@@ -7,7 +7,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference.optimum import covariance_of
-from tissueid.inference.residual_blocks import FEWEST_LOGS, TOGETHER, _clusters, sandwich_covariance
+from tissueid.inference.residual_blocks import LOGS_AS_CLUSTERS, TOGETHER, _clusters, sandwich_covariance
 from tissueid.inference.target import SpecimenTarget
 from tissueid.synth import Hold, Log, Move
 
@@ -64,7 +64,7 @@ def test_intervals_of_correlated_noise_hold_the_truth():
 
 def test_clusters_are_logs_or_stretches():
     many = target()
-    assert len(many.system.logs) >= FEWEST_LOGS
+    assert len(many.system.logs) >= LOGS_AS_CLUSTERS
     np.testing.assert_array_equal(_clusters(many), many.system.log)
     few = target(logs=MANY[:2])
     np.testing.assert_array_equal(_clusters(few) % 1000, few.system.fold // TOGETHER)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from inference_cases import draw, handle_for, small_recipe, true_segmentation
 
+from tissueid.inference.frame_effect import _moving_mean, beyond_calibration, tip_handles
 from tissueid.inference.specimen import FitOptions, fit_with_state
-from tissueid.inference.tip import _moving_mean, beyond_calibration, tip_handles
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import linear_frame
 from tissueid.synth import Branch, as_trials

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from inference_cases import draw, handle_for
 
+from tissueid.inference.logs import FreeSurface
 from tissueid.inference.specimen import FitOptions, fit_with_state
-from tissueid.inference.unloading import FreeSurface
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import segment

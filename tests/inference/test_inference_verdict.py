@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tissueid.inference.profile import ProfileInterval
+from tissueid.inference.estimates import ProfileInterval
 from tissueid.inference.verdict import specimen_flags
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate

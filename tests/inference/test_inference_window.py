@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.window import FOLDS, GUARD_SD, STRETCHES, assign_folds, fitted_log, with_contact
+from tissueid.inference.window import FOLDS, GUARD_SD, STRETCHES, assign_folds, fitted_log
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
 STEP = 0.01
@@ -126,24 +126,6 @@ def test_no_contact_or_too_few_samples_give_nothing():
     assert fitted_log(trial, late) is None
     still = Trial("s", trial.time_s, np.zeros(400), trial.force_N)
     assert fitted_log(still, Segmentation(1, 1, Contact(0, 0.0, 0.01), (), 0.1)) is None
-
-
-def test_moving_the_contact_deeper_moves_depth_zero():
-    trial = in_air_trial()
-    moved = with_contact(trial, segmented(trial), shift_mm=0.2, sd_mm=0.01)
-    assert moved.contact.displacement_mm == pytest.approx(0.705)
-    assert moved.contact.in_record
-    log = fitted_log(trial, moved)
-    assert log.depth_mm == pytest.approx(3.8)
-    assert log.data.time_s[0] == pytest.approx(0.705 / 2.0)
-
-
-def test_moving_the_contact_before_the_record_makes_it_start_in_contact():
-    trial = in_air_trial()
-    moved = with_contact(trial, segmented(trial), shift_mm=-0.8, sd_mm=0.01)
-    assert not moved.contact.in_record
-    assert moved.contact.index == 0
-    assert fitted_log(trial, moved).data.depth_mm[0] == pytest.approx(0.295)
 
 
 def test_every_fold_holds_a_part_of_ramp_and_hold():

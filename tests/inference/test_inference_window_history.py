@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.inference.window import fitted_log, with_contact
+from tissueid.inference.window import fitted_log
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.pipeline import identify
 from tissueid.segment import SegmentOptions, segment
@@ -82,10 +82,6 @@ def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
     log = fitted_log(trial, divided)
     assert log is not None
     assert log.data.time_s[0] == pytest.approx(33.0, abs=0.1)
-    moved = with_contact(trial, divided, shift_mm=0.05, sd_mm=0.001)
-    assert moved.contact is not None
-    assert trial.time_s[moved.contact.index] == pytest.approx(33.05, abs=0.15)
-    assert moved.contact.in_record
     left_out = identify([trial]).specimens[0].trials[0].flags
     assert any("let go" in flag.message for flag in left_out if flag.code == "unloading_left_out")
 
@@ -139,9 +135,6 @@ def test_the_user_may_cut_a_recording() -> None:
     log = fitted_log(trial, divided)
     assert log is not None
     assert (log.data.time_s[0], log.data.time_s[-1]) == (3.0, 12.0)
-    moved = with_contact(trial, divided, shift_mm=-0.01, sd_mm=0.001)
-    assert moved.contact is not None
-    assert moved.contact.index == divided.phases[0].start
 
 
 def test_a_cut_without_samples_is_said() -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from closed_forms import from_coordinates
 from hypothesis import settings
 from hypothesis import strategies as st
 
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.polynomial import from_coordinates
 
 DEPTH_MM = 8.0
 #: Same examples in every run, none stored: a failure is reproduced by running the test again.

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.kernels import tissue_step
+from tissueid.model.kernels import _DRIVERS, _STATES, LAW_SIZE, STATE_SIZE, pack_law, tissue_step_in
 from tissueid.model.servo_law import TissueStepper
 
 IN_AIR_MM = -1.0
@@ -149,11 +149,12 @@ def test_surface_ends_deeper_than_it_started_where_a_slow_branch_pulls_on() -> N
     a = np.exp(-h / tau)
     phi = (1.0 - a) * tau / h
     expected = brentq(lambda y: a1 * y + k @ (a * states + phi * (y - surface)), 0.0, 20.0, xtol=1e-13)
-    static = np.array([0.0, a1, 0.0, 0.0])
-    force, actual = tissue_step(static, k[:, None], tau, depth, surface, states, IN_AIR_MM, h)
-    assert force == 0.0
-    assert actual == pytest.approx(expected, rel=1e-12)
-    assert actual > surface + 0.01
+    law, state = np.empty(LAW_SIZE), np.zeros(STATE_SIZE)
+    pack_law(np.array([0.0, a1, 0.0, 0.0]), k[:, None], tau, depth, law, 0)
+    state[0], state[_STATES : _STATES + 2], state[_DRIVERS : _DRIVERS + 2] = surface, states, surface
+    assert tissue_step_in(law, 0, state, 0, IN_AIR_MM, h) == 0.0
+    assert state[0] == pytest.approx(expected, rel=1e-12)
+    assert state[0] > surface + 0.01
 
 
 def test_fast_release_stops_at_the_first_balance_on_the_way_out() -> None:
@@ -168,13 +169,14 @@ def test_fast_release_stops_at_the_first_balance_on_the_way_out() -> None:
 
 
 def test_states_of_a_long_hold_end_in_zero_without_denormals() -> None:
-    n, tau = 2, np.array([0.02, 0.03])
-    static, stiffness = np.array([0.0, A1, 0.0, 0.0]), np.full((n, 1), K0)
-    states = np.zeros(n)
-    _, surface = tissue_step(static, stiffness, tau, DEPTH_MM, 0.0, states, 3.0, 0.01)
+    law, state = np.empty(LAW_SIZE), np.zeros(STATE_SIZE)
+    static, stiffness = np.array([0.0, A1, 0.0, 0.0]), np.full((2, 1), K0)
+    pack_law(static, stiffness, np.array([0.02, 0.03]), DEPTH_MM, law, 0)
+    states = state[_STATES : _STATES + 2]
+    tissue_step_in(law, 0, state, 0, 3.0, 0.01)
     assert states.min() > 0.5
     for _ in range(500):
-        force, surface = tissue_step(static, stiffness, tau, DEPTH_MM, surface, states, 3.0, 0.05)
+        force = tissue_step_in(law, 0, state, 0, 3.0, 0.05)
         assert not np.any((states != 0.0) & (states < np.finfo(np.float64).tiny))
     assert np.all(states == 0.0)
     assert force == pytest.approx(3.0 * A1, rel=1e-14)

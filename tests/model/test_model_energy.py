@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from closed_forms import from_coordinates
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import DEPTH_MM, MODEL_SETTINGS, cone_coordinates, legs, passive_tissues, sampled, tissue
@@ -12,7 +13,6 @@ from scipy.integrate import cumulative_trapezoid
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel, branch_states
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.polynomial import from_coordinates
 from tissueid.model.servo_law import TissueStepper
 
 PER_LEG = 40

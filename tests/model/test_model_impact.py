@@ -11,7 +11,7 @@ import pytest
 from scipy.special import lambertw
 
 from tissueid.model.base import ContactPath
-from tissueid.model.damped import DampedModel, path_ratio
+from tissueid.model.channels import DampedModel, path_ratio
 from tissueid.model.grammar import parsed
 from tissueid.model.impact import (
     IMPACT_SIZE,

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.special import j0, j1
 
-from tissueid.model.layer import MOST_A_OVER_H, compliance, flat_factor, layer_contact
+from tissueid.model.moduli import MOST_A_OVER_H, compliance, flat_factor, layer_contact
 
 #: Table 1 of Hayes et al. 1972 (flat punch, bonded layer, nu = 0.5), as printed: three decimals.
 HAYES_FLAT_HALF = {0.2: 1.281, 0.4: 1.683, 0.6: 2.211, 0.8: 2.855}

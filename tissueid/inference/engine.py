@@ -1,8 +1,7 @@
 """From the logs of a specimen to the optimum of the law that predicts best, under its noise.
 
-The order of work: logs become blocks; candidates are fitted with the machine open; the noise is told with the
-most flexible of them, against what the recordings show; the simplest candidate that predicts what was left
-out is kept, and finished under its noise.
+Candidates are fitted with the machine open; the noise is told with the most flexible of them, against what
+the recordings show; the simplest that predicts what was left out is kept, and finished under its noise.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
-from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
-from tissueid.inference.memory import scan_memory
+from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
@@ -53,8 +51,6 @@ LOOK_STEPS = 14
 LEAST_NOISE = 1e-6
 #: Error of a prediction, over the range of force, below which laws are told apart by rounding alone.
 ROUNDED = 1e-5
-#: Share of the quantum of a force's digits that is a standard deviation.
-QUANTUM_SD = 1.0 / np.sqrt(12.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,11 +179,7 @@ def _badness(system: System, optimum: Optimum) -> float:
 
 
 def scatter_of(system: System, optimum: Optimum) -> Scatter:
-    """Standard deviations between logs that their own parameters show at an optimum.
-
-    They are taken about the mean of the logs: what all of them share is the specimen's, and a prior around 0
-    that is as wide as their spread leaves it nowhere else.
-    """
+    """Standard deviations between logs, about their mean: what all of them share is the specimen's."""
     own = optimum.point.own - optimum.point.own.mean(axis=0)
     variance = np.diagonal(optimum.normal.own_inverse, axis1=1, axis2=2)
 
@@ -202,10 +194,7 @@ def scatter_of(system: System, optimum: Optimum) -> Scatter:
 
 
 def _orders(request: Request) -> list[tuple[int, int]]:
-    """First candidates: few, the others only beside a winner at their edge.
-
-    Shapes of logs can stand in for a K that bends, which then shows nowhere: it is tried at once.
-    """
+    """First candidates: few, and a K that bends, which shapes of logs could stand in for."""
     branches = [b for b in request.branches if b <= 2] or [min(request.branches)]
     degrees = [d for d in request.degrees if d <= 1] or [min(request.degrees)]
     bent = [(1, d) for d in request.degrees if d > max(degrees) and 1 in branches]
@@ -229,11 +218,7 @@ def identify_logs(
     request: Request,
     tick: Callable[[str], None],
 ) -> Identified:
-    """Choose and fit the law of a specimen.
-
-    ``facts``: their samples are not looked at; ``evidence``: gives what the recordings show of their noise,
-    under an optimum; ``tick``: told what is being done.
-    """
+    """Choose and fit the law of a specimen; of ``facts`` the samples are not looked at."""
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
     effects = _effects(request.pooling, len(logs))
