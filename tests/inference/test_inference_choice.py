@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
+from tissueid.flags import Flag
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
 from tissueid.inference.choice import (
+    BEND,
+    Rival,
     Tried,
     _clusters,
     choice_of,
@@ -21,7 +24,9 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
+from tissueid.inference.specimen import _one_form, rival_flags
 from tissueid.inference.window import FOLDS
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
 from tissueid.synth import Branch, Hold, Log, Move
 
@@ -122,11 +127,6 @@ def test_the_simplest_within_one_standard_error_is_chosen():
     assert table[0]["stderr"] == pytest.approx(gain.std(ddof=1) / 2.0)
 
 
-def test_a_clear_gain_is_worth_its_parameters():
-    best, simple = tried(2, 0, [1.0, 1.1, 0.9, 1.0]), tried(1, 0, [1.5, 1.4, 1.6, 1.5])
-    assert chosen_among([simple, best])[0] is best
-
-
 def test_values_alike_are_one_group():
     assert _clusters([1.0, 4.0, 1.05, 10.0, 4.2]).tolist() == [0, 1, 0, 2, 1]
 
@@ -187,3 +187,68 @@ def test_a_third_branch_of_one_program_has_to_gain_a_fifth():
     assert without_bends([plain, slight]) == [plain]
     much = tried(3, 1, 0.7 * base)
     assert without_bends([plain, much]) == [plain, much]
+
+
+PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)
+
+
+def quasi_linear(trials):
+    """The same paths, felt by a quasi-linear tissue."""
+    rng = np.random.default_rng(8)
+    model = parsed("polynomial * tangent * prony:1").model(8.0, 0.01, 10.0)
+    theta = np.array([20.0, -1.2, 0.35, 1.5, 0.5])
+    return [
+        replace(
+            one,
+            force_N=model.force(theta, ContactPath(one.time_s, np.maximum(one.displacement_mm, 0.0)))
+            + 0.1 * rng.standard_normal(one.time_s.size),
+        )
+        for one in trials
+    ]
+
+
+@pytest.mark.system
+def test_a_quasi_linear_tissue_is_told_and_the_papers_is_not():
+    paper = identified(handles_for(draw(PAPER, 1)), pooling="partial", branches=(1, 2), degrees=(0, 1))
+    assert not any(one.better or one.disagrees for one in paper.rivals)
+    assert rival_flags(paper) == ()
+    other = identified(
+        handles_for(quasi_linear(draw(PAPER, 1))), pooling="partial", branches=(1, 2), degrees=(0, 1)
+    )
+    assert any(one.better for one in other.rivals)
+    (flag,) = rival_flags(other)
+    assert flag.code == "form_dependent"
+    assert flag.values["tau_s"] == pytest.approx(0.5, rel=0.05)
+
+
+def rival(gain, apart, *, stderr=0.3):
+    return Rival("polynomial * tangent * prony:1", gain, stderr, 1.84 * stderr, 0.5, 0.01, apart, None, None)
+
+
+@pytest.mark.parametrize(
+    ("gain", "apart", "better", "disagrees"),
+    [
+        (1.0, 0.0, True, False),
+        (1.0, 9.0, True, True),
+        (0.29, 0.5, False, False),
+        (0.29, -4.0, False, True),
+        (-0.5, 4.0, False, True),
+        (-1.0, 9.0, False, False),
+    ],
+)
+def test_a_law_is_better_or_ties_and_disagrees(gain, apart, better, disagrees):
+    one = rival(gain, apart)
+    assert (one.better, one.disagrees) == (better, disagrees)
+    # a gain that is sure but small is none
+    assert not rival(0.9 * BEND, 0.0, stderr=1e-3).better
+
+
+def test_one_remark_on_the_form_is_enough():
+    by_law = Flag("form_dependent", "a law", {"gain": 1.0})
+    window = Flag("form_dependent", "a window", {"slope": 0.9})
+    program = Flag("form_dependent", "a program", {"depth_mm": 4.0})
+    other = Flag("bound_active", "else")
+    assert _one_form((program, other, window, by_law)) == (other, by_law)
+    assert _one_form((program, window, other)) == (window, other)
+    assert _one_form((program, other)) == (program, other)
+    assert _one_form((other,)) == (other,)

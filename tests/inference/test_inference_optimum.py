@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from inference_cases import (
@@ -83,7 +85,7 @@ def fitted(theta, *, start, sigma=0.1, degree=0, seed=1):
     system = system_of([log], law)
     found = minimise(
         system, point_of(law, start),
-        lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False), machine=False,
+        partial(prior_rows, system, Scatter(), Priors(), machine=False), machine=False,
     )  # fmt: skip
     return law, system, found
 
@@ -138,11 +140,11 @@ def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
 
 
 def test_what_is_held_stays():
-    law, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[20.0, -1.2, 0.35, 30.0, 0.2])
+    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[20.0, -1.2, 0.35, 30.0, 0.2])
     start = found.point.moved(found.point.shared + np.eye(8)[0])
     kept = minimise(
         system, start,
-        lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False),
+        partial(prior_rows, system, Scatter(), Priors(), machine=False),
         machine=False, held=np.array([0]), sigma_N=found.noise.sigma_N,
     )  # fmt: skip
     assert kept.point.log_times[0] == pytest.approx(start.log_times[0], abs=1e-9)

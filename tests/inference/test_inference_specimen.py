@@ -147,12 +147,6 @@ def test_at_10_hz_viscosity_is_known_and_the_relaxation_time_is_not():
         assert {"not_identified", "compliance_unknown"} <= codes(found)
 
 
-def test_one_speed_without_hold_does_not_identify_viscosity():
-    small = small_recipe(logs=tuple(replace(log, repeats=3) for log in small_recipe().logs[1:2]))
-    found = fit(small, static="shared")
-    assert "single_speed" in codes(found)
-
-
 def test_a_slow_mode_left_out_shows_in_the_residual():
     small = small_recipe(branches=(TRUE, Branch((15.0,), 1.5)), sigma_N=0.05)
     found = fit(small, branches=1, static="shared")

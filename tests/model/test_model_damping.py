@@ -169,13 +169,6 @@ def test_damping_needed_grows_with_the_delay() -> None:
     assert default == pytest.approx(np.interp(DEFAULT_DELAY_TICKS, DELAYS, needs), rel=1e-12)
 
 
-def test_bound_scales_with_stiffness_and_is_never_negative() -> None:
-    one = damping_bound(2.0, np.array([5.0]), np.array([0.02]), period_s=PERIOD_S, delay_ticks=1.0)
-    ten = damping_bound(20.0, np.array([50.0]), np.array([0.02]), period_s=PERIOD_S, delay_ticks=1.0)
-    assert ten == pytest.approx(10.0 * one, rel=1e-12)
-    assert damping_bound(0.0, NOTHING, NOTHING, period_s=PERIOD_S, delay_ticks=1.0) == 0.0
-
-
 def test_elastic_model_needs_the_damping_of_its_steepest_spot() -> None:
     model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
     theta = np.array([1.0, 0.0, 0.02])

@@ -135,27 +135,6 @@ def test_jacobian_matches_central_differences(branches: int, degree: int) -> Non
         np.testing.assert_allclose(actual[:, p], expected, rtol=1e-7, atol=3e-13 / d)
 
 
-@every_tissue
-def test_linear_basis_weighs_up_to_the_force(branches: int, degree: int) -> None:
-    model, theta = tissue(branches, degree)
-    path = wavy_path(80)
-    static, stiffness, tau = model.split(theta)
-    basis = linear_basis(model, np.log(tau), path)
-    np.testing.assert_allclose(
-        basis @ np.concatenate([static, stiffness.ravel()]), model.force(theta, path), rtol=1e-12, atol=1e-11
-    )
-
-
-def test_linear_basis_holds_the_columns_of_the_jacobian() -> None:
-    model, theta = tissue(2, 1)
-    path = wavy_path(40)
-    linear = [i for i, name in enumerate(model.parameter_names) if not name.startswith("relaxation")]
-    _, _, tau = model.split(theta)
-    np.testing.assert_allclose(
-        linear_basis(model, np.log(tau), path), model.jacobian(theta, path)[:, linear], rtol=1e-12, atol=1e-13
-    )
-
-
 def test_model_without_branches_is_its_static_curve() -> None:
     model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
     theta = np.array([12.0, -1.5, 0.35])
@@ -265,3 +244,23 @@ def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
     ):
         with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
             use(SEED_THETA[:-1])
+
+
+@every_tissue
+def test_stepper_replays_a_path_as_force_computes_it(branches: int, degree: int) -> None:
+    """In and hold, small withdrawals that keep contact, uneven steps, a row of dt = 0, a long gap."""
+    model, theta = tissue(branches, degree)
+    step = 10.0 ** np.random.default_rng(11).uniform(-3.5, -1.5, 199)
+    step[50], step[120] = 0.0, 25.0
+    depth = np.concatenate(
+        [np.linspace(0.0, 7.5, 120), np.full(40, 7.5), 7.5 - 0.01 * np.arange(1, 21), np.full(20, 7.3)]
+    )
+    expected = model.force(theta, ContactPath(np.append(0.0, np.cumsum(step)), depth))
+    assert expected[1:].min() > 0.0  # in contact throughout, so that the two must be the same
+    stepper, other = TissueStepper(model, theta), TissueStepper(model, theta)
+    for _ in range(2):
+        actual = [stepper.step(x, h) for x, h in zip(depth, np.append(0.0, step), strict=True)]
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-12)
+        stepper.reset()  # the second round starts from a tissue at rest again
+    # two steppers do not share their state
+    assert other.step(2.0, 0.01) == TissueStepper(model, theta).step(2.0, 0.01)

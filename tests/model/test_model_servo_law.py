@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from passive_tissues import assert_no_energy, walked
 from scipy.optimize import nnls
-from servo_walk import assert_no_energy, walked
 
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import known_laws, parsed

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from servo_walk import assert_no_energy, walked
+from passive_tissues import assert_no_energy, walked
 
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError, candidates, described, parsed, rebuilt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.servo_law import servo_law
-from tissueid.model.yardstick import INSIDE, OUTSIDE, presents, yardstick_of
+from tissueid.model.yardstick import INSIDE, presents, yardstick_of
 from tissueid.result import ModelChoice
 
 DEPTH, TICK = 8.0, 1e-3
@@ -115,8 +115,3 @@ def test_names_of_choices():
     with pytest.raises(ModelNameError, match="'auto' is no model"):
         candidates("auto | power * fung")
     assert len(described()) == len({row["key"] for row in described()})
-
-
-def test_outside_parts_are_as_many_as_said():
-    model, _ = drawn()
-    assert len(model.parameters) == INSIDE * (1 + len(INSIDE_S)) + OUTSIDE * len(OUTSIDE_S)

@@ -63,9 +63,7 @@ class Tried:
     @property
     def law(self) -> ChannelLaw:
         """The law."""
-        law = self.system.law
-        assert isinstance(law, ChannelLaw)  # noqa: S101 -- there is no other
-        return law
+        return self.system.law
 
     @property
     def name(self) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -131,37 +132,33 @@ class _Fitting:
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
         return law_of(name.model(self.base.depth_mm, self.step_s, longest), len(self.base.logs))
 
-    def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
+    def minimise(self, system: System, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""
         return minimise(
             system,
             start,
-            lambda point: prior_rows(
-                system, law, point, self.scatter, self.request.priors, machine=self.request.machine
-            ),
+            partial(prior_rows, system, self.scatter, self.request.priors, machine=self.request.machine),
             memory=memory,
             machine=self.request.machine,
             least_sigma_N=self.least_N,
             steps=steps,
         )
 
-    def candidate(
-        self, law: ChannelLaw, memory: Memory, *, steps: int = LOOK_STEPS
-    ) -> tuple[System, ChannelLaw, Optimum]:
+    def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
-        found = [self.minimise(system, law, start, memory, steps) for start in starts]
-        return system, law, min(found, key=lambda one: _badness(system, one))
+        found = [self.minimise(system, start, memory, LOOK_STEPS) for start in starts]
+        return system, min(found, key=lambda one: _badness(system, one))
 
     def learn_scatter(self, branches: int, degree: int) -> None:
         """Estimate how much logs differ, and where each stands."""
         if not self.base.effects.gain:
             return
-        system, law, optimum = self.candidate(self.law(branches, degree), Memory())
+        system, optimum = self.candidate(self.law(branches, degree), Memory())
         for _ in range(SCATTER_ROUNDS):
             self.scatter = scatter_of(system, optimum)
-            optimum = self.minimise(system, law, optimum.point, Memory(), LOOK_STEPS)
+            optimum = self.minimise(system, optimum.point, Memory(), LOOK_STEPS)
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
 
 
@@ -214,7 +211,7 @@ def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -
 def identify_logs(
     logs: Sequence[Blocks],
     facts: Sequence[FittedLog],
-    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Sequence[LogEvidence],
     request: Request,
     tick: Callable[[str], None],
 ) -> Identified:
@@ -234,15 +231,12 @@ def identify_logs(
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
-    memory, refuted = Memory(), True
+    memory = Memory()
     tick("noise")
-    seen: Sequence[LogEvidence] | None = None
     if request.noise != "white":
-        system, law, optimum = fitting.candidate(fitting.law(*flexible), Memory())
-        seen = evidence(system, law, optimum)
-        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
-        refuted = verdict.refuted
-        memory = Memory() if refuted else noise.memory
+        system, optimum = fitting.candidate(fitting.law(*flexible), Memory())
+        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
+        memory = Memory() if verdict.refuted else noise.memory
     orders, laws = _Orders(None, (), ()), request.candidates
     if laws.paper is not None:
         orders = _orders_tried(fitting, memory, groups, facts, tick)
@@ -296,7 +290,7 @@ def _orders_tried(
 
 def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:
     """A law, fitted, and asked to predict what is left out."""
-    system, law, optimum = fitting.candidate(law, memory)
+    system, optimum = fitting.candidate(law, memory)
     if groups is None:
         return Tried(law.branches, law.degree, optimum, system, np.ones(1))
     least = (ROUNDED * float(np.ptp(system.force))) ** 2
@@ -323,7 +317,7 @@ def _noise(
 def _finished(
     fitting: _Fitting,
     chosen: Tried,
-    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Sequence[LogEvidence],
     memory: Memory,
     left_out: str,
     tick: Callable[[str], None],
@@ -333,18 +327,17 @@ def _finished(
     optimum = chosen.optimum
     tick("the optimum")
     for _ in range(2):
-        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        optimum = fitting.minimise(system, optimum.point, memory, 40)
         if system.effects.gain:
             fitting.scatter = scatter_of(system, optimum)
-            optimum = fitting.minimise(system, law, optimum.point, memory, 40)
-        seen = evidence(system, law, optimum)
-        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
+            optimum = fitting.minimise(system, optimum.point, memory, 40)
+        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
         wanted = Memory() if verdict.refuted else noise.memory
         if wanted == memory:
             break
         memory = wanted
     else:
-        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        optimum = fitting.minimise(system, optimum.point, memory, 40)
     return Identified(
         system=system, law=law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
         discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=request,
@@ -364,9 +357,7 @@ def refit(
     return minimise(
         identified.system,
         start or identified.optimum.point,
-        lambda point: prior_rows(
-            identified.system, identified.law, point, identified.scatter, request.priors, machine=machine
-        ),
+        partial(prior_rows, identified.system, identified.scatter, request.priors, machine=machine),
         memory=identified.optimum.noise.memory,
         machine=machine,
         steps=steps,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -57,9 +58,7 @@ def _held(identified: Identified, branch: int, value: float, start: Optimum) -> 
     return minimise(
         identified.system,
         replace(start.point, log_times=times),
-        lambda point: prior_rows(
-            identified.system, identified.law, point, identified.scatter, priors, machine=False
-        ),
+        partial(prior_rows, identified.system, identified.scatter, priors, machine=False),
         memory=identified.optimum.noise.memory,
         sigma_N=identified.optimum.noise.sigma_N,
         machine=False,

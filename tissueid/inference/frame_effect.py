@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,7 @@ def tip_handles(
             found = minimise(
                 system,
                 first,
-                lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False),
+                partial(prior_rows, system, Scatter(), Priors(), machine=False),
                 machine=False,
             )
             system.guess = system.tip_force(found.point)[0]
@@ -203,7 +204,7 @@ def machine_flag(
 ) -> Flag | None:
     """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against."""
     values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
-    words = {
+    needed = {
         "frame_compliance_mm_per_N": lambda value: f"a frame of {1.0 / max(value, 1e-9):.3g} N/mm",
         "skew_s": lambda value: f"channels {1e3 * abs(value):.3g} ms apart",
         "force_filter_s": lambda value: f"a force filter of {1e3 * value:.3g} ms",
@@ -218,11 +219,9 @@ def machine_flag(
         name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
     else:
         return None
-    return Flag(
-        "machine_implausible",
-        f"the fit needs {words[name](values[name])}, {why}",
-        {"name": name, "value": values[name], "deviations": far[name], "frame_share": share},
-    )
+    words = f"the fit needs {needed[name](values[name])}, {why}"
+    told = {"name": name, "value": values[name], "deviations": far[name], "frame_share": share}
+    return Flag("machine_implausible", words, told)
 
 
 def _shortest(fit: SpecimenFit) -> float:

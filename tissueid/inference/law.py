@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,36 +105,3 @@ class Slopes:
         for j, row in enumerate(() if self.inner is None else self.inner):
             out = out + relaxation_states(path, row * depth, self.tau_s[j : j + 1])[:, 0]
         return np.asarray(out)
-
-
-class Law(Protocol):
-    """A law with given orders in scaled units: depth over the largest depth, forces in N."""
-
-    @property
-    def times(self) -> int:
-        """Number of nonlinear parameters: logarithms of times."""
-        ...
-
-    @property
-    def linear(self) -> int:
-        """Number of linear parameters."""
-        ...
-
-    def along(self, logs: tuple[int, ...]) -> Law:
-        """The same law for a path of some of its logs."""
-        ...
-
-    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
-        """Columns of the linear parameters, shape (linear, m) [-].
-
-        Of n points of the parameters, (n, t) and a path of (n, m), they are (linear, n, m).
-        """
-        ...
-
-    def cone(self) -> FloatArray:
-        """Rows G with G @ linear >= 0 for passive tissue."""
-        ...
-
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
-        """Answer of the force to small changes of depth along a path."""
-        ...

@@ -103,10 +103,9 @@ def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatAr
     return np.reshape(rows, (len(rows), t + m + law.linear)), np.array(target)
 
 
-def prior_rows(
-    system: System, law: ChannelLaw, point: Point, scatter: Scatter, priors: Priors, *, machine: bool
-) -> PriorRows:
+def prior_rows(system: System, scatter: Scatter, priors: Priors, point: Point, *, machine: bool) -> PriorRows:
     """Priors around a point, where the largest states of the branches are taken."""
+    law = system.law
     t, m, p = law.times, len(MACHINE), law.linear
     force = float(np.abs(system.force).max())
     path = system.path(system.travel)

@@ -323,13 +323,8 @@ def with_moduli(
         formula, limits = next(iter(outside.items()))
         more = f"; {len(outside)} formulas in all" if len(outside) > 1 else ""
         values = {"formulas": list(outside), "depth_mm": full}
-        flags.append(
-            Flag(
-                "modulus_out_of_range",
-                f"at {full:.3g} mm {formula} is outside its range: {limits[0]}{more}",
-                values,
-            )
-        )
+        words = f"at {full:.3g} mm {formula} is outside its range: {limits[0]}{more}"
+        flags.append(Flag("modulus_out_of_range", words, values))
     return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -72,9 +73,7 @@ def _alone(identified: Identified, index: int) -> FloatArray:
     one = minimise(
         system,
         start,
-        lambda point: prior_rows(
-            system, law, point, identified.scatter, identified.request.priors, machine=False
-        ),
+        partial(prior_rows, system, identified.scatter, identified.request.priors, machine=False),
         machine=False,
         steps=STEPS,
     )

@@ -157,18 +157,20 @@ def unloading_verdict(
             if not followed.settled
             else "the free surface has several positions"
         )
+        words = f"unloading did not converge in {followed.rounds} rounds: {why}"
         flags.append(
             Flag(
                 "unloading_not_settled",
-                f"unloading did not converge in {followed.rounds} rounds: {why}",
+                words,
                 {"rounds": followed.rounds, "change_sd": report["change_sd"], "surface_unique": unique},
             )
         )
     if rms_air is not None and rms_air > AIR_MISFIT * sigma_N:
+        words = f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)"
         flags.append(
             Flag(
                 "contact_loss_misfit",
-                f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)",
+                words,
                 {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled},
             )
         )

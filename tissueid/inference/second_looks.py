@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import lmfit
@@ -172,7 +173,7 @@ def _ln_tau(identified: Identified, handles: Sequence[LogHandle], share: float) 
         best = minimise(
             system,
             start,
-            lambda point: prior_rows(system, law, point, identified.scatter, request.priors, machine=False),
+            partial(prior_rows, system, identified.scatter, request.priors, machine=False),
             machine=False,
             steps=STEPS,
         )

@@ -15,7 +15,7 @@ from tissueid.documents.identification import NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
-from tissueid.inference.evidence import LogEvidence, log_evidence
+from tissueid.inference.evidence import log_evidence
 from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
@@ -159,11 +159,7 @@ def identify_handles(
         blocks.append(blocks_of(handle, log))
         facts.append(log.without_samples())
         seen.append(log_evidence(trial, handle.segmentation, log))
-
-    def evidence(*_: object) -> Sequence[LogEvidence]:
-        return seen
-
-    return identify_logs(blocks, facts, evidence, request, tick), facts
+    return identify_logs(blocks, facts, seen, request, tick), facts
 
 
 def force_along(
@@ -483,12 +479,6 @@ def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
     if not others:
         return ()
-    words = ", ".join(f"{b} and {d}" for b, d in others[:3])
-    return (
-        Flag(
-            "model_undecided",
-            f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
-            f"{words}",
-            {"orders": [f"{b}x{d}" for b, d in others]},
-        ),
-    )
+    listed = ", ".join(f"{b} and {d}" for b, d in others[:3])
+    words = f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
+    return (Flag("model_undecided", words + listed, {"orders": [f"{b}x{d}" for b, d in others]}),)

@@ -13,7 +13,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.law import TINY, Law, Path, Slopes, driven, weighted
+from tissueid.inference.channel_law import ChannelLaw
+from tissueid.inference.law import TINY, Path, Slopes, driven, weighted
 
 #: Coordinates of the machine, in their order in a point.
 MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
@@ -108,7 +109,7 @@ class System:
     def __init__(
         self,
         logs: Sequence[Blocks],
-        law: Law,
+        law: ChannelLaw,
         depth_mm: float,
         effects: Effects,
         *,
@@ -145,7 +146,7 @@ class System:
         self.soft = np.ones(self.guess.size)
         self.onset = np.array([_onset(one) for one in logs]) / depth_mm
 
-    def under(self, law: Law) -> System:
+    def under(self, law: ChannelLaw) -> System:
         """The same logs under another law."""
         new = object.__new__(System)
         new.__dict__.update(self.__dict__)

@@ -148,21 +148,11 @@ def _trial_flags(
     left_out = _left_out(trial, segmentation, log)
     flags += [left_out] if left_out is not None else []
     if share > RESIDUAL_SHARE:
-        flags.append(
-            Flag(
-                "residual_large",
-                f"the largest residual is {100 * share:.1f} % of the force range",
-                {"max_residual_fraction": share},
-            )
-        )
+        words = f"the largest residual is {100 * share:.1f} % of the force range"
+        flags.append(Flag("residual_large", words, {"max_residual_fraction": share}))
     if acf > CORRELATED:
-        flags.append(
-            Flag(
-                "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f})",
-                {"residual_acf1": acf},
-            )
-        )
+        words = f"neighbouring residuals are correlated ({acf:.2f})"
+        flags.append(Flag("residual_correlated", words, {"residual_acf1": acf}))
     return tuple(flags)
 
 

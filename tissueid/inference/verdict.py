@@ -50,44 +50,24 @@ def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_
         value = float(tau[j])
         if interval.open_low or interval.open_high:
             side, end = ("shortest", interval.low) if interval.open_low else ("longest", interval.high)
-            flags.append(
-                Flag(
-                    "interval_open",
-                    f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
-                    {
-                        "branch": j + 1,
-                        "low_s": float(np.exp(interval.low)),
-                        "high_s": float(np.exp(interval.high)),
-                    },
-                )
-            )
+            words = f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here"
+            ends = {"low_s": float(np.exp(interval.low)), "high_s": float(np.exp(interval.high))}
+            flags.append(Flag("interval_open", words, {"branch": j + 1, **ends}))
         if value < 2.0 * h:
-            flags.append(
-                Flag(
-                    "tau_below_resolution",
-                    f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s",
-                    {"branch": j + 1, "tau_s": value, "step_s": h},
-                )
-            )
+            words = f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s"
+            flags.append(Flag("tau_below_resolution", words, {"branch": j + 1, "tau_s": value, "step_s": h}))
         amplitude = max(_relaxing_N(tissue, j, log) for log in facts)
         need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
         if amplitude < need:
+            words = f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N"
             flags.append(
-                Flag(
-                    "amplitude_small",
-                    f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N",
-                    {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need},
-                )
+                Flag("amplitude_small", words, {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need})
             )
     if (tau < INSTRUMENT_TAU_S).any():
-        flags.append(
-            Flag(
-                "compliance_unknown",
-                f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is "
-                "stated",
-                {"tau_s": float(tau.min())},
-            )
+        words = (
+            f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is stated"
         )
+        flags.append(Flag("compliance_unknown", words, {"tau_s": float(tau.min())}))
     return flags
 
 
@@ -98,41 +78,29 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
     depth = model.depth_mm
     stiffness = model.stiffness(tissue.theta, np.array([depth]))[:, 0]
     viscosity = float(stiffness @ model.times(tissue.theta))
-    return [
-        Flag(
-            "form_dependent",
-            f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K",
-            {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
-        )
-    ]
+    words = f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K"
+    return [Flag("form_dependent", words, {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity})]
 
 
 def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> list[Flag]:
     """Flags of the optimum itself: bounds, uniqueness after contact loss, the second optimiser."""
     flags: list[Flag] = []
     if tissue.bounded:
-        flags.append(
-            Flag(
-                "bound_active",
-                f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound",
-            )
-        )
+        words = f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound"
+        flags.append(Flag("bound_active", words))
     if not tissue.model.contact_loss_is_unique(tissue.theta):
-        flags.append(
-            Flag(
-                "contact_loss_ambiguous",
-                f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
-                "contact loss",
-            )
+        words = (
+            f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
+            "contact loss"
         )
+        flags.append(Flag("contact_loss_ambiguous", words))
     if optimisers["agree"] is False:
+        words = (
+            f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
+            "better was kept"
+        )
         flags.append(
-            Flag(
-                "optimisers_disagree",
-                f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
-                "better was kept",
-                {"relative_difference": optimisers["relative_difference"]},
-            )
+            Flag("optimisers_disagree", words, {"relative_difference": optimisers["relative_difference"]})
         )
     if not optimisers["lm_converged"] and not tissue.bounded:
         count = len(tissue.parameters)
@@ -147,11 +115,14 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     measured = noise.measured_N or 0.0
     ratio = noise.sigma_N / measured if measured > 0.0 else None
     times = "far above the" if ratio is None else f"{ratio:.2g} times the"
+    words = (
+        f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
+        f"range), {times} noise"
+    )
     return [
         Flag(
             "discrepancy",
-            f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
-            f"range), {times} noise",
+            words,
             {
                 "rms_N": noise.sigma_N,
                 "measured_N": measured,
@@ -186,29 +157,18 @@ def specimen_flags(
     flags += _relaxation_flags(tissue, facts, sigma_N)
     speed = one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):
-        flags.append(
-            Flag(
-                "single_speed",
-                f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone",
-                {"speed_mm_s": speed},
-            )
-        )
+        words = f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone"
+        flags.append(Flag("single_speed", words, {"speed_mm_s": speed}))
     flags += _form_flag(tissue, facts)
     flags += _optimum_flags(tissue, optimisers)
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED and noise is not None:
-        flags.append(
-            Flag(
-                "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f}): "
-                + (
-                    "standard errors for white noise are too small"
-                    if noise == "white"
-                    else "noise with memory, or a lacking model"
-                ),
-                {"residual_acf1": acf},
-            )
+        words = f"neighbouring residuals are correlated ({acf:.2f}): " + (
+            "standard errors for white noise are too small"
+            if noise == "white"
+            else "noise with memory, or a lacking model"
         )
+        flags.append(Flag("residual_correlated", words, {"residual_acf1": acf}))
     return tuple(flags)
 
 
@@ -252,11 +212,8 @@ def withheld(
         replace(one, identified=False, detail={**one.detail, "withheld": why}) if one.name in names else one
         for one in parameters
     )
-    flag = Flag(
-        "interval_withheld",
-        f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}",
-        {"names": list(names)},
-    )
+    words = f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}"
+    flag = Flag("interval_withheld", words, {"names": list(names)})
     return kept, (flag,)
 
 
@@ -285,22 +242,12 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
     flags = _misfit(posterior.misfit)
     if not sampler.converged:
         reason = str(sampler.detail.get("reason", "its rule was not met"))
-        flags.append(
-            Flag(
-                "sampler_not_converged",
-                f"the sampler stopped after {sampler.draws:,} draws, before its rule was met",
-                {"reason": reason},
-            )
-        )
+        words = f"the sampler stopped after {sampler.draws:,} draws, before its rule was met"
+        flags.append(Flag("sampler_not_converged", words, {"reason": reason}))
     total = sampler.detail.get("total")
     if total is not None and not total["converged"]:
-        flags.append(
-            Flag(
-                "sampler_not_converged",
-                f"no total interval: its draws are worth {total['worth']:.0f} independent ones",
-                {"total_worth": total["worth"]},
-            )
-        )
+        words = f"no total interval: its draws are worth {total['worth']:.0f} independent ones"
+        flags.append(Flag("sampler_not_converged", words, {"total_worth": total["worth"]}))
     flags += _machine(posterior)
     return tuple(flags)
 
@@ -315,23 +262,17 @@ def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
     if alarm is None or not alarm.raised:
         return []
     raised = [check for check in alarm.checks if check.raised]
-    return [
-        Flag(
-            "misfit",
-            f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
-            "checks): no interval holds",
-            {"checks": [check.name for check in raised]},
-        )
-    ]
+    words = (
+        f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
+        "checks): no interval holds"
+    )
+    return [Flag("misfit", words, {"checks": [check.name for check in raised]})]
 
 
 def without_posterior(error: Exception) -> Flag:
     """Remark on a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
-    return Flag(
-        "sampler_not_converged",
-        "no posterior could be sampled: standard errors only",
-        {"reason": str(error)},
-    )
+    words = "no posterior could be sampled: standard errors only"
+    return Flag("sampler_not_converged", words, {"reason": str(error)})
 
 
 def _machine(posterior: Posterior) -> list[Flag]:
@@ -345,13 +286,8 @@ def _machine(posterior: Posterior) -> list[Flag]:
     rows = [row for row in posterior.budget if row.parameter == VISCOSITY and row.share is not None]
     parts = [row for row in rows if row.source not in {"total", "noise"}]
     worst = max(parts, key=lambda row: row.sd or 0.0).source if parts else "the machine"
-    return [
-        Flag(
-            "calibration_dominates",
-            f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}",
-            {"ratio": total / statistical, "source": worst},
-        )
-    ]
+    words = f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}"
+    return [Flag("calibration_dominates", words, {"ratio": total / statistical, "source": worst})]
 
 
 #: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.

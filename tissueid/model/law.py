@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
@@ -65,6 +67,23 @@ class StaticLaw(Protocol):
     def slope(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """Their derivatives by depth, (...) -> (p, ...)."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPower:
+    """Static law of a tip whose shape is known: c times a power of depth."""
+
+    power: ClassVar[float]
+    polynomial: ClassVar[bool] = False
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+
+    def basis(self, depth_mm: FloatArray) -> FloatArray:
+        """The power of depth."""
+        return np.asarray(depth_mm**self.power)[None]
+
+    def slope(self, depth_mm: FloatArray) -> FloatArray:
+        """Its derivative."""
+        return np.asarray(self.power * depth_mm ** (self.power - 1.0))[None]
 
 
 class StiffnessLaw(Protocol):

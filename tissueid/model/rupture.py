@@ -33,8 +33,8 @@ from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 
 #: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.
 RAMP_DEPTHS = 4001
-#: Two Gauss points integrate K_j(y) u exactly: degree 3 at the most.
-GAUSS_AT = ((1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0)
+#: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
+NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def rupture_measures(
     force = elastic + dynamic
     steps = 0.5 * (force[1:] + force[:-1]) * np.diff(x)
     stored = x * x * (static[0] / 2.0 + x * (static[1] / 3.0 + x * static[2] / 4.0))
-    for share in GAUSS_AT:
+    for share in (NEAR, FAR):
         for branch, state in enumerate(states):
             stored = (
                 stored + 0.5 * share * state**2 * model.stiffness(theta, x - (1.0 - share) * state)[branch]
@@ -129,10 +129,6 @@ def hardening_ratio(model: ChannelModel, theta: FloatArray, depth_mm: float, for
     static, _, _ = model.split(theta)
     slope = static[0] + depth_mm * (2.0 * static[1] + 3.0 * static[2] * depth_mm)
     return float(depth_mm * slope / force_N)
-
-
-#: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
-NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 
 
 @tick_part
