@@ -64,23 +64,18 @@ def test_noise_of_the_travel_is_averaged_and_not_followed():
     assert off.max() < 4.0 * 0.002
 
 
-def test_a_short_log_is_kept_sample_by_sample():
+def test_a_short_log_is_kept_sample_by_sample_and_a_long_one_where_asked():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
+    found = blocks_from(log_data(time, depth, direct(time, depth)), whole=True)
+    assert found.force_N.size == time.size
     time, depth = ramp_hold(100.0, 4.0, 4.0, 2.0)
     assert time.size <= SAMPLED
-    include = np.ones(time.size, dtype=bool)
-    include[:5] = False
+    include = np.arange(time.size) >= 5
     found = blocks_from(log_data(time, depth, direct(time, depth), include=include))
     np.testing.assert_array_equal(found.force_N, direct(time, depth)[5:])
     np.testing.assert_array_equal(found.mid_s, time[5:])
     assert (found.count == 1).all()
-    assert found.within_freedom == 0
-    assert found.chain.sum() == 1
-
-
-def test_whole_keeps_every_sample_of_a_long_log():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
-    found = blocks_from(log_data(time, depth, direct(time, depth)), whole=True)
-    assert found.force_N.size == time.size
+    assert (found.within_freedom, found.chain.sum()) == (0, 1)
 
 
 def test_blocks_grow_behind_the_corner():

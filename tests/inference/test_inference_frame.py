@@ -104,17 +104,12 @@ def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
         assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
 
 
-def test_forces_far_beyond_the_calibration_are_told():
+def test_forces_far_beyond_the_calibration_are_told_and_a_moving_mean_keeps_a_line():
     curve = FrameCurve(
         np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0)
     )
-    assert beyond_calibration(curve, 151.0)
-    assert not beyond_calibration(curve, 149.0)
+    assert [beyond_calibration(curve, force) for force in (149.0, 151.0)] == [False, True]
     assert not beyond_calibration(linear_frame(STIFFNESS), 1e9)
-
-
-def test_a_moving_mean_keeps_a_constant_and_its_length():
-    np.testing.assert_allclose(_moving_mean(np.full(30, 2.0), 11), 2.0)
     values = np.arange(20.0)
     np.testing.assert_allclose(_moving_mean(values, 5)[2:-2], values[2:-2])
     assert _moving_mean(values, 5).size == 20

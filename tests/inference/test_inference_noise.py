@@ -53,12 +53,15 @@ def laid_out(count, step_s, gap_s):
     return np.array(first)
 
 
+COUNT = np.array([3, 1, 4, 1, 5, 9, 2])
+#: Samples of each block, a chain that starts, and a block that comes late.
 CASES = {
     "samples": (np.ones(40, dtype=int), None, None),
     "alike": (np.full(12, 5), None, None),
     "growing": (np.array([1, 1, 2, 3, 1, 5, 8, 13, 40, 7, 1]), None, None),
-    "gap": (np.array([3, 1, 4, 1, 5, 9, 2]), [3], None),
-    "late": (np.array([3, 1, 4, 1, 5, 9, 2]), None, 4),
+    "gap": (COUNT, 3, None),
+    "late": (COUNT, None, 4),
+    "steps": (np.random.default_rng(2).integers(1, 9, 15), None, None),
 }
 
 
@@ -68,15 +71,13 @@ CASES = {
 )
 def test_determinant_and_quadratic_form_are_those_of_the_dense_covariance(case, memory):
     count, starts, late = CASES[case]
-    chain = np.arange(count.size) == 0
-    if starts is not None:
-        chain[starts] = True
-    step = np.full(count.size, STEP)
-    gap = np.full(count.size, STEP)
+    rng, chain = np.random.default_rng(1), np.isin(np.arange(count.size), [0, starts or 0])
+    step = np.full(count.size, STEP) * (rng.uniform(0.3, 3.0, count.size) if case == "steps" else 1.0)
+    gap = step * (rng.uniform(1.0, 4.0, count.size) if case == "steps" else 1.0)
     if late is not None:
         gap[late] = 7.3 * STEP
     covariance = dense(count, laid_out(count, step, gap), step, chain, memory)
-    columns = np.random.default_rng(1).standard_normal((count.size, 3))
+    columns = rng.standard_normal((count.size, 3))
     white = whitener(count.astype(float), step, gap, chain, memory)
     whitened = white(columns)
     assert white.log_det == pytest.approx(float(np.linalg.slogdet(covariance)[1]), abs=1e-9)
@@ -84,19 +85,6 @@ def test_determinant_and_quadratic_form_are_those_of_the_dense_covariance(case, 
         whitened.T @ whitened, columns.T @ np.linalg.solve(covariance, columns), rtol=1e-9, atol=1e-9
     )
     np.testing.assert_array_equal(white(columns[:, 0]), whitened[:, 0])
-
-
-def test_blocks_of_different_steps_are_whitened_exactly():
-    rng = np.random.default_rng(2)
-    count, step = rng.integers(1, 9, 15), STEP * rng.uniform(0.3, 3.0, 15)
-    gap = step * rng.uniform(1.0, 4.0, 15)
-    chain = np.arange(15) == 0
-    memory = Memory(0.07, 0.2)
-    covariance = dense(count, laid_out(count, step, gap), step, chain, memory)
-    e = rng.standard_normal(15)
-    white = whitener(count.astype(float), step, gap, chain, memory)
-    assert white(e) @ white(e) == pytest.approx(float(e @ np.linalg.solve(covariance, e)), rel=1e-9)
-    assert white.log_det == pytest.approx(float(np.linalg.slogdet(covariance)[1]), abs=1e-9)
 
 
 def test_a_long_series_becomes_white():
@@ -163,8 +151,7 @@ def test_noise_with_any_memory_is_refuted_in_at_most_three_per_cent(phi: float) 
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_smooth_miss_of_a_model_is_no_noise(size: float) -> None:
     # a ramp and the start of its hold are missed by far more than what the late hold shows
-    rng = np.random.default_rng(5)
-    time = SLOW_STEP * np.arange(150)
+    rng, time = np.random.default_rng(5), SLOW_STEP * np.arange(150)
     for _ in range(20):
         miss = size * np.sin(2.0 * time) * np.exp(-((time - 3.0) ** 2))
         verdict = judged(miss + 0.001 * rng.standard_normal(150), slice(75, 150))
@@ -172,21 +159,14 @@ def test_a_smooth_miss_of_a_model_is_no_noise(size: float) -> None:
         assert verdict.measured_N == pytest.approx(0.001, rel=0.5)
 
 
-def test_noise_that_is_louder_in_the_ramp_but_white_is_told_by_its_size() -> None:
+def test_noise_that_is_louder_in_the_ramp_is_told_by_its_size_and_digits_set_a_floor() -> None:
     rng = np.random.default_rng(6)
-    residual = rng.standard_normal(400)
-    residual[:200] *= 30.0
-    residual[200:] *= 0.1
+    residual = rng.standard_normal(400) * np.where(np.arange(400) < 200, 30.0, 0.1)
     assert judged(residual, slice(200, 400)).refuted
-
-
-def test_digits_set_a_floor_to_the_noise() -> None:
-    rng = np.random.default_rng(7)
-    quantum = 0.1
-    force = np.round(np.linspace(0.0, 5.0, 300) + 0.02 * rng.standard_normal(300), 1)
-    residual = force - np.linspace(0.0, 5.0, 300)
-    residual[150:] = quantum / 4.0
-    assert not judged(residual, slice(150, 300), quantum=quantum).refuted
+    line = np.linspace(0.0, 5.0, 300)
+    residual = np.round(line + 0.02 * rng.standard_normal(300), 1) - line
+    residual[150:] = 0.1 / 4.0
+    assert not judged(residual, slice(150, 300), quantum=0.1).refuted
 
 
 def test_one_log_without_a_quiet_stretch_does_not_bend_to_correlation() -> None:

@@ -105,30 +105,31 @@ def test_nothing_is_said_beyond_the_hold_nor_between_two_samples(fit):
     assert "outside" in find(asked, "tan_delta", frequency_Hz=50.0).reason
 
 
-def test_a_plateau_that_was_not_seen_is_not_quoted():
-    slow = small_recipe(branches=(Branch((30.0,), 4.0),), sigma_N=0.05)
-    ratio = find(fitted(recipe=slow).quoted.model, "peak_to_plateau", path="step")
-    assert ratio.value is None
-    assert "plateau was not seen" in ratio.reason
+SLOW = small_recipe(branches=(Branch((30.0,), 4.0),), sigma_N=0.05)
+#: One slow ramp: the branch is a straight line beside the static force.
+STRAIGHT = small_recipe(
+    branches=(Branch((5.0,), 0.01),), sigma_N=2.0, logs=(Log("slow", (Move(4.0, 30.0), Hold(2.0))),)
+)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "name", "at", "reason"),
+    [
+        (SLOW, "peak_to_plateau", {"path": "step"}, "plateau was not seen"),
+        (STRAIGHT, "loss_stiffness", {"frequency_Hz": 3.0}, "determine"),
+    ],
+)
+def test_what_the_data_do_not_determine_is_null_with_its_reason(recipe, name, at, reason):
+    one = find(fitted(recipe=recipe).quoted.model, name, **at)
+    assert one.value is None
+    assert reason in one.reason
 
 
 def test_without_a_hold_the_ramp_s_relaxation_is_not_invented():
-    ramps = small_recipe(branches=(TRUE,))
-    ramps = replace(ramps, logs=ramps.logs[:3])
-    model = fitted(recipe=ramps).quoted.model
-    assert all(one.value is None for one in model if one.at.get("path") == "ramp")
-    assert fitted(recipe=ramps).quoted.spectra == ()
-
-
-def test_what_the_data_do_not_determine_is_null():
-    # one slow ramp: the branch is a straight line beside the static force
-    slow = small_recipe(branches=(Branch((5.0,), 0.01),), sigma_N=2.0)
-    slow = replace(slow, logs=(Log("slow", (Move(4.0, 30.0), Hold(2.0))),))
-    found = fitted(recipe=slow)
-    assert not found.parameter("relaxation_time_s").identified
-    loss = find(found.quoted.model, "loss_stiffness", frequency_Hz=3.0)
-    assert loss.value is None
-    assert "determine" in loss.reason
+    plan = small_recipe(branches=(TRUE,))
+    quoted = fitted(recipe=replace(plan, logs=plan.logs[:3])).quoted
+    assert all(one.value is None for one in quoted.model if one.at.get("path") == "ramp")
+    assert quoted.spectra == ()
 
 
 def test_moduli_are_forces_over_the_tip_s_geometry(fit):
@@ -149,13 +150,12 @@ def test_moduli_are_forces_over_the_tip_s_geometry(fit):
     assert fit.quoted.assumptions["poisson"] == 0.5
 
 
-def test_drainage_under_a_small_tip_is_warned_of():
+def test_drainage_under_a_small_tip_is_warned_of(fit):
     tiny = fitted(geometry=Geometry(Indenter("flat", 0.02)))
     flag = next(flag for flag in tiny.flags if flag.code == "poroelastic")
     # a^2/D for D of 1e-2 and 1e-5 mm2/s
     assert (flag.values["from_s"], flag.values["to_s"]) == pytest.approx((0.04, 40.0))
-    wide = fitted(geometry=Geometry(Indenter("flat", 3.0)))
-    assert not [flag for flag in wide.flags if flag.code == "poroelastic"]
+    assert not [flag for flag in fit.flags if flag.code == "poroelastic"]
 
 
 def test_without_a_tip_there_is_no_modulus():
@@ -164,10 +164,9 @@ def test_without_a_tip_there_is_no_modulus():
     assert stated_geometry({"shape": "other"}, 10.0, 0.5) is None
     known = stated_geometry({"shape": "flat", "radius_mm": 2.0, "material": "steel"}, 10.0, 0.4)
     assert known == Geometry(Indenter("flat", 2.0), 10.0, 0.4)
-    with pytest.raises(ValueError, match="Poisson"):
-        Geometry(Indenter("flat", 2.0), poisson=0.7)
-    with pytest.raises(ValueError, match="thickness"):
-        Geometry(Indenter("flat", 2.0), thickness_mm=-1.0)
+    for wrong, said in (({"poisson": 0.7}, "Poisson"), ({"thickness_mm": -1.0}, "thickness")):
+        with pytest.raises(ValueError, match=said):
+            Geometry(Indenter("flat", 2.0), **wrong)
 
 
 DEPTHS = np.repeat([1.0, 2.0, 4.0, 8.0], 2)
@@ -179,43 +178,30 @@ def scattered(times: np.ndarray, sd: float = 0.05) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("times", "verdict"),
-    [(0.4 * DEPTHS, "drainage"), (np.full(8, 0.4), "viscous"), (0.4 * DEPTHS**0.5, "neither")],
+    ("depths", "times", "verdict"),
+    [
+        (DEPTHS, scattered(0.4 * DEPTHS), "drainage"),
+        (DEPTHS, scattered(np.full(8, 0.4)), "viscous"),
+        (DEPTHS, scattered(0.4 * DEPTHS**0.5), "neither"),
+        ([1.0, 2.0, 4.0], [0.2, 3.0, 0.4], "can't decide"),
+    ],
 )
-def test_the_slope_decides(times: np.ndarray, verdict: str) -> None:
-    slope, flags = depth_test(BALL, list(DEPTHS), scattered(times))
+def test_the_slope_decides(depths: list[float], times: list[float], verdict: str) -> None:
+    slope, flags = depth_test(BALL, list(depths), times)
     assert slope is not None
     assert slope.at["verdict"] == verdict
     assert slope.at["low"] <= slope.value <= slope.at["high"]
     assert [flag.code for flag in flags] == ["poroelastic"] * (verdict == "drainage")
 
 
-def test_times_that_scatter_decide_nothing() -> None:
-    slope, flags = depth_test(BALL, [1.0, 2.0, 4.0], [0.2, 3.0, 0.4])
-    assert slope is not None
-    assert slope.at["verdict"] == "can't decide"
-    assert flags == ()
-
-
-def test_a_buried_tip_decides_nothing_and_says_so() -> None:
+def test_without_two_contacts_there_is_no_test_and_a_buried_tip_says_so() -> None:
     slope, flags = depth_test(Geometry(Indenter("sphere", 5.0)), [1.0, 2.0, 4.0], [1.0, 2.0, 4.0])
     assert slope is not None
-    assert slope.value is None
+    assert (slope.value, flags) == (None, ())
     assert "4 mm of depth, 5 mm of radius" in slope.reason
-    assert flags == ()
-
-
-@pytest.mark.parametrize(
-    ("geometry", "depths"),
-    [
-        (None, [1.0, 2.0, 4.0]),
-        (Geometry(Indenter("flat", 5.0)), [1.0, 2.0, 4.0]),
-        (BALL, [4.0, 4.0, 4.0]),
-        (BALL, [1.0, 4.0]),
-    ],
-)
-def test_without_two_contacts_there_is_no_test(geometry: Geometry | None, depths: list[float]) -> None:
-    assert depth_test(geometry, depths, [1.0] * len(depths)) == (None, ())
+    three, flat = [1.0, 2.0, 4.0], Geometry(Indenter("flat", 5.0))
+    for geometry, depths in ((None, three), (flat, three), (BALL, [4.0, 4.0, 4.0]), (BALL, [1.0, 4.0])):
+        assert depth_test(geometry, depths, [1.0] * len(depths)) == (None, ())
 
 
 @pytest.mark.parametrize("ramp_s", [0.0, 0.5])
@@ -245,25 +231,19 @@ def relaxing(time):
     return PLATEAU + FAST[0] * np.exp(-time / FAST[1]) + SLOW[0] * np.exp(-time / SLOW[1])
 
 
-def held_trial(hold_s=30.0, *, noise=0.0, seed=0):
+def test_the_longest_hold_tells_how_it_was_reached_and_standing_in_air_is_none():
     """A linear ramp of one second to 12 N, then the relaxation above."""
-    time = np.arange(int((1.0 + hold_s) * RATE) + 1) / RATE
-    corner = int(RATE)
-    depth = np.minimum(time, 1.0) * 3.0
-    force = np.where(time < 1.0, 12.0 * time, relaxing(np.maximum(time - 1.0, 0.0)))
-    force = force + noise * np.random.default_rng(seed).standard_normal(time.size)
-    phases = (
-        Phase("ramp", 0, corner + 1, 0.0, 1.0, 3.0),
-        Phase("hold", corner, time.size, 1.0, float(time[-1]), 0.0),
-    )
-    contact = Contact(index=0, displacement_mm=0.0, sd_mm=1e-3)
-    trial = Trial("knee", time, depth, force, source=Source(path="hold.csv"))
-    return trial, Segmentation(1, 1, contact, phases, noise)
-
-
-def test_the_longest_hold_tells_how_it_was_reached():
-    found = hold_numbers(*held_trial())
+    time = np.arange(int(31.0 * RATE) + 1) / RATE
+    corner, force = int(RATE), np.where(time < 1.0, 12.0 * time, relaxing(np.maximum(time - 1.0, 0.0)))
+    ramp = Phase("ramp", 0, corner + 1, 0.0, 1.0, 3.0)
+    hold = Phase("hold", corner, time.size, 1.0, float(time[-1]), 0.0)
+    trial = Trial("knee", time, np.minimum(time, 1.0) * 3.0, force, source=Source(path="hold.csv"))
+    segmentation = Segmentation(1, 1, Contact(0, 0.0, 1e-3), (ramp, hold), 0.01)
+    found = hold_numbers(trial, segmentation)
     assert (found.longest_s, found.speed_mm_s, found.depth_mm) == pytest.approx((30.0, 3.0, 3.0))
+    quiet = replace(trial, force_N=np.full(time.size, 0.01))
+    assert hold_numbers(quiet, segmentation).longest_s == 0.0
+    assert hold_numbers(trial, replace(segmentation, contact=None)).spectra == ()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.2])
@@ -289,10 +269,3 @@ def test_smoothing_grows_with_the_noise():
     weights = [relaxation_spectrum(time, relaxing(time) + sd * draws)[3] for sd in (0.002, 0.02, 0.2)]
     assert weights == sorted(weights)
     assert weights[-1] > weights[0]
-
-
-def test_standing_in_air_is_no_hold_and_without_contact_there_is_nothing():
-    trial, segmentation = held_trial(noise=0.01)
-    quiet = replace(trial, force_N=np.zeros(trial.time_s.size) + 0.01)
-    assert hold_numbers(quiet, segmentation).longest_s == 0.0
-    assert hold_numbers(trial, replace(segmentation, contact=None)).spectra == ()

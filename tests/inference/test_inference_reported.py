@@ -29,64 +29,51 @@ SIGMA = 0.3
 
 
 def bands_of(
-    fit: SpecimenFit, force_of: Callable[[np.ndarray], np.ndarray], vectors: np.ndarray
-) -> list[np.ndarray]:
-    """Bands of logs whose observations are the samples of their curves."""
+    count: int, change_of: Callable[[np.ndarray, float], np.ndarray], vectors: np.ndarray | None = None
+) -> tuple[SpecimenFit, list[np.ndarray]]:
+    """Bands of logs whose observations are the samples of their curves; what a draw makes of their force."""
+    fit = specimen_fit(trials=count, samples=300)
+    fit = replace(fit, trials=fit.trials[:count])
     times = [trial.curve.time_s for trial in fit.trials]
+    force = np.concatenate([trial.curve.model_N for trial in fit.trials])
     system = SimpleNamespace(
         log=np.repeat(np.arange(len(times)), [one.size for one in times]),
         mid=np.concatenate(times),
         logs=[SimpleNamespace(time_s=one) for one in times],
     )
-    target = SimpleNamespace(system=system, forces=lambda x: np.stack([force_of(one) for one in x]))
-    return list(predictive_bands(fit, target, vectors, sigma_N=SIGMA).values())  # type: ignore[arg-type]
+    target = SimpleNamespace(
+        system=system, forces=lambda x: np.stack([change_of(force, one[0]) for one in x])
+    )
+    vectors = np.random.default_rng(0).standard_normal((BAND_DRAWS, 1)) if vectors is None else vectors
+    return fit, list(predictive_bands(fit, target, vectors, sigma_N=SIGMA).values())  # type: ignore[arg-type]
 
 
-def one_log() -> SpecimenFit:
-    fit = specimen_fit(trials=1, samples=300)
-    return replace(fit, trials=fit.trials[:1])
+FAR_OUT = np.where(np.arange(BAND_DRAWS) == 3, 1e4, 0.0)[:, None]
 
 
-def spread(size: int = BAND_DRAWS) -> np.ndarray:
-    """Normal draws of one coordinate."""
-    return np.random.default_rng(0).standard_normal((size, 1))
-
-
-def test_where_everything_is_known_the_noise_is_the_band() -> None:
-    fit = one_log()
-    force = fit.trials[0].curve.model_N
-    ((low, middle, high),) = bands_of(fit, lambda _: force, spread())
-    assert np.array_equal(middle, force)
-    assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-4)
+@pytest.mark.parametrize(
+    ("count", "change_of", "vectors"),
+    [
+        (1, lambda force, _: force, None),
+        (1, lambda force, x: force + x, FAR_OUT),
+        # a log among others takes up by its gain what all depths share
+        (2, lambda force, x: force * (1.0 + 0.1 * x), None),
+    ],
+)
+def test_where_draws_tell_nothing_more_the_noise_is_the_band(count, change_of, vectors) -> None:
+    fit, bands = bands_of(count, change_of, vectors)
+    for trial, (low, middle, high) in zip(fit.trials, bands, strict=True):
+        assert np.array_equal(middle, trial.curve.model_N)
+        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-3)
 
 
 def test_draws_widen_the_band_by_their_spread() -> None:
-    fit = one_log()
-    force = fit.trials[0].curve.model_N
-    slope = np.linspace(0.0, 2.0, force.size)
-    ((low, _, high),) = bands_of(fit, lambda x: force + slope * x[0], spread())
+    slope = np.linspace(0.0, 2.0, 300)
+    _, ((low, _, high),) = bands_of(1, lambda force, x: force + slope[: force.size] * x)
     # a hundred draws know their spread to some ten per cent
-    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(slope, SIGMA), rel=0.2)
+    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(slope[: low.size], SIGMA), rel=0.2)
     assert (high - low)[-1] > 4.0 * (high - low)[0]
-
-
-def test_one_draw_far_out_does_not_make_the_band() -> None:
-    fit = one_log()
-    force = fit.trials[0].curve.model_N
-    vectors = np.zeros((BAND_DRAWS, 1))
-    vectors[3] = 1e4
-    ((low, _, high),) = bands_of(fit, lambda x: force + x[0], vectors)
-    assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-3)
-
-
-def test_a_log_among_others_takes_up_by_its_gain_what_all_depths_share() -> None:
-    fit = specimen_fit(trials=2, samples=300)
-    force = np.concatenate([trial.curve.model_N for trial in fit.trials])
-    for low, _, high in bands_of(fit, lambda x: force * (1.0 + 0.1 * x[0]), spread()):
-        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-3)
-    alone = one_log()
-    own = alone.trials[0].curve.model_N
-    ((low, _, high),) = bands_of(alone, lambda x: own * (1.0 + 0.1 * x[0]), spread())
+    _, ((low, _, high),) = bands_of(1, lambda force, x: force * (1.0 + 0.1 * x))
     assert (high - low).max() > 2 * 2 * 1.96 * SIGMA
 
 
@@ -139,27 +126,22 @@ def test_every_parameter_has_its_rows_noise_first_and_the_total_last():
     vectors, gains, value = drawn(500)
     rows = uncertainty_budget(target(), vectors, gains, {"a": value, "b": 2.0 * value})
     assert [row.parameter for row in rows] == ["a"] * 8 + ["b"] * 8
-    assert [row.source for row in rows][::8] == ["noise", "noise"]
-    assert [row.source for row in rows][7::8] == [TOTAL, TOTAL]
+    assert [(row.source, last.source) for row, last in zip(rows[::8], rows[7::8], strict=True)] == [
+        ("noise", TOTAL)
+    ] * 2
     assert rows[8 + 3].sd == pytest.approx(2.0 * rows[3].sd)
-
-
-def test_what_is_held_is_no_source():
     free = np.array([name not in {"contact", "skew_s"} for name in NAMES])
-    vectors, gains, value = drawn(500)
-    sources = {row.source for row in uncertainty_budget(target(free), vectors, gains, {"a": value})}
-    assert sources == {"noise", "frame", "force filter", "force gain", "displacement gain", TOTAL}
+    held = {row.source for row in uncertainty_budget(target(free), vectors, gains, {"a": value})}
+    assert held == {"noise", "frame", "force filter", "force gain", "displacement gain", TOTAL}
 
 
 def test_what_is_known_exactly_has_no_share():
     vectors, gains, value = drawn(2_000)
     vectors[:, 1], gains[:, 0] = 0.0, 1.0
     rows = {row.source: row for row in uncertainty_budget(target(), vectors, gains, {"a": value})}
-    assert rows["frame"].share == pytest.approx(0.0, abs=1e-12)
-    assert rows["force gain"].share == pytest.approx(0.0, abs=1e-12)
-    still = {row.source: row for row in uncertainty_budget(target(), vectors, gains, {"a": np.ones(2_000)})}
-    assert still[TOTAL].sd == 0.0
-    assert all(row.sd == 0.0 for row in still.values())
+    assert (rows["frame"].share, rows["force gain"].share) == pytest.approx((0.0, 0.0), abs=1e-12)
+    still = uncertainty_budget(target(), vectors, gains, {"a": np.ones(2_000)})
+    assert all(row.sd == 0.0 for row in still)
 
 
 MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0)
@@ -193,18 +175,19 @@ def uncertainties(theta: np.ndarray, wider: float | None = 1.5) -> dict[str, Par
     return out
 
 
-def test_values_inside_their_intervals_are_coherent() -> None:
-    found = uncertainties(draws(OPTIMUM, np.random.default_rng(1)))
-    assert outside(tissue().parameters, found) == ()
-    # nearly half of an interval from its ends is its middle: most values are not there
-    assert len(outside(tissue().parameters, found, margin=0.499)) >= 4
-
-
 def test_a_value_outside_an_interval_of_its_is_named() -> None:
-    found = uncertainties(draws(OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0]), np.random.default_rng(2)))
-    assert outside(tissue().parameters, found) == ("static_1_N_per_mm",)
-    none = tuple(replace(one, value=None) for one in tissue().parameters)
-    assert outside(none, found) == ()
+    parameters, rng = tissue().parameters, np.random.default_rng(1)
+    found = uncertainties(draws(OPTIMUM, rng))
+    assert outside(parameters, found) == ()
+    # nearly half of an interval from its ends is its middle: most values are not there
+    assert len(outside(parameters, found, margin=0.499)) >= 4
+    shifted = uncertainties(draws(OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0]), rng))
+    assert outside(parameters, shifted) == ("static_1_N_per_mm",)
+    assert outside(tuple(replace(one, value=None) for one in parameters), shifted) == ()
+    # a total interval that is missing counts as outside where others have one
+    name = next(iter(found))
+    assert outside(parameters, found | {name: replace(found[name], ci95_total=None)}) == (name,)
+    assert outside(parameters, uncertainties(draws(OPTIMUM, rng), wider=None)) == ()
 
 
 def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:
@@ -215,16 +198,6 @@ def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:
     assert not any(one.identified for one in bare.parameters)
     assert bare.flags == (*fit.flags, flag)
     assert bare.parameters[0].detail["withheld"] == "no posterior could be sampled"
-
-
-def test_a_total_interval_that_is_missing_counts_as_outside_where_others_have_one() -> None:
-    theta = draws(OPTIMUM, np.random.default_rng(3))
-    found = uncertainties(theta)
-    one = found["stiffness_N_per_mm"] if "stiffness_N_per_mm" in found else found[next(iter(found))]
-    name = next(key for key, value in found.items() if value is one)
-    found[name] = ParameterUncertainty(one.mean, one.sd, one.ci95, None, 1.0, 1.0, 1.0)
-    assert outside(tissue().parameters, found) == (name,)
-    assert outside(tissue().parameters, uncertainties(theta, wider=None)) == ()
 
 
 def test_what_is_withheld_is_not_identified_and_says_why() -> None:

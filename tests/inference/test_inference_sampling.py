@@ -149,39 +149,32 @@ def test_points_weights_and_generator_come_back_bit_for_bit(tmp_path):
     "how", ["another key", "another size", "cut", "empty", "noise", "objects", "missing", "other"]
 )
 def test_what_cannot_be_gone_on_from_is_left_aside(tmp_path, how):
-    path, key, size = tmp_path / "liver.npz", "key", 3
+    path = tmp_path / "liver.npz"
     kept(path)
     content = path.read_bytes()
-    if how == "another key":
-        key = "other"
-    elif how == "another size":
-        size = 4
-    elif how == "cut":
-        path.write_bytes(content[: len(content) // 2])
-    elif how == "empty":
-        path.write_bytes(b"")
-    elif how == "noise":
-        path.write_bytes(np.random.default_rng(32).bytes(5000))
+    spoiled = {
+        "cut": content[: len(content) // 2],
+        "empty": b"",
+        "noise": np.random.default_rng(32).bytes(5000),
+    }
+    if how in spoiled:
+        path.write_bytes(spoiled[how])
     elif how == "objects":
         np.savez(path, key=np.array("key"), points=np.array([{"any": "object"}], dtype=object))
     elif how == "missing":
         path.unlink()
-    else:
+    elif how == "other":
         np.savez(path, points=np.zeros(3))
-    rng = np.random.default_rng(8)
-    points, weights = Checkpoint(path, key).resume(rng, size)
-    assert points.shape == (0, size)
-    assert weights.size == 0
+    rng, size = np.random.default_rng(8), 4 if how == "another size" else 3
+    points, weights = Checkpoint(path, "other" if how == "another key" else "key").resume(rng, size)
+    assert (points.shape, weights.size) == ((0, size), 0)
     np.testing.assert_array_equal(rng.standard_normal(3), np.random.default_rng(8).standard_normal(3))
 
 
-def test_without_a_path_nothing_is_kept(tmp_path):
+def test_without_a_path_or_a_folder_that_can_be_written_nothing_is_kept_or_stopped(tmp_path):
     kept(None)
     assert list(tmp_path.iterdir()) == []
     assert Checkpoint(None, "key").resume(np.random.default_rng(1), 2)[0].shape == (0, 2)
-
-
-def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
     (tmp_path / "taken").write_text("a file where the folder should be")
     kept(tmp_path / "taken" / "liver.npz")
     assert (tmp_path / "taken").read_text() == "a file where the folder should be"
@@ -212,11 +205,18 @@ def test_medians_of_a_generalised_posterior_hardly_depend_on_the_seed():
     assert all(one.detail["effective_draws"] > 2_000 for one in chains)
 
 
-def test_equal_weights_are_worth_all_their_draws():
+def test_equal_weights_are_worth_all_their_draws_and_none_outside():
     found = smoothed(np.full(500, 3.0))
     np.testing.assert_allclose(found.weights, 1.0 / 500)
     assert found.worth == pytest.approx(500.0)
     assert found.pareto < 0.0
+    log_weight = np.where(np.arange(400) % 2, 0.0, -np.inf)
+    found = smoothed(log_weight)
+    assert (found.weights[::2] == 0.0).all()
+    assert found.worth == pytest.approx(200.0)
+    log_weight[40:] = -np.inf
+    none = smoothed(log_weight)
+    assert (none.worth, none.pareto) == (0.0, np.inf)
 
 
 def test_a_proposal_that_is_wide_enough_gives_the_moments():
@@ -250,15 +250,3 @@ def test_a_single_giant_is_cut_down_to_its_tail():
     # weights keep their order
     order = np.argsort(log_weight)
     assert (np.diff(found.weights[order]) >= -1e-15).all()
-
-
-def test_draws_outside_weigh_nothing_and_too_few_inside_are_none():
-    log_weight = np.zeros(400)
-    log_weight[::2] = -np.inf
-    found = smoothed(log_weight)
-    assert (found.weights[::2] == 0.0).all()
-    assert found.worth == pytest.approx(200.0)
-    log_weight[40:] = -np.inf
-    none = smoothed(log_weight)
-    assert none.worth == 0.0
-    assert none.pareto == np.inf

@@ -186,13 +186,17 @@ def test_one_time_is_the_same_in_every_window():
     assert found.slope_stderr < 0.02
     # a shorter window knows no more
     assert found.stderr_s[2] >= found.stderr_s[0]
+    assert window_flags(None) == window_flags(found) == ()
 
 
-def test_a_broad_relaxation_follows_its_window():
+def test_a_broad_relaxation_follows_its_window_and_is_said_with_both():
     found, _ = window(BROAD, branches=(2,))
     assert found.tau_s[0] > 1.3 * found.tau_s[1] > 1.3 * 1.3 * found.tau_s[2]
     assert 0.3 < found.slope < 1.2
     assert found.slope > 10.0 * found.slope_stderr
+    (flag,) = window_flags(found)
+    assert flag.code == "form_dependent"
+    assert f"{found.tau_s[0]:.3g} s in 16 s" in flag.message
 
 
 def test_without_a_hold_or_with_a_short_one_there_is_none():
@@ -214,14 +218,6 @@ def test_a_slope_is_that_of_the_line():
     assert slope == pytest.approx(0.7)
     by = np.linalg.pinv(np.column_stack([x, np.ones(3)]))[0]
     assert error == pytest.approx(float(np.sqrt(by**2 @ np.array([0.01, 0.04, 0.09]))))
-
-
-def test_a_time_that_follows_its_window_is_said_with_both():
-    found, _ = window(BROAD, branches=(2,))
-    (flag,) = window_flags(found)
-    assert flag.code == "form_dependent"
-    assert f"{found.tau_s[0]:.3g} s in 16 s" in flag.message
-    assert window_flags(None) == window_flags(window((Branch((30.0,), 0.8),))[0]) == ()
 
 
 def noise_and_tissue(

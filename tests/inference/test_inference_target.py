@@ -108,45 +108,34 @@ def test_what_logs_have_for_themselves_is_integrated():
     assert found == pytest.approx(expected[1] - expected[0], abs=1e-4)
 
 
-def test_outside_the_passive_set_there_is_no_density():
+def test_whitened_coordinates_are_those_of_the_curvature_within_the_passive_set():
     _, at = one_log(noise="white")
-    x = at.mode.copy()
-    x[at.law.times + 3 + 3] = -1.0
-    found = at.density(np.array([x, at.mode]))
-    assert found[0] == -np.inf
-    assert found[1] > -np.inf
-
-
-def test_whitened_coordinates_are_those_of_the_curvature():
-    _, at = one_log(noise="white")
-    z = np.zeros((2 * at.size + 1, at.size))
+    outside = at.mode.copy()
+    outside[at.law.times + 3 + 3] = -1.0
+    assert np.isfinite(at.density(np.array([outside, at.mode]))).tolist() == [False, True]
     step = 0.3
-    for k in range(at.size):
-        z[1 + 2 * k, k], z[2 + 2 * k, k] = step, -step
-    values = at.densities(z)
-    second = (values[1::2] + values[2::2] - 2.0 * values[0]) / step**2
+    z = np.vstack([np.zeros((1, at.size)), step * np.eye(at.size), -step * np.eye(at.size)])
+    middle, up, down = np.split(at.densities(z), [1, 1 + at.size])
+    second = (up + down - 2.0 * middle) / step**2
     # of directions that no wall cuts
     inside = np.isfinite(second)
     assert inside.sum() >= at.size - 3
     assert np.median(second[inside]) == pytest.approx(-1.0, abs=0.1)
 
 
-def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits():
-    z = np.linspace(-6.0, 6.0, 41)
-    for prior in (
-        CalibrationPrior(0.0, 0.004, 0.0),
-        CalibrationPrior(0.01, 0.002, 0.0),
-        CalibrationPrior(0.0, 0.002),
-    ):
-        values = _quantile(prior, z)
-        assert (np.diff(values) > 0.0).all()
-        assert (values >= prior.lower).all()
-        middle = np.abs(z) < 4.5
-        np.testing.assert_allclose(_coordinate(prior, values)[middle], z[middle], atol=1e-5)
-    half = np.median(
-        _quantile(CalibrationPrior(0.0, 1.0, 0.0), np.random.default_rng(1).standard_normal(100_000))
-    )
-    assert half == pytest.approx(0.6745, abs=0.01)
+@pytest.mark.parametrize(
+    ("mean", "sd", "lower"), [(0.0, 0.004, 0.0), (0.01, 0.002, 0.0), (0.0, 0.002, -np.inf)]
+)
+def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits(mean, sd, lower):
+    z, prior = np.linspace(-6.0, 6.0, 41), CalibrationPrior(mean, sd, lower)
+    values = _quantile(prior, z)
+    assert (np.diff(values) > 0.0).all()
+    assert (values >= prior.lower).all()
+    middle = np.abs(z) < 4.5
+    np.testing.assert_allclose(_coordinate(prior, values)[middle], z[middle], atol=1e-5)
+    if mean == lower == 0.0:
+        # the median of a half normal
+        assert _quantile(prior, np.zeros(1)) == pytest.approx(0.6745 * sd, rel=1e-4)
 
 
 def test_the_density_does_not_depend_on_how_the_machine_is_given():
@@ -199,35 +188,25 @@ def target(priors=None, **asked):
     return log, SpecimenTarget(ours, machine=asked.get("machine", False))
 
 
-def largest_state(log, tau):
-    """Of a branch along the recording, over the depth."""
-    return float(branch_states(log.time_s, log.displacement_mm, np.array([tau]))[0].max()) / 4.0
-
-
 def weak(log, force, theta):
     """Bernstein coefficients of F_s/x by depth, and K at the largest state: normal around 0."""
     a1, a2, a3, k, tau = theta
-    sd, state = WEAK_FACTOR * force, largest_state(log, tau)
-    static = bernstein(3) @ np.array([a1 * 4.0, a2 * 16.0, a3 * 64.0])
+    state = float(branch_states(log.time_s, log.displacement_mm, np.array([tau]))[0].max()) / 4.0
+    sd, static = WEAK_FACTOR * force, bernstein(3) @ np.array([a1 * 4.0, a2 * 16.0, a3 * 64.0])
     # uniform in ln tau is 1 / tau in tau
     return -0.5 * (static @ static) / sd**2 - 0.5 * (k * 4.0 * state / sd) ** 2 + np.log(state / tau)
 
 
-def test_the_weak_prior_is_its_definition():
-    log, at = target()
-    expected = np.array([weak(log, at.force, theta) for theta in THETA])
-    found = log_theta_prior(at, THETA)
+def test_weak_and_stated_priors_are_their_densities():
+    log, plain = target()
+    expected = np.array([weak(log, plain.force, theta) for theta in THETA])
+    found = log_theta_prior(plain, THETA)
     # the largest state is read off a table of 48 times
     assert found - found[0] == pytest.approx(expected - expected[0], abs=0.03)
-
-
-def test_stated_priors_are_their_densities():
-    _, plain = target()
-    _, at = target(STATED)
-    found = log_theta_prior(at, THETA) - log_theta_prior(plain, THETA)
+    more = log_theta_prior(target(STATED)[1], THETA) - found
     expected = -0.5 * ((THETA[:, 0] - 20.0) / 5.0) ** 2 - 0.5 * ((THETA[:, 3] - 60.0) / 20.0) ** 2
     expected -= 0.5 * (np.log(THETA[:, 4] / 0.2) / 0.5) ** 2
-    assert found - found[0] == pytest.approx(expected - expected[0], abs=1e-9)
+    assert more - more[0] == pytest.approx(expected - expected[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -56,19 +56,25 @@ def test_fit_starts_at_a_contact_inserted_between_two_samples():
     assert log.speeds_mm_s == (2.0,)
 
 
-def test_contact_on_a_sample_needs_no_insertion():
+def test_signs_and_baseline_are_taken_out():
+    plain = in_air_trial()
+    normal, phases = fitted_log(plain, segmented(plain)), segmented(plain).phases
+    flipped = Trial("s", plain.time_s, -plain.displacement_mm, 2.0 - plain.force_N)
+    contact = Contact(normal.first, -0.505, 0.05, baseline_N=2.0, in_record=True)
+    other = fitted_log(flipped, Segmentation(-1, -1, contact, phases, 0.1))
+    np.testing.assert_allclose(other.data.depth_mm, normal.data.depth_mm, atol=1e-12)
+    np.testing.assert_allclose(other.data.force_N, normal.data.force_N, atol=1e-12)
+
+
+def test_contact_on_a_sample_needs_no_insertion_and_its_error_leaves_samples_out():
     trial = in_air_trial(contact_mm=0.5)
     log = fitted_log(trial, segmented(trial, contact_mm=trial.displacement_mm[25]))
     assert not log.inserted
     assert log.data.depth_mm[0] == 0.0
-
-
-def test_guard_zone_leaves_out_what_the_contact_error_reaches():
     trial = in_air_trial()
-    log = fitted_log(trial, segmented(trial, sd=0.1))
-    recorded = slice(1, None)
-    np.testing.assert_array_equal(log.data.include[recorded], log.data.depth_mm[recorded] >= GUARD_SD * 0.1)
-    assert (~log.data.include).sum() > 10
+    data = fitted_log(trial, segmented(trial, sd=0.1)).data
+    np.testing.assert_array_equal(data.include[1:], data.depth_mm[1:] >= GUARD_SD * 0.1)
+    assert (~data.include).sum() > 10
 
 
 def test_a_record_that_starts_in_contact_loses_nothing_unless_guarded():
@@ -81,18 +87,6 @@ def test_a_record_that_starts_in_contact_loses_nothing_unless_guarded():
     assert log.first == 0
     guarded = fitted_log(trial, segmentation, guard=True)
     np.testing.assert_array_equal(guarded.data.include, guarded.data.depth_mm >= GUARD_SD * 0.1)
-
-
-def test_signs_and_baseline_are_taken_out():
-    plain = in_air_trial()
-    flipped = Trial("s", plain.time_s, -plain.displacement_mm, 2.0 - plain.force_N)
-    normal = fitted_log(plain, segmented(plain))
-    index = normal.first
-    phases = segmented(plain).phases
-    contact = Contact(index, -0.505, 0.05, baseline_N=2.0, in_record=True)
-    other = fitted_log(flipped, Segmentation(-1, -1, contact, phases, 0.1))
-    np.testing.assert_allclose(other.data.depth_mm, normal.data.depth_mm, atol=1e-12)
-    np.testing.assert_allclose(other.data.force_N, normal.data.force_N, atol=1e-12)
 
 
 def test_fit_ends_where_the_tool_turns_back():

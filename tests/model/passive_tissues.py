@@ -100,3 +100,12 @@ def assert_no_energy(model: Any, theta: Any, rng: np.random.Generator, *, turns:
     work = float((0.5 * (force[1:] + force[:-1]) * np.diff(depth)).sum())
     assert work >= -1e-6 * force.max() * model.depth_mm
     assert force.min() >= 0.0
+
+
+def assert_stiffer_has_all_forces_times_that(model: Any, theta: Any, depth: Any) -> None:
+    """A servo's law times three pushes back three times as much at every tick."""
+    law = servo_law(model, theta)
+    blocks = [(one.packed(), np.zeros(STATE_SIZE)) for one in (law, law.stiffer(3.0))]
+    for x in depth:
+        once, thrice = (tissue_step_in(packed, 0, state, 0, x, TICK) for packed, state in blocks)
+        assert abs(thrice - 3.0 * once) <= 1e-9 * max(thrice, 1.0)

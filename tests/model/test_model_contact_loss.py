@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -177,13 +175,8 @@ def test_states_of_a_long_hold_end_in_zero_without_denormals() -> None:
 def test_tool_in_air_feels_nothing_and_leaves_a_resting_tissue_at_rest() -> None:
     stepper = linear_tissue()
     for x in (-3.0, -0.001, 0.0, -2.0):
-        assert stepper.step(x, 0.01) == 0.0
-        assert stepper.surface_mm == 0.0
-    fresh = linear_tissue()
-    assert stepper.step(1.0, 0.01) == fresh.step(1.0, 0.01)
-
-
-def test_path_above_the_surface_counts_as_its_clipped_one() -> None:
+        assert stepper.step(x, 0.01) == stepper.surface_mm == 0.0
+    assert stepper.step(1.0, 0.01) == linear_tissue().step(1.0, 0.01)
     model, theta = tissue(2, 1)
     depth = np.concatenate([np.linspace(-2.0, -0.1, 20), np.linspace(0.0, 3.0, 30)])
     stepper = TissueStepper(model, theta)
@@ -193,8 +186,7 @@ def test_path_above_the_surface_counts_as_its_clipped_one() -> None:
 
 
 def test_elastic_tissue_without_branches_never_detaches() -> None:
-    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
-    stepper = TissueStepper(model, np.array([12.0, -1.5, 0.35]))
+    stepper = TissueStepper(kelvin_voigt(0, 0, DEPTH_MM), np.array([12.0, -1.5, 0.35]))
     for x in (3.0, 1.0, -1.0, 2.0):
         at = max(x, 0.0)
         assert stepper.step(x, 0.001) == pytest.approx(12.0 * at - 1.5 * at**2 + 0.35 * at**3, rel=1e-13)
@@ -208,38 +200,30 @@ def test_tissue_that_is_not_passive_is_not_rendered() -> None:
         TissueStepper(SEED_MODEL, theta)
 
 
-def static_law(a: tuple[float, float, float], x: float) -> float:
-    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=4.0)
-    return TissueStepper(model, np.array(a)).step(x, 0.0)
+def law_at(part: str, coefficients: tuple[float, ...], x: float) -> float:
+    """F_s, or K by an elastic jump of a tissue with next to no static force: F = K(x) x."""
+    if part == "static":
+        return TissueStepper(kelvin_voigt(0, 0, 4.0), np.array(coefficients)).step(x, 0.0)
+    return (
+        TissueStepper(kelvin_voigt(1, 2, 4.0), np.array([0.0, 0.0, 0.0, *coefficients, 1.0])).step(x, 0.0) / x
+    )
 
 
-def stiffness_law(b: tuple[float, float, float], x: float) -> float:
-    """K(x) from an elastic jump of a tissue with next to no static force: F = K(x) x."""
-    model = kelvin_voigt(branches=1, stiffness_degree=2, depth_mm=4.0)
-    return TissueStepper(model, np.array([0.0, 0.0, 0.0, *b, 1.0])).step(x, 0.0) / x
-
-
-Law = Callable[[tuple[float, float, float], float], float]
-RISING, FALLING = (2.0, 0.5, 0.3), (10.0, 0.0, -0.4)
-
-
-@pytest.mark.parametrize("law", [static_law, stiffness_law])
-def test_growing_law_is_continued_along_its_end_tangent(law: Law) -> None:
-    d = 1e-5
-    end = law(RISING, 4.0)
-    tangent = (end - law(RISING, 4.0 - d)) / d
+@pytest.mark.parametrize("part", ["static", "stiffness"])
+def test_law_is_continued_along_its_end_tangent_where_it_grows_and_as_a_constant_where_it_falls(
+    part: str,
+) -> None:
+    d, rising, falling = 1e-5, (2.0, 0.5, 0.3), (10.0, 0.0, -0.4)
+    end = law_at(part, rising, 4.0)
+    tangent = (end - law_at(part, rising, 4.0 - d)) / d
     # C0 and C1 at the end, and straight from there on
-    assert law(RISING, 4.0 + d) == pytest.approx(end, abs=2.0 * tangent * d)
-    assert (law(RISING, 4.0 + d) - end) / d == pytest.approx(tangent, rel=1e-4)
-    assert law(RISING, 9.0) == pytest.approx(end + 5.0 * tangent, rel=1e-4)
-
-
-@pytest.mark.parametrize("law", [static_law, stiffness_law])
-def test_falling_law_is_continued_as_a_constant(law: Law) -> None:
-    end = law(FALLING, 4.0)
-    assert law(FALLING, 3.9) > end > 0.0
+    assert law_at(part, rising, 4.0 + d) == pytest.approx(end, abs=2.0 * tangent * d)
+    assert (law_at(part, rising, 4.0 + d) - end) / d == pytest.approx(tangent, rel=1e-4)
+    assert law_at(part, rising, 9.0) == pytest.approx(end + 5.0 * tangent, rel=1e-4)
+    end = law_at(part, falling, 4.0)
+    assert law_at(part, falling, 3.9) > end > 0.0
     for x in (4.0001, 6.0, 400.0):
-        assert law(FALLING, x) == pytest.approx(end, rel=1e-13)
+        assert law_at(part, falling, x) == pytest.approx(end, rel=1e-13)
 
 
 @pytest.mark.parametrize(

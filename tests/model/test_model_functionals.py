@@ -25,19 +25,15 @@ THETA = MODEL.join(
 )
 
 
-def test_force_after_a_step_is_that_of_a_jump_in_the_recursion():
-    time = np.array([0.0, 0.0, 0.3, 2.0])
+@pytest.mark.parametrize("ramp_s", [0.0, 1.5])
+def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(ramp_s):
+    time = np.array([0.0, ramp_s, ramp_s + 0.1, 5.0])
     force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
     for k in (1, 2, 3):
-        assert force_after_step(MODEL, THETA, 3.0, float(time[k])) == pytest.approx(force[k], rel=1e-13)
-
-
-def test_force_after_a_ramp_is_that_of_the_recursion():
-    time = np.array([0.0, 1.5, 1.6, 5.0])
-    force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
-    for k in (1, 2, 3):
-        found = force_after_ramp(MODEL, THETA, 3.0, 2.0, float(time[k] - 1.5))
-        assert found == pytest.approx(force[k], rel=1e-13)
+        since = float(time[k] - ramp_s)
+        ramp = (force_after_ramp, (MODEL, THETA, 3.0, 2.0, since))
+        function, at = ramp if ramp_s else (force_after_step, (MODEL, THETA, 3.0, since))
+        assert function(*at) == pytest.approx(force[k], rel=1e-13)
 
 
 @pytest.mark.needs_jit
@@ -100,28 +96,18 @@ def test_error_of_a_function_is_the_spread_over_draws():
     assert stderr == pytest.approx(float(np.std(draws)), rel=0.05)
 
 
-def test_a_number_that_hangs_on_an_unknown_parameter_has_no_finite_error():
-    unknown = np.zeros(THETA.size, dtype=bool)
-    unknown[-1] = True
-    covariance = np.diag((0.01 * THETA) ** 2)
+def test_a_number_that_hangs_on_an_unknown_parameter_or_has_no_slope_has_no_finite_error():
+    unknown, covariance = np.arange(THETA.size) == THETA.size - 1, np.diag((0.01 * THETA) ** 2)
+    for function, finite in (
+        (lambda theta: equilibrium_stiffness(MODEL, theta, 2.0)[0], True),
+        (lambda theta: complex_stiffness(MODEL, theta, 2.0, 0.3)[1], False),
+    ):
+        assert np.isfinite(delta_method(function, THETA, covariance, unknown)[1]) == finite
 
-    def plateau(theta):
-        return equilibrium_stiffness(MODEL, theta, 2.0)[0]
-
-    assert np.isfinite(delta_method(plateau, THETA, covariance, unknown)[1])
-
-    def loss(theta):
-        return complex_stiffness(MODEL, theta, 2.0, 0.3)[1]
-
-    assert np.isinf(delta_method(loss, THETA, covariance, unknown)[1])
-
-
-def test_a_value_without_a_slope_beside_it_has_no_error():
     def beside_a_pole(theta):
         return float(theta[0]) if theta[0] <= 1.0 else float("inf")
 
-    value, stderr = delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool))
-    assert (value, stderr) == (1.0, np.inf)
+    assert delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool)) == (1.0, np.inf)
 
 
 def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:

@@ -75,9 +75,28 @@ def test_the_exact_law_returns_what_was_asked_for(asked: float, stiffness: float
     assert drop(stiffness, exponent, chi, speed_mm_s=100.0, dt=1e-6) == pytest.approx(asked, rel=0.01)
 
 
-def test_an_elastic_contact_is_undamped() -> None:
-    assert damping_factor(1.0) == 0.0
-    assert damping_factor(1.0, "exact") == pytest.approx(0.0, abs=1e-7)
+CHATTER = [-0.2, -0.1, 0.1, -0.01, 0.01]
+
+
+@pytest.mark.parametrize(
+    ("depths", "hysteresis_mm", "at", "expected"),
+    [
+        # in at 1 mm/s, then 100 mm/s: the factor stays within 1 + chi; v0 is the floor of 20 mm/s
+        ([-1e-3, 0.0, 1e-3, 0.101, 0.201], 0.0, -1, 10.0 * 0.201 * 3.0),
+        ([-1e-3, 0.0, 1e-3], 0.0, -1, 10.0 * 1e-3 * (1.0 + 2.0 * 1.0 / 20.0)),
+        # out at half the speed it came in with: 1 - chi / 2 = 0 of the elastic force
+        ([-0.1, 0.0, 0.1, 0.2, 0.15, 0.05, -0.05], 0.0, 4, 0.0),
+        # 200 mm/s in; after a hair's breadth outside the second entry, at 20 mm/s, is latched anew or not
+        (CHATTER, 0.05, -1, 0.1 * (1.0 + 2.0 * 20.0 / 200.0)),
+        (CHATTER, 0.0, -1, 0.1 * 3.0),
+    ],
+)
+def test_force_follows_the_speed_latched_at_contact_and_never_pulls(
+    depths: list[float], hysteresis_mm: float, at: int, expected: float
+) -> None:
+    found = forces(depths, hysteresis_mm=hysteresis_mm)
+    assert found[at] == pytest.approx(expected, abs=1e-12)
+    assert min(found) == 0.0
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.049, 1.01, math.nan])
@@ -132,29 +151,6 @@ def forces(
     return [float(impact_step(law, 0, memory, 0, depth, dt)) for depth in depths]
 
 
-def test_a_slow_touch_does_not_multiply_the_push_after_it() -> None:
-    # in at 1 mm/s, then 100 mm/s: the factor stays within 1 + chi
-    found = forces([-1e-3, 0.0, 1e-3, 0.101, 0.201])
-    assert found[-1] == pytest.approx(10.0 * 0.201 * 3.0)
-    # at the touch itself v0 is the floor of 20 mm/s
-    assert found[2] == pytest.approx(10.0 * 1e-3 * (1.0 + 2.0 * 1.0 / 20.0))
-
-
-def test_nothing_sticks_to_a_tool_that_is_pulled_out() -> None:
-    found = forces([-0.1, 0.0, 0.1, 0.2, 0.15, 0.05, -0.05])
-    assert min(found) == 0.0
-    # out at half the speed it came in with: 1 - chi / 2 = 0 of the elastic force
-    assert found[4] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_speed_at_contact_is_kept_through_chatter_at_the_surface() -> None:
-    chatter = [-0.2, -0.1, 0.1, -0.01, 0.01]
-    # 200 mm/s in; after a hair's breadth outside the second entry is at 20 mm/s
-    kept, latched_anew = forces(chatter, hysteresis_mm=0.05)[-1], forces(chatter)[-1]
-    assert kept == pytest.approx(0.1 * (1.0 + 2.0 * 20.0 / 200.0))
-    assert latched_anew == pytest.approx(0.1 * 3.0)
-
-
 def test_the_speed_is_filtered_before_it_is_latched() -> None:
     law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
     pack_impact(10.0, 1.0, 1.0, law, 0, slowest_mm_s=1.0, filter_s=5e-3)
@@ -200,5 +196,6 @@ def test_both_factors_are_those_of_one_number_at_a_time() -> None:
     for variant in ("flores", "exact"):
         found = damping_factors(values, variant)
         np.testing.assert_allclose(found, [damping_factor(e, variant) for e in values], rtol=1e-12)
+        assert found[-1] == pytest.approx(0.0, abs=1e-7)
     reached = [reached_restitution(chi) for chi in damping_factors(values, "exact")]
     np.testing.assert_allclose(reached, values, atol=1e-6)

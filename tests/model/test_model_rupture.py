@@ -100,15 +100,12 @@ def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> N
     assert point.dynamic_N == pytest.approx(STIFFNESS * 8.0 * TAU_S, rel=1e-6)
 
 
-def test_a_threshold_beyond_the_depth_is_no_rupture() -> None:
+def test_a_threshold_beyond_the_depth_is_no_rupture_and_an_unknown_criterion_refused() -> None:
     model, theta = tissue(HARDENING)
     assert rupture_at_speed(model, theta, "work", 1e6, speed_mm_s=1.0) is None
     assert np.isnan(peak_force_against_speed(model, theta, "depth", 9.5, [1.0, 2.0])).all()
-
-
-def test_an_unknown_criterion_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="no criterion of rupture 'torque'; there are work, weighted-force"):
-        rupture_at_speed(*tissue(HARDENING), "torque", 1.0, speed_mm_s=1.0)
+        rupture_at_speed(model, theta, "torque", 1.0, speed_mm_s=1.0)
 
 
 @pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
