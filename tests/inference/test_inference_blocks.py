@@ -116,8 +116,7 @@ def test_samples_that_take_no_part_and_breaks_start_chains():
 def test_folds_are_not_mixed():
     time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
     fold = (np.arange(time.size) // 977).astype(int)
-    log = log_data(time, depth, direct(time, depth), fold=fold)
-    found = blocks_from(log)
+    found = blocks_from(log_data(time, depth, direct(time, depth), fold=fold))
     edges = np.concatenate([[0], np.cumsum(found.count)])
     for number, (a, b) in enumerate(pairwise(edges)):
         assert set(fold[a:b]) == {int(found.fold[number])}
@@ -126,11 +125,9 @@ def test_folds_are_not_mixed():
 def test_a_path_that_leads_begins_in_air():
     time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
     log = log_data(time, depth, direct(time, depth))
-    found = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=True)
-    plain = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=False)
-    assert found.depth_mm[0] == pytest.approx(-0.1)
+    found, plain = (log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=leads) for leads in (True, False))
     # on the line of the first samples, at 4 mm/s
-    assert found.time_s[0] == pytest.approx(-0.025)
+    assert (found.depth_mm[0], found.time_s[0]) == pytest.approx((-0.1, -0.025))
     np.testing.assert_array_equal(found.at, plain.at + 1)
 
 

@@ -1,4 +1,4 @@
-"""Orders of the law by what was left out: the simplest that predicts as well as the best."""
+"""Orders and laws by what was left out: the simplest that predicts as well as the best."""
 
 from __future__ import annotations
 

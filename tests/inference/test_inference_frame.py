@@ -1,4 +1,4 @@
-"""A stated frame is taken off the displacement, and noise of the force with it is not."""
+"""A stated frame is taken off the displacement, and a machine that nobody has is said."""
 
 from __future__ import annotations
 
@@ -23,23 +23,30 @@ STIFFNESS = 200.0
 TISSUE = (Branch((30.0,), 0.2),)
 
 
-def crosshead(trials, quiet):
-    """The same recordings behind a frame: the crosshead travels further by what the force makes it give."""
-    return [
-        replace(trial, displacement_mm=trial.displacement_mm + clean.force_N / STIFFNESS)
-        for trial, clean in zip(trials, quiet, strict=True)
-    ]
-
-
-def recorded(seed=1, sigma=0.2):
+def recorded(seed=1, sigma=0.2, give=lambda force: force / STIFFNESS):
+    """Recordings, the same behind a frame (the crosshead travels further by what it gives), and handles."""
     recipe = small_recipe(branches=TISSUE, sigma_N=sigma)
     trials = as_trials(draw(recipe, seed))
     quiet = as_trials(draw(replace(recipe, sigma_N=0.0), seed))
-    behind = crosshead(trials, quiet)
-    handles = [
-        handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, quiet, strict=True)
+    behind = [
+        replace(trial, displacement_mm=trial.displacement_mm + give(clean.force_N))
+        for trial, clean in zip(trials, quiet, strict=True)
     ]
-    return trials, behind, handles
+    pairs = zip(behind, quiet, strict=True)
+    return trials, behind, [handle_for(trial, true_segmentation(clean)) for trial, clean in pairs]
+
+
+def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
+    def give(force):
+        """Integral of a compliance that falls from 0.01 to 0.002 mm/N over the first 100 N."""
+        below = np.minimum(force, 100.0)
+        return 0.01 * below - 0.5 * 8e-5 * below**2 + 0.002 * np.maximum(force - 100.0, 0.0)
+
+    soft = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)))
+    trials, _, handles = recorded(3, 0.0, give)
+    for trial, handle in zip(trials, tip_handles(handles, soft), strict=True):
+        # the smoothing law is another one in the tip's travel: some 0.1 N of 200 N, behind 100 N/mm
+        assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
 
 
 def test_the_tip_is_where_it_was():
@@ -85,25 +92,6 @@ def test_speeds_and_depths_are_those_of_the_tip():
         assert ramp.speed_mm_s < before.segmentation.of_kind("ramp")[0].speed_mm_s * 1.0001
 
 
-def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
-    soft = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)))
-    recipe = small_recipe(branches=TISSUE, sigma_N=0.0)
-    trials = as_trials(draw(recipe, 3))
-    # u is the integral of a compliance that falls from 0.01 to 0.002 mm/N over the first 100 N
-    behind = []
-    for trial in trials:
-        f = trial.force_N
-        below = np.minimum(f, 100.0)
-        give = 0.01 * below - 0.5 * 8e-5 * below**2 + 0.002 * np.maximum(f - 100.0, 0.0)
-        behind.append(replace(trial, displacement_mm=trial.displacement_mm + give))
-    handles = [
-        handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, trials, strict=True)
-    ]
-    for trial, handle in zip(trials, tip_handles(handles, soft), strict=True):
-        # the smoothing law is another one in the tip's travel: some 0.1 N of 200 N, behind 100 N/mm
-        assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
-
-
 def test_forces_far_beyond_the_calibration_are_told_and_a_moving_mean_keeps_a_line():
     curve = FrameCurve(
         np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0)
@@ -137,13 +125,14 @@ def test_a_machine_that_is_unlikely_is_named_with_its_size(machine, name, words)
 
 
 def test_an_ordinary_machine_and_a_stated_soft_frame_are_not():
-    ordinary = np.array([0.003, 0.004, 0.008])
-    assert machine_flag(ordinary, CALIBRATION_DEFAULTS, force_N=20.0, depth_mm=8.0) is None
-    # of an ordinary machine: a stiff specimen takes little of the travel, which is no miss of the law
-    stiff = np.array([0.00067, 0.0, 0.0])
-    assert machine_flag(stiff, CALIBRATION_DEFAULTS, force_N=390.0, depth_mm=1.0) is None
     stated = {**CALIBRATION_DEFAULTS, FRAME: CalibrationPrior(0.009, 0.0005, stated=True)}
-    assert machine_flag(np.array([0.009, 0.0, 0.0]), stated, force_N=260.0, depth_mm=8.0) is None
+    for machine, priors, force, depth in (
+        ((0.003, 0.004, 0.008), CALIBRATION_DEFAULTS, 20.0, 8.0),
+        # of an ordinary machine: a stiff specimen takes little of the travel, which is no miss of the law
+        ((0.00067, 0.0, 0.0), CALIBRATION_DEFAULTS, 390.0, 1.0),
+        ((0.009, 0.0, 0.0), stated, 260.0, 8.0),
+    ):
+        assert machine_flag(np.array(machine), priors, force_N=force, depth_mm=depth) is None
 
 
 @pytest.mark.parametrize(("model", "raised"), [("power * prony", True), ("kelvin-voigt", False)])

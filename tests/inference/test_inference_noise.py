@@ -1,4 +1,4 @@
-"""Whitening of block means against a dense covariance that is summed sample by sample."""
+"""Noise: whitening, correlation found under a fit, and what a recording shows of it."""
 
 from __future__ import annotations
 
@@ -87,19 +87,6 @@ def test_determinant_and_quadratic_form_are_those_of_the_dense_covariance(case, 
     np.testing.assert_array_equal(white(columns[:, 0]), whitened[:, 0])
 
 
-def test_a_long_series_becomes_white():
-    rng = np.random.default_rng(3)
-    phi, n = 0.9, 20_000
-    noise = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.standard_normal(n))
-    ones = np.ones(n)
-    white = whitener(ones, STEP * ones, STEP * ones, np.arange(n) == 0, Memory(-STEP / np.log(phi)))
-    left = white(noise)
-    # 20,000 samples: a correlation is known to 0.007, a variance to 1 %
-    assert left.var() == pytest.approx(1.0, abs=0.04)
-    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.03
-    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] > 0.87
-
-
 def test_noise_that_lasts_for_ever_divides_by_nothing() -> None:
     count, step = np.ones(6), np.full(6, 0.01)
     chain = np.array([True, False, False, False, False, False])
@@ -175,22 +162,6 @@ def test_one_log_without_a_quiet_stretch_does_not_bend_to_correlation() -> None:
     assert judged(residual, None, alone=True).refuted
     assert not judged(residual, None).refuted
     assert not judged(rng.standard_normal(300), None, alone=True).refuted
-
-
-def test_the_restricted_likelihood_is_that_of_the_differences_from_any_slow_force() -> None:
-    # adding any cubic changes nothing, and white noise has the variance of its residual
-    rng = np.random.default_rng(9)
-    time = SLOW_STEP * np.arange(60)
-    noise = rng.standard_normal(60)
-    plain = _quiet(time, noise, 3)
-    slow = _quiet(time, noise + 3.0 - time + 0.2 * time**3, 3)
-    for memory in (Memory(), Memory(0.3), Memory(1.0, 0.3)):
-        assert slow.restricted(memory) == pytest.approx(plain.restricted(memory), rel=1e-7)
-    left = noise - np.polynomial.Polynomial.fit(time, noise, 3)(time)
-    square, log_det = plain.restricted(Memory())
-    assert square == pytest.approx(float(left @ left))
-    assert log_det == pytest.approx(0.0, abs=1e-9)
-    assert plain.freedom == 56
 
 
 def test_the_restricted_likelihood_is_that_of_contrasts_under_a_dense_covariance() -> None:

@@ -84,37 +84,8 @@ def fitted(theta, *, start, sigma=0.1, degree=0, seed=1):
     return law, system, found
 
 
-def test_the_optimum_is_one_of_the_objective():
-    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
-    assert found.converged
-    assert not found.active.any()
-    free = np.r_[0, 4:8]
-
-    def objective(by):
-        shared = found.point.shared.copy()
-        shared[free] += by * np.sqrt(np.diag(found.covariance))[free]
-        point = found.point.moved(shared)
-        left = (system.force - system.predict(point)) / found.noise.sigma_N
-        return float(left @ left) + prior_cost(found.prior, point)
-
-    here = objective(np.zeros(5))
-    better = minimize(objective, np.zeros(5), method="Nelder-Mead", options={"maxfev": 600})
-    # steps end at a hundredth of a standard error
-    assert better.fun >= here - 0.01
-    assert abs(np.exp(found.point.log_times[0]) - 0.2) < 4.0 * 0.2 * np.sqrt(found.covariance[0, 0])
-    assert found.noise.sigma_N == pytest.approx(0.1, rel=0.12)
-
-
-def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
-    # K falls to less than none: the bound holds it
-    law, system, found = fitted(
-        [20.0, 0.0, 0.0, 30.0, -9.0, 0.2], start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1
-    )
-    assert found.active.any()
-    at = law.theta(found.point.log_times, found.point.linear)[0]
-    assert law.model().is_passive(at)
-    free = np.r_[0, 4 : 4 + law.linear]
-    cone = found.prior.cone[:, free]
+def objective_about(system, found, free):
+    """Objective by steps of some shared parameters, in their standard errors, from an optimum."""
     sd = np.sqrt(np.diag(found.covariance))[free]
 
     def objective(by):
@@ -124,11 +95,34 @@ def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
         left = (system.force - system.predict(point)) / found.noise.sigma_N
         return float(left @ left) + prior_cost(found.prior, point)
 
-    used = found.prior.least > -1e200
+    return objective, sd
+
+
+def test_the_optimum_is_one_of_the_objective():
+    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
+    assert found.converged
+    assert not found.active.any()
+    objective, sd = objective_about(system, found, np.r_[0, 4:8])
+    better = minimize(objective, np.zeros(5), method="Nelder-Mead", options={"maxfev": 600})
+    # steps end at a hundredth of a standard error
+    assert better.fun >= objective(np.zeros(5)) - 0.01
+    assert abs(np.exp(found.point.log_times[0]) - 0.2) < 4.0 * 0.2 * sd[0]
+    assert found.noise.sigma_N == pytest.approx(0.1, rel=0.12)
+
+
+def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
+    # K falls to less than none: the bound holds it
+    falling = [20.0, 0.0, 0.0, 30.0, -9.0, 0.2]
+    law, system, found = fitted(falling, start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1)
+    assert found.active.any()
+    assert law.model().is_passive(law.theta(found.point.log_times, found.point.linear)[0])
+    free, used = np.r_[0, 4 : 4 + law.linear], found.prior.least > -1e200
+    objective, sd = objective_about(system, found, free)
     slack = (found.prior.cone @ found.point.shared - found.prior.least)[used]
+    rows = found.prior.cone[used][:, free] * sd
     there = minimize(
         objective, np.zeros(free.size), method="SLSQP",
-        constraints={"type": "ineq", "fun": lambda by: slack + cone[used] @ (by * sd)},
+        constraints={"type": "ineq", "fun": lambda by: slack + rows @ by},
     )  # fmt: skip
     assert objective(np.zeros(free.size)) <= there.fun + 0.02
 

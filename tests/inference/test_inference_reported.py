@@ -1,4 +1,4 @@
-"""Predictive bands: closed forms of their width."""
+"""What is read off draws: bands, budgets, and values inside their intervals."""
 
 from __future__ import annotations
 

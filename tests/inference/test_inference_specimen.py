@@ -126,9 +126,3 @@ def test_at_10_hz_viscosity_is_known_and_the_relaxation_time_is_not():
     assert (tau.identified, tau.value, eta.identified) == (False, None, True)
     assert abs(eta.value - 63.62 * 0.021) <= 4.0 * eta.stderr
     assert {"not_identified", "compliance_unknown"} <= codes(found)
-
-
-def test_a_slow_mode_left_out_shows_in_the_residual():
-    small = small_recipe(branches=(TRUE, Branch((15.0,), 1.5)), sigma_N=0.05)
-    found = fit(small, branches=1, static="shared")
-    assert "discrepancy" in codes(found)

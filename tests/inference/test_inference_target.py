@@ -1,4 +1,4 @@
-"""The log density of a specimen against the same written out, and integrals against brute force."""
+"""The log density of a specimen and its priors against the same written out, and integrals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Residual summaries of a trial and the curve that is kept of it."""
+"""Residual summaries of a trial against what its samples say, and the curve that is kept of it."""
 
 from __future__ import annotations
 
@@ -150,60 +150,46 @@ def test_correlation_at_one_sample_is_that_of_the_residual():
         assert lag_one_correlation(np.array(few)) == 0.0
 
 
-def summary_of(sigma, n=5000, scale=None):
-    _, segmentation, log = recorded(sigma=sigma, n=n)
+def summary_of(sigma, scale):
+    """A log, the residual of all its samples, and what is kept of it."""
+    _, segmentation, log = recorded(sigma=sigma)
     fitted = model_force(MODEL, THETA, log, NEITHER)
     blocks = residual_blocks(segmentation, log, MODEL, THETA, NEITHER, fitted)
-    return log, fitted, residual_summary(log, fitted, blocks, sigma_N=sigma if scale is None else scale)
+    return log, log.data.force_N - fitted, residual_summary(log, fitted, blocks, sigma_N=scale)
 
 
 def test_the_histogram_counts_every_fitted_sample_and_those_beyond_it():
-    log, fitted, found = summary_of(0.2)
-    residual = (log.data.force_N - fitted)[log.data.include]
+    log, residual, found = summary_of(0.2, 0.2)
+    residual = residual[log.data.include]
     assert found.counts.sum() == residual.size == 5000
-    inside, _ = np.histogram(residual, found.edges_N)
-    np.testing.assert_array_equal(found.counts[1:-1], inside)
+    np.testing.assert_array_equal(found.counts[1:-1], np.histogram(residual, found.edges_N)[0])
     assert found.edges_N.size == BINS + 1
     # in bins of a hundredth of that noise nearly everything lies beyond
-    _, _, narrow = summary_of(0.2, scale=0.002)
-    assert narrow.counts[0] == (residual < -0.01).sum()
-    assert narrow.counts[-1] == (residual >= 0.01).sum()
+    narrow = summary_of(0.2, 0.002)[2].counts
+    assert (narrow[0], narrow[-1]) == ((residual < -0.01).sum(), (residual >= 0.01).sum())
+    # a model that is exact leaves its rounding, which is counted in bins of its own size
+    assert summary_of(0.0, 0.0)[2].counts.sum() == 5000
 
 
-def test_the_autocorrelation_is_the_direct_one_and_white_noise_has_none():
-    log, fitted, found = summary_of(0.2)
-    residual = (log.data.force_N - fitted)[log.data.include]
-    centred = residual - residual.mean()
+def test_the_autocorrelation_is_the_direct_one_and_means_of_the_hold_stand_since_its_corner():
+    log, residual, found = summary_of(0.2, 0.2)
+    centred = residual[log.data.include] - residual[log.data.include].mean()
     direct = [centred[k:] @ centred[:-k] / (centred @ centred) for k in found.lags.tolist()]
     np.testing.assert_allclose(found.correlation, direct, atol=1e-12)
-    assert found.lags[0] == 1
-    assert found.lags[-1] <= 1250
+    assert 1 == found.lags[0] < found.lags[-1] <= 1250
     # five standard errors of a white correlation
     assert np.abs(found.correlation).max() < 5 / np.sqrt(5000)
-    # a model that is exact leaves its rounding, which is counted in bins of its own size
-    assert summary_of(0.0)[2].counts.sum() == 5000
-
-
-def test_means_of_the_hold_stand_at_the_time_since_its_corner():
-    log, fitted, found = summary_of(0.2)
-    residual = log.data.force_N - fitted
     since = log.data.time_s - 2.0
-    for place, mean, count in zip(
-        found.hold_since_s[3:], found.hold_mean_N[3:], found.hold_count[3:], strict=True
-    ):
+    held = zip(found.hold_since_s[3:], found.hold_mean_N[3:], found.hold_count[3:], strict=True)
+    for place, mean, count in held:
         inside = (since >= place / 10**0.125 - 1e-9) & (since < place * 10**0.125 - 1e-9)
         assert count == inside.sum()
         assert mean == pytest.approx(residual[inside].mean(), abs=1e-12)
-    assert found.start_s == log.data.time_s[0]
-    assert found.step_s == pytest.approx(0.002)
+    assert (found.start_s, found.step_s) == pytest.approx((log.data.time_s[0], 0.002))
 
 
 def test_the_kept_curve_follows_relaxation_behind_the_corner():
-    trial, segmentation, log = recorded(n=60_000)
-    fitted = model_force(MODEL, THETA, log, NEITHER)
-    curve = summarise_trial(
-        trial, segmentation, log, fitted=fitted, adjustment=NEITHER, totals=ResidualTotals()
-    ).curve
+    curve = summary(*recorded(n=60_000)).curve
     assert curve.time_s.size <= CURVE_POINTS + 2
     since = curve.time_s - 2.0
     # of 60,000 samples some 2,500 bins of 48 ms: the first of them alone would show nothing below

@@ -1,6 +1,8 @@
-"""Which samples are fitted, and how one log is divided for held-out prediction."""
+"""Samples that are fitted, of any history; stretches of one log; chains of noise."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,40 +91,37 @@ def test_a_record_that_starts_in_contact_loses_nothing_unless_guarded():
     np.testing.assert_array_equal(guarded.data.include, guarded.data.depth_mm >= GUARD_SD * 0.1)
 
 
-def test_fit_ends_where_the_tool_turns_back():
+def test_fit_ends_where_the_tool_turns_back_and_of_cycles_with_the_first_rise():
     time = np.arange(600) * STEP
     displacement = np.concatenate([np.linspace(0, 4, 201), np.full(199, 4.0), np.linspace(4, 0, 200)])
-    trial = Trial("s", time, displacement, 10.0 * displacement)
     phases = (
         phase("ramp", 0, 201, time, 2.0),
         phase("hold", 200, 400, time),
         phase("retract", 399, 600, time, -2.0),
     )
-    log = fitted_log(trial, Segmentation(1, 1, Contact(0, 0.0, 0.01), phases, 0.1))
+    contact = Contact(0, 0.0, 0.01)
+    trial = Trial("s", time, displacement, 10.0 * displacement)
+    log = fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1))
     assert log.data.time_s.size == 400
     assert log.data.depth_mm[-1] == pytest.approx(4.0)
-
-
-def test_of_a_cycle_only_the_first_rise_is_fitted():
-    time = np.arange(401) * STEP
+    time = time[:401]
     displacement = 2.0 * (1.0 - np.cos(2 * np.pi * time / 2.0))
-    trial = Trial("s", time, displacement, 10.0 * displacement)
     phases = (phase("cycle", 0, 201, time), phase("cycle", 200, 401, time))
-    log = fitted_log(trial, Segmentation(1, 1, Contact(0, 0.0, 0.01), phases, 0.1))
-    assert log.data.time_s[-1] == pytest.approx(1.0)
-    assert log.depth_mm == pytest.approx(4.0)
-    assert not log.has_hold
+    trial = Trial("s", time, displacement, 10.0 * displacement)
+    log = fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1))
+    assert (log.data.time_s[-1], log.depth_mm, log.has_hold) == pytest.approx((1.0, 4.0, False))
     assert log.speeds_mm_s[0] == pytest.approx(4.0, rel=0.02)  # mean speed up to the peak
 
 
-def test_no_contact_or_too_few_samples_give_nothing():
+@pytest.mark.parametrize(
+    ("contact", "moving"),
+    [(None, True), (Contact(398, 0.5, 0.01, in_record=True), True), (Contact(0, 0.0, 0.01), False)],
+)
+def test_no_contact_or_too_few_samples_or_no_travel_give_nothing(contact, moving):
     trial = in_air_trial()
-    without = segmented(trial)
-    assert fitted_log(trial, Segmentation(1, 1, None, without.phases, 0.1)) is None
-    late = Segmentation(1, 1, Contact(398, 0.5, 0.01, in_record=True), without.phases, 0.1)
-    assert fitted_log(trial, late) is None
-    still = Trial("s", trial.time_s, np.zeros(400), trial.force_N)
-    assert fitted_log(still, Segmentation(1, 1, Contact(0, 0.0, 0.01), (), 0.1)) is None
+    phases = segmented(trial).phases if moving else ()
+    trial = replace(trial, displacement_mm=trial.displacement_mm * moving)
+    assert fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1)) is None
 
 
 def test_every_fold_holds_a_part_of_ramp_and_hold():
@@ -236,22 +235,24 @@ def test_cycles_in_contact_stay_out_of_the_likelihood_and_in_the_state() -> None
     assert log.data.time_s[first] == pytest.approx(7.0, abs=3.0 / RATE_HZ)
     assert log.data.include[first:].all()
     assert log.has_hold
-    assert log.speeds_mm_s == pytest.approx((1.0,), rel=0.01)
-    assert log.depth_mm == pytest.approx(4.0)
+    assert (*log.speeds_mm_s, log.depth_mm) == pytest.approx((1.0, 4.0), rel=0.01)
+
+
+def test_cycles_without_a_test_are_fitted_on_their_first_rise() -> None:
+    trial = recording([0, 2, 4, 6, 8], [0, 2, 0.5, 2, 0.5])
+    divided = segment(trial)
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert divided.test == 0
+    assert log.data.time_s[-1] == pytest.approx(2.0, abs=3.0 / RATE_HZ)
 
 
 def test_a_test_after_cycles_gives_back_the_tissue() -> None:
     found = identify([kept_contact()]).specimens[0]
-    values = {one.name: one for one in found.parameters}
-    tau = values["relaxation_time_s"]
     # the branch state at the test's start is some -1 mm: without its history tau is off by tens of per cent
-    assert tau.value == pytest.approx(TAU_S, rel=0.03)
-    said = [
-        flag.message for trial in found.trials for flag in trial.flags if flag.code == "unloading_left_out"
-    ]
-    assert len(said) == 1
-    assert "3 cycles before the test" in said[0]
-    assert "state is carried on" in said[0]
+    assert found.parameter("relaxation_time_s").value == pytest.approx(TAU_S, rel=0.03)
+    (said,) = [flag.message for flag in found.trials[0].flags if flag.code == "unloading_left_out"]
+    assert "3 cycles before the test (their state is carried on)" in said
 
 
 def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
@@ -270,15 +271,6 @@ def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
     assert any("let go" in flag.message for flag in left_out if flag.code == "unloading_left_out")
 
 
-def test_cycles_without_a_test_are_fitted_on_their_first_rise() -> None:
-    trial = recording([0, 2, 4, 6, 8], [0, 2, 0.5, 2, 0.5])
-    divided = segment(trial)
-    assert divided.test == 0
-    log = fitted_log(trial, divided)
-    assert log is not None
-    assert log.data.time_s[-1] == pytest.approx(2.0, abs=3.0 / RATE_HZ)
-
-
 def ruptured() -> Trial:
     """A ramp to 4 mm in 4 s that loses 60 % of its force at 3 mm, and a hold."""
     trial = recording([0, 4, 14], [0, 4, 4])
@@ -287,27 +279,27 @@ def ruptured() -> Trial:
     )
 
 
-def test_samples_from_the_first_rupture_on_take_no_part() -> None:
+def test_samples_from_the_first_rupture_on_take_no_part_unless_the_user_denies_it() -> None:
     trial = ruptured()
-    divided = segment(trial)
-    assert [event.kind for event in divided.events] == ["rupture"]
+    divided, denied = segment(trial), segment(trial, options=SegmentOptions(rupture=False))
+    assert [[event.kind for event in one.events] for one in (divided, denied)] == [["rupture"], []]
     log = fitted_log(trial, divided)
     assert log is not None
     assert log.data.time_s[-1] == pytest.approx(3.0, abs=3.0 / RATE_HZ)
     assert not log.has_hold
     assert relaxation_rows(trial, divided) == ()
-    flags = identify([trial]).specimens[0].trials[0].flags
-    assert {"rupture", "unloading_left_out"} <= {flag.code for flag in flags}
-    assert any("the first rupture" in flag.message for flag in flags if flag.code == "unloading_left_out")
+    flags = {flag.code: flag.message for flag in identify([trial]).specimens[0].trials[0].flags}
+    assert {"rupture", "unloading_left_out"} <= set(flags)
+    assert "the first rupture" in flags["unloading_left_out"]
+    whole = fitted_log(trial, denied)
+    assert whole is not None
+    assert whole.data.time_s[-1] == trial.time_s[-1]
 
 
-def test_the_user_may_deny_a_rupture() -> None:
-    trial = ruptured()
-    divided = segment(trial, options=SegmentOptions(rupture=False))
-    assert divided.events == ()
-    log = fitted_log(trial, divided)
-    assert log is not None
-    assert log.data.time_s[-1] == trial.time_s[-1]
+def test_a_cut_without_samples_is_said() -> None:
+    divided = segment(ruptured(), options=SegmentOptions(start_s=100.0))
+    assert (divided.phases, divided.contact) == ((), None)
+    assert "too_few_samples" in {flag.code for flag in divided.flags}
 
 
 def test_the_user_may_cut_a_recording() -> None:
@@ -319,10 +311,3 @@ def test_the_user_may_cut_a_recording() -> None:
     log = fitted_log(trial, divided)
     assert log is not None
     assert (log.data.time_s[0], log.data.time_s[-1]) == (3.0, 12.0)
-
-
-def test_a_cut_without_samples_is_said() -> None:
-    divided = segment(ruptured(), options=SegmentOptions(start_s=100.0))
-    assert divided.phases == ()
-    assert divided.contact is None
-    assert "too_few_samples" in {flag.code for flag in divided.flags}

@@ -1,4 +1,4 @@
-"""Random passive tissues and tool paths for the model tests."""
+"""Random passive tissues and tool paths for the model tests, and their walk under the servo's ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No motion of the tool gets more energy out of a passive tissue than was put in."""
+"""No motion of the tool gets more energy out of a passive tissue than was put in; the passive cone."""
 
 from __future__ import annotations
 

@@ -76,13 +76,11 @@ def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness()
 
 
 def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
-    model, theta = tissue(HARDENING)
-    x = np.linspace(0.0, 5.0, 501)
-    path = ContactPath(x / 8.0, x)
-    assert rupture_measures(model, theta, path, weight=1.0)["weighted-force"] == pytest.approx(
-        loading_force(model, theta, x, speed_mm_s=8.0), rel=1e-9, abs=1e-9
-    )
-    assert rupture_measures(model, theta, path, weight=0.0)["weighted-force"] == pytest.approx(0.43 * x**3)
+    (model, theta), x = tissue(HARDENING), np.linspace(0.0, 5.0, 501)
+    force = loading_force(model, theta, x, speed_mm_s=8.0)
+    for weight, expected in ((1.0, force), (0.0, 0.43 * x**3)):
+        found = rupture_measures(model, theta, ContactPath(x / 8.0, x), weight=weight)["weighted-force"]
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.needs_jit
