@@ -78,9 +78,15 @@ def test_a_short_log_is_kept_sample_by_sample_and_a_long_one_where_asked():
     assert (found.within_freedom, found.chain.sum()) == (0, 1)
 
 
+def held_log(hold_s, *, noise=0.0, **given):
+    """A second of ramp at 1 kHz and a hold."""
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, hold_s)
+    more = noise * np.random.default_rng(2).standard_normal(time.size)
+    return log_data(time, depth, direct(time, depth) + more, **given)
+
+
 def test_blocks_grow_behind_the_corner():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 30.0)
-    found = blocks_from(log_data(time, depth, direct(time, depth)))
+    found = blocks_from(held_log(30.0))
     since = found.mid_s - 1.0
     held = found.count[since > 0.0]
     assert held[0] <= 2
@@ -91,32 +97,23 @@ def test_blocks_grow_behind_the_corner():
 
 
 def test_what_is_left_within_blocks_is_the_noise():
-    rng = np.random.default_rng(2)
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
-    noisy = direct(time, depth) + 0.5 * rng.standard_normal(time.size)
-    found = blocks_from(log_data(time, depth, noisy))
+    found = blocks_from(held_log(10.0, noise=0.5))
     # some ten thousand degrees of freedom know a standard deviation to 0.7 %
     assert found.within_freedom > 8_000
     assert np.sqrt(found.within_N2 / found.within_freedom) == pytest.approx(0.5, rel=0.03)
 
 
-def test_samples_that_take_no_part_and_breaks_start_chains():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 1.0)
-    include = np.ones(time.size, dtype=bool)
-    include[600:700] = False
-    log = log_data(time, depth, direct(time, depth), include=include)
-    found = blocks_from(log)
+def test_samples_that_take_no_part_start_chains_and_folds_are_not_mixed():
+    at = np.arange(2001)
+    include = (at < 600) | (at >= 700)
+    found = blocks_from(held_log(1.0, include=include))
     assert found.count.sum() == include.sum()
     assert found.chain.sum() == 2
     assert found.mid_s[np.flatnonzero(found.chain)[1]] >= 0.7
     # a corner's own block starts none
     assert (found.count == 1).any()
-
-
-def test_folds_are_not_mixed():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
-    fold = (np.arange(time.size) // 977).astype(int)
-    found = blocks_from(log_data(time, depth, direct(time, depth), fold=fold))
+    fold = at // 477
+    found = blocks_from(held_log(1.0, fold=fold))
     edges = np.concatenate([[0], np.cumsum(found.count)])
     for number, (a, b) in enumerate(pairwise(edges)):
         assert set(fold[a:b]) == {int(found.fold[number])}

@@ -37,20 +37,55 @@ REACHED = {0.3: 0.256, 0.5: 0.470, 0.7: 0.683, 0.9: 0.894}
 MASS_KG = 0.6
 
 
+def packed(*law: float, **given: float) -> tuple[np.ndarray, np.ndarray]:
+    """The law's block, and a memory without a contact."""
+    block = np.empty(IMPACT_SIZE)
+    pack_impact(*law, block, 0, **{"slowest_mm_s": 1.0, **given})
+    return block, np.zeros(IMPACT_STATE)
+
+
 def drop(stiffness: float, exponent: float, chi: float, *, speed_mm_s: float, dt: float) -> float:
     """Speed after the contact of a free mass over that before it, by velocity Verlet."""
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(stiffness, exponent, chi, law, 0, slowest_mm_s=1.0)
+    block, memory = packed(stiffness, exponent, chi)
     depth, speed, force = -2.0 * speed_mm_s * dt, speed_mm_s, 0.0
     for _ in range(1_000_000):
         # N over kg in mm: a thousand mm a metre
         depth += speed * dt - 500.0 * force / MASS_KG * dt * dt
-        after = impact_step(law, 0, memory, 0, depth, dt)
+        after = impact_step(block, 0, memory, 0, depth, dt)
         speed -= 500.0 * (force + after) / MASS_KG * dt
         force = after
         if depth < 0.0 and speed < 0.0:
             return -speed / speed_mm_s
     raise AssertionError("the mass never left")
+
+
+def rendered_drop(stiffness_SI: float, restitution: float, *, delay_ticks: int) -> float:
+    """The same mass at 0.2 m/s against the law held from tick to tick at 1 kHz, its force some ticks late."""
+    block, memory = packed(stiffness_SI * 1000.0**-1.5, 1.5, damping_factor(restitution))
+    depth_m, speed, dt = -0.9 * 0.2 * 1e-3, 0.2, 1e-3
+    waiting = [0.0] * delay_ticks
+    for _ in range(100_000):
+        waiting.append(impact_step(block, 0, memory, 0, 1e3 * depth_m, dt))
+        acceleration = -waiting.pop(0) / MASS_KG
+        depth_m += speed * dt + 0.5 * acceleration * dt * dt
+        speed += acceleration * dt
+        if depth_m < 0.0 and speed < 0.0 and not any(waiting):
+            return -speed / 0.2
+    raise AssertionError("the mass never left")
+
+
+def forces(depths: list[float], *, hysteresis_mm: float) -> list[float]:
+    """Forces at ticks of 1 ms, k = 10 N/mm, chi = 2."""
+    block, memory = packed(10.0, 1.0, 2.0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
+    return [float(impact_step(block, 0, memory, 0, depth, 1e-3)) for depth in depths]
+
+
+def test_the_speed_is_filtered_before_it_is_latched() -> None:
+    block, memory = packed(10.0, 1.0, 1.0, filter_s=5e-3)
+    for k in range(40):
+        impact_step(block, 0, memory, 0, -4.0 + 0.1 * k, 1e-3)
+    # 39 steps of 1 ms at 100 mm/s from rest
+    assert memory[1] == pytest.approx(100.0 * (1.0 - math.exp(-39e-3 / 5e-3)))
 
 
 def reached_restitution(chi: float) -> float:
@@ -106,25 +141,6 @@ def test_a_restitution_without_a_bounded_force_is_refused(restitution: float) ->
     assert not law().is_passive(np.array([1.0, 1.5, restitution]))
 
 
-def rendered_drop(
-    stiffness_SI: float, restitution: float, *, delay_ticks: int, speed_m_s: float = 0.2
-) -> float:
-    """The same mass against the law held from tick to tick at 1 kHz, its force some ticks late."""
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    chi = damping_factor(restitution)
-    pack_impact(stiffness_SI * 1000.0**-1.5, 1.5, chi, law, 0, slowest_mm_s=1.0)
-    depth_m, speed, dt = -0.9 * speed_m_s * 1e-3, speed_m_s, 1e-3
-    waiting = [0.0] * delay_ticks
-    for _ in range(100_000):
-        waiting.append(impact_step(law, 0, memory, 0, 1e3 * depth_m, dt))
-        acceleration = -waiting.pop(0) / MASS_KG
-        depth_m += speed * dt + 0.5 * acceleration * dt * dt
-        speed += acceleration * dt
-        if depth_m < 0.0 and speed < 0.0 and not any(waiting):
-            return -speed / speed_m_s
-    raise AssertionError("the mass never left")
-
-
 def test_a_servo_s_contact_is_right_where_it_is_soft_and_makes_energy_where_it_is_stiff() -> None:
     # a contact of some 90 ms: a tick is a phase of a few percent
     assert rendered_drop(2e3, 0.5, delay_ticks=0) == pytest.approx(REACHED[0.5], rel=0.06)
@@ -143,33 +159,13 @@ def test_what_a_servo_at_1_khz_makes_of_restitution() -> None:
         sys.stdout.write("  ".join(row) + "\n")
 
 
-def forces(
-    depths: list[float], *, chi: float = 2.0, hysteresis_mm: float = 0.0, dt: float = 1e-3
-) -> list[float]:
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(10.0, 1.0, chi, law, 0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
-    return [float(impact_step(law, 0, memory, 0, depth, dt)) for depth in depths]
-
-
-def test_the_speed_is_filtered_before_it_is_latched() -> None:
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(10.0, 1.0, 1.0, law, 0, slowest_mm_s=1.0, filter_s=5e-3)
-    for k in range(40):
-        impact_step(law, 0, memory, 0, -4.0 + 0.1 * k, 1e-3)
-    # 39 steps of 1 ms at 100 mm/s from rest
-    assert memory[1] == pytest.approx(100.0 * (1.0 - math.exp(-39e-3 / 5e-3)))
-
-
 def test_each_contact_has_its_own_speed() -> None:
-    depth = np.array([-1.0, 1.0, 2.0, 2.0, -1.0, 3.0, 4.0])
-    chi = damping_factor(0.5)
-    # in at 2 mm/s, on at 1, held; in again at 4 mm/s, on at 1
-    expected = np.maximum(depth, 0.0) * (1.0 + chi * np.array([0.0, 1.0, 0.5, 0.0, 0.0, 1.0, 0.25]))
-    found = law().force(np.array([1.0, 1.0, 0.5]), ContactPath(np.arange(7.0), depth))
-    np.testing.assert_allclose(found, expected)
-    ratio = np.full(7, 0.5)
-    given = law().force(np.array([1.0, 1.0, 0.5]), ContactPath(np.arange(7.0), depth, ratio))
-    np.testing.assert_allclose(given, np.maximum(depth, 0.0) * (1.0 + 0.5 * chi))
+    depth, theta = np.array([-1.0, 1.0, 2.0, 2.0, -1.0, 3.0, 4.0]), np.array([1.0, 1.0, 0.5])
+    # in at 2 mm/s, on at 1, held; in again at 4 mm/s, on at 1; or a ratio that is given
+    told = np.array([0.0, 1.0, 0.5, 0.0, 0.0, 1.0, 0.25])
+    for given, ratio in ((None, told), (np.full(7, 0.5), 0.5)):
+        found = law().force(theta, ContactPath(np.arange(7.0), depth, given))
+        np.testing.assert_allclose(found, np.maximum(depth, 0.0) * (1.0 + damping_factor(0.5) * ratio))
 
 
 @pytest.mark.parametrize("name", ["power * impact", "power * impact-exact"])
