@@ -24,3 +24,13 @@ def linear_basis(model: ChannelModel, log_times: FloatArray, path: ContactPath) 
     for state in branch_states(path.time_s, x, np.exp(log_times)):
         columns += [state * x**k for k in range(model.stiffness_law.powers)]
     return np.column_stack(columns)
+
+
+def from_coordinates(p: FloatArray) -> FloatArray:
+    """A polynomial of degree <= 2 that is non-negative on [0, 1]: (p0 (1-u) - p2 u)^2 + 2 p1 u (1-u)."""
+    if p.size == 1:
+        return np.array([p[0] ** 2])
+    if p.size == 2:
+        return np.array([p[0] ** 2, p[1] ** 2 - p[0] ** 2])
+    c0, c1, c2 = p[0] ** 2, p[1] - p[0] * p[2], p[2] ** 2
+    return np.array([c0, 2.0 * (c1 - c0), c0 - 2.0 * c1 + c2])

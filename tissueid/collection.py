@@ -18,8 +18,8 @@ import numpy as np
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.documents.quantities import Cycle
 from tissueid.errors import InputError
+from tissueid.inference.frame_effect import beyond_calibration
 from tissueid.inference.logs import LogHandle
-from tissueid.inference.tip import beyond_calibration
 from tissueid.inference.window import fitted_log
 from tissueid.manifest import Decision, Study
 from tissueid.measured.cycles import cycle_rows

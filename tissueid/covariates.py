@@ -15,8 +15,8 @@ from tissueid.collection import Collected, Excluded
 from tissueid.decided import arithmetic_refusal
 from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
 from tissueid.inference.frame_effect import frame_flags
-from tissueid.inference.order import gain_spread, order_effect, repeated_sites
 from tissueid.inference.specimen import FitOptions, LogHandle
+from tissueid.inference.verdict import gain_spread, order_effect, repeated_sites
 from tissueid.manifest import Study, TomlTable
 from tissueid.result import Estimate, Refusal, SpecimenFit
 

@@ -29,11 +29,11 @@ from tissueid.covariates import (
 )
 from tissueid.decided import arithmetic_refusal
 from tissueid.errors import InputError, UsageError, exit_code
+from tissueid.inference.frame_effect import tip_handles
 from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
 from tissueid.inference.prior import calibration_priors
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
-from tissueid.inference.tip import tip_handles
 from tissueid.inference.verdict import unsampled, without_posterior
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry

@@ -64,28 +64,29 @@ def test_noise_of_the_travel_is_averaged_and_not_followed():
     assert off.max() < 4.0 * 0.002
 
 
-def test_a_short_log_is_kept_sample_by_sample():
+def test_a_short_log_is_kept_sample_by_sample_and_a_long_one_where_asked():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
+    found = blocks_from(log_data(time, depth, direct(time, depth)), whole=True)
+    assert found.force_N.size == time.size
     time, depth = ramp_hold(100.0, 4.0, 4.0, 2.0)
     assert time.size <= SAMPLED
-    include = np.ones(time.size, dtype=bool)
-    include[:5] = False
+    include = np.arange(time.size) >= 5
     found = blocks_from(log_data(time, depth, direct(time, depth), include=include))
     np.testing.assert_array_equal(found.force_N, direct(time, depth)[5:])
     np.testing.assert_array_equal(found.mid_s, time[5:])
     assert (found.count == 1).all()
-    assert found.within_freedom == 0
-    assert found.chain.sum() == 1
+    assert (found.within_freedom, found.chain.sum()) == (0, 1)
 
 
-def test_whole_keeps_every_sample_of_a_long_log():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
-    found = blocks_from(log_data(time, depth, direct(time, depth)), whole=True)
-    assert found.force_N.size == time.size
+def held_log(hold_s, *, noise=0.0, **given):
+    """A second of ramp at 1 kHz and a hold."""
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, hold_s)
+    more = noise * np.random.default_rng(2).standard_normal(time.size)
+    return log_data(time, depth, direct(time, depth) + more, **given)
 
 
 def test_blocks_grow_behind_the_corner():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 30.0)
-    found = blocks_from(log_data(time, depth, direct(time, depth)))
+    found = blocks_from(held_log(30.0))
     since = found.mid_s - 1.0
     held = found.count[since > 0.0]
     assert held[0] <= 2
@@ -96,33 +97,23 @@ def test_blocks_grow_behind_the_corner():
 
 
 def test_what_is_left_within_blocks_is_the_noise():
-    rng = np.random.default_rng(2)
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
-    noisy = direct(time, depth) + 0.5 * rng.standard_normal(time.size)
-    found = blocks_from(log_data(time, depth, noisy))
+    found = blocks_from(held_log(10.0, noise=0.5))
     # some ten thousand degrees of freedom know a standard deviation to 0.7 %
     assert found.within_freedom > 8_000
     assert np.sqrt(found.within_N2 / found.within_freedom) == pytest.approx(0.5, rel=0.03)
 
 
-def test_samples_that_take_no_part_and_breaks_start_chains():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 1.0)
-    include = np.ones(time.size, dtype=bool)
-    include[600:700] = False
-    log = log_data(time, depth, direct(time, depth), include=include)
-    found = blocks_from(log)
+def test_samples_that_take_no_part_start_chains_and_folds_are_not_mixed():
+    at = np.arange(2001)
+    include = (at < 600) | (at >= 700)
+    found = blocks_from(held_log(1.0, include=include))
     assert found.count.sum() == include.sum()
     assert found.chain.sum() == 2
     assert found.mid_s[np.flatnonzero(found.chain)[1]] >= 0.7
     # a corner's own block starts none
     assert (found.count == 1).any()
-
-
-def test_folds_are_not_mixed():
-    time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
-    fold = (np.arange(time.size) // 977).astype(int)
-    log = log_data(time, depth, direct(time, depth), fold=fold)
-    found = blocks_from(log)
+    fold = at // 477
+    found = blocks_from(held_log(1.0, fold=fold))
     edges = np.concatenate([[0], np.cumsum(found.count)])
     for number, (a, b) in enumerate(pairwise(edges)):
         assert set(fold[a:b]) == {int(found.fold[number])}
@@ -131,11 +122,9 @@ def test_folds_are_not_mixed():
 def test_a_path_that_leads_begins_in_air():
     time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
     log = log_data(time, depth, direct(time, depth))
-    found = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=True)
-    plain = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=False)
-    assert found.depth_mm[0] == pytest.approx(-0.1)
+    found, plain = (log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=leads) for leads in (True, False))
     # on the line of the first samples, at 4 mm/s
-    assert found.time_s[0] == pytest.approx(-0.025)
+    assert (found.depth_mm[0], found.time_s[0]) == pytest.approx((-0.1, -0.025))
     np.testing.assert_array_equal(found.at, plain.at + 1)
 
 

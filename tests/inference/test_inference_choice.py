@@ -1,4 +1,4 @@
-"""Orders of the law by what was left out: the simplest that predicts as well as the best."""
+"""Orders and laws by what was left out: the simplest that predicts as well as the best."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
+from tissueid.flags import Flag
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
 from tissueid.inference.choice import (
+    BEND,
+    Rival,
     Tried,
-    _clusters,
     choice_of,
     chosen_among,
     groups_of,
@@ -21,7 +23,9 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
+from tissueid.inference.specimen import _one_form, rival_flags
 from tissueid.inference.window import FOLDS
+from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
 from tissueid.synth import Branch, Hold, Log, Move
 
@@ -109,41 +113,36 @@ def test_the_yardstick_is_a_row_and_never_chosen():
 
 
 def test_the_simplest_within_one_standard_error_is_chosen():
-    best = tried(2, 1, [1.0, 1.1, 0.9, 1.0])
-    close = tried(1, 0, [1.0, 1.3, 0.9, 1.0])
-    worse = tried(1, 1, [2.0, 2.1, 2.0, 1.9])
+    best, close, worse = tried(2, 1, NEAR), tried(1, 0, [1.0, 1.3, 0.9, 1.0]), tried(1, 1, FAR)
     found, table, as_good = chosen_among([worse, close, best])
     assert found is close
     assert as_good == [close, best]
     assert [row["chosen"] for row in table] == [True, False, False]
     assert [row["score"] for row in table][2] == 0.0
-    gain = np.log([1.0, 1.3, 0.9, 1.0]) - np.log([1.0, 1.1, 0.9, 1.0])
+    gain = np.log([1.0, 1.3, 0.9, 1.0]) - np.log(NEAR)
     assert table[0]["score"] == pytest.approx(-gain.mean())
     assert table[0]["stderr"] == pytest.approx(gain.std(ddof=1) / 2.0)
+    # a clear gain is worth its parameters
+    assert chosen_among([worse, best])[0] is best
+    # two groups alike: the gain of the third is its own standard error, whatever it is
+    simple = tried(1, 1, [1.0, 5.0, 1.0])
+    assert chosen_among([simple, tried(1, 2, [1.0, 1.0, 1.0])])[0] is simple
 
 
-def test_a_clear_gain_is_worth_its_parameters():
-    best, simple = tried(2, 0, [1.0, 1.1, 0.9, 1.0]), tried(1, 0, [1.5, 1.4, 1.6, 1.5])
-    assert chosen_among([simple, best])[0] is best
-
-
-def test_values_alike_are_one_group():
-    assert _clusters([1.0, 4.0, 1.05, 10.0, 4.2]).tolist() == [0, 1, 0, 2, 1]
-
-
-def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch():
-    def facts(*rows):
-        return [SimpleNamespace(speeds_mm_s=(v,), depth_mm=d) for v, d in rows]
-
+@pytest.mark.parametrize(
+    ("rows", "kind", "of"),
+    [
+        (((1.0, 4.0), (1.05, 4.0), (2.0, 4.0), (5.0, 4.0)), "speed", [0, 0, 0, 1, 2]),
+        (((1.0, 1.0), (1.0, 2.0), (1.0, 3.0), (1.0, 3.1)), "depth", [0, 0, 1, 2, 2]),
+        (((1.0, 4.0), (1.0, 4.0), (1.0, 4.0), (2.0, 4.0)), "log", [0, 0, 1, 2, 3]),
+        (((1.0, 4.0),), "stretch of the log", [0, 7 % FOLDS, 1, 2, 3]),
+    ],
+)
+def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch(rows, kind, of):
+    facts = [SimpleNamespace(speeds_mm_s=(v,), depth_mm=d) for v, d in rows]
     system = SimpleNamespace(log=np.array([0, 0, 1, 2, 3]), fold=np.array([0, 7, 1, 2, 3]))
-    speeds = groups_of(system, facts((1.0, 4.0), (1.0, 4.0), (2.0, 4.0), (5.0, 4.0)))
-    assert (speeds.kind, speeds.of.tolist()) == ("speed", [0, 0, 0, 1, 2])
-    depths = groups_of(system, facts((1.0, 1.0), (1.0, 2.0), (1.0, 3.0), (1.0, 3.0)))
-    assert (depths.kind, depths.of.tolist()) == ("depth", [0, 0, 1, 2, 2])
-    logs = groups_of(system, facts((1.0, 4.0), (1.0, 4.0), (1.0, 4.0), (2.0, 4.0)))
-    assert (logs.kind, logs.of.tolist()) == ("log", [0, 0, 1, 2, 3])
-    alone = groups_of(system, facts((1.0, 4.0)))
-    assert (alone.kind, alone.of.tolist()) == ("stretch of the log", [0, 7 % FOLDS, 1, 2, 3])
+    found = groups_of(system, facts)
+    assert (found.kind, found.of.tolist()) == (kind, of)
 
 
 def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
@@ -173,17 +172,70 @@ def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
     assert not resolved(one, 0.1)
 
 
-def test_one_group_of_three_decides_nothing():
-    """Two groups alike: the gain of the third is its own standard error, whatever it is."""
-    best, simple = tried(1, 2, [1.0, 1.0, 1.0]), tried(1, 1, [1.0, 5.0, 1.0])
-    found, _, as_good = chosen_among([simple, best])
-    assert found is simple
-    assert as_good == [simple, best]
-
-
 def test_a_third_branch_of_one_program_has_to_gain_a_fifth():
     base = np.array([1.0, 1.2, 0.9])
     plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base)
     assert without_bends([plain, slight]) == [plain]
     much = tried(3, 1, 0.7 * base)
     assert without_bends([plain, much]) == [plain, much]
+
+
+PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)
+
+
+def quasi_linear(trials):
+    """The same paths, felt by a quasi-linear tissue."""
+    rng, theta = np.random.default_rng(8), np.array([20.0, -1.2, 0.35, 1.5, 0.5])
+    model = parsed("polynomial * tangent * prony:1").model(8.0, 0.01, 10.0)
+    out = []
+    for one in trials:
+        force = model.force(theta, ContactPath(one.time_s, np.maximum(one.displacement_mm, 0.0)))
+        out.append(replace(one, force_N=force + 0.1 * rng.standard_normal(one.time_s.size)))
+    return out
+
+
+@pytest.mark.system
+def test_a_quasi_linear_tissue_is_told_and_the_papers_is_not():
+    paper = identified(handles_for(draw(PAPER, 1)), pooling="partial", branches=(1, 2), degrees=(0, 1))
+    assert not any(one.better or one.disagrees for one in paper.rivals)
+    assert rival_flags(paper) == ()
+    other = identified(
+        handles_for(quasi_linear(draw(PAPER, 1))), pooling="partial", branches=(1, 2), degrees=(0, 1)
+    )
+    assert any(one.better for one in other.rivals)
+    (flag,) = rival_flags(other)
+    assert flag.code == "form_dependent"
+    assert flag.values["tau_s"] == pytest.approx(0.5, rel=0.05)
+
+
+def rival(gain, apart, *, stderr=0.3):
+    return Rival("polynomial * tangent * prony:1", gain, stderr, 1.84 * stderr, 0.5, 0.01, apart, None, None)
+
+
+@pytest.mark.parametrize(
+    ("gain", "apart", "better", "disagrees"),
+    [
+        (1.0, 0.0, True, False),
+        (1.0, 9.0, True, True),
+        (0.29, 0.5, False, False),
+        (0.29, -4.0, False, True),
+        (-0.5, 4.0, False, True),
+        (-1.0, 9.0, False, False),
+    ],
+)
+def test_a_law_is_better_or_ties_and_disagrees(gain, apart, better, disagrees):
+    one = rival(gain, apart)
+    assert (one.better, one.disagrees) == (better, disagrees)
+    # a gain that is sure but small is none
+    assert not rival(0.9 * BEND, 0.0, stderr=1e-3).better
+
+
+def test_one_remark_on_the_form_is_enough():
+    by_law, window, program = (
+        Flag("form_dependent", "", {key: 1.0}) for key in ("gain", "slope", "depth_mm")
+    )
+    other = Flag("bound_active", "else")
+    assert _one_form((program, other, window, by_law)) == (other, by_law)
+    assert _one_form((program, window, other)) == (window, other)
+    assert _one_form((program, other)) == (program, other)
+    assert _one_form((other,)) == (other,)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from inference_cases import (
@@ -53,21 +55,15 @@ def test_the_nearest_point_is_that_of_scipy(seed):
     np.testing.assert_allclose(inverse @ found, inverse @ (centre + root @ there.x), atol=1e-4)
 
 
-def test_a_point_inside_stays():
+def test_a_point_inside_stays_and_a_bound_that_is_none_is_not_looked_at():
     centre = np.array([1.0, 2.0])
     assert nearest_in_cone(centre, np.eye(2), np.eye(2), np.zeros(2)) is centre
-
-
-def test_a_bound_that_is_none_is_not_looked_at():
-    cone, least = np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.0, -1e300])
-    np.testing.assert_allclose(
-        nearest_in_cone(np.array([-1.0, -5.0]), np.eye(2), cone, least), [0.0, -5.0], atol=1e-12
-    )
+    found = nearest_in_cone(np.array([-1.0, -5.0]), np.eye(2), np.eye(2), np.array([0.0, -1e300]))
+    np.testing.assert_allclose(found, [0.0, -5.0], atol=1e-12)
 
 
 def test_a_covariance_is_the_inverse_and_a_flat_direction_is_wide():
-    rng = np.random.default_rng(2)
-    root = rng.standard_normal((4, 4)) * 100.0
+    root = np.random.default_rng(2).standard_normal((4, 4)) * 100.0
     np.testing.assert_allclose(covariance_of(root @ root.T), np.linalg.inv(root @ root.T), rtol=1e-5)
     flat = covariance_of(np.diag([4.0, 0.0]))
     assert flat[0, 0] == pytest.approx(0.25, rel=1e-5)
@@ -83,42 +79,13 @@ def fitted(theta, *, start, sigma=0.1, degree=0, seed=1):
     system = system_of([log], law)
     found = minimise(
         system, point_of(law, start),
-        lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False), machine=False,
+        partial(prior_rows, system, Scatter(), Priors(), machine=False), machine=False,
     )  # fmt: skip
     return law, system, found
 
 
-def test_the_optimum_is_one_of_the_objective():
-    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
-    assert found.converged
-    assert not found.active.any()
-    free = np.r_[0, 4:8]
-
-    def objective(by):
-        shared = found.point.shared.copy()
-        shared[free] += by * np.sqrt(np.diag(found.covariance))[free]
-        point = found.point.moved(shared)
-        left = (system.force - system.predict(point)) / found.noise.sigma_N
-        return float(left @ left) + prior_cost(found.prior, point)
-
-    here = objective(np.zeros(5))
-    better = minimize(objective, np.zeros(5), method="Nelder-Mead", options={"maxfev": 600})
-    # steps end at a hundredth of a standard error
-    assert better.fun >= here - 0.01
-    assert abs(np.exp(found.point.log_times[0]) - 0.2) < 4.0 * 0.2 * np.sqrt(found.covariance[0, 0])
-    assert found.noise.sigma_N == pytest.approx(0.1, rel=0.12)
-
-
-def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
-    # K falls to less than none: the bound holds it
-    law, system, found = fitted(
-        [20.0, 0.0, 0.0, 30.0, -9.0, 0.2], start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1
-    )
-    assert found.active.any()
-    at = law.theta(found.point.log_times, found.point.linear)[0]
-    assert law.model().is_passive(at)
-    free = np.r_[0, 4 : 4 + law.linear]
-    cone = found.prior.cone[:, free]
+def objective_about(system, found, free):
+    """Objective by steps of some shared parameters, in their standard errors, from an optimum."""
     sd = np.sqrt(np.diag(found.covariance))[free]
 
     def objective(by):
@@ -128,21 +95,44 @@ def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
         left = (system.force - system.predict(point)) / found.noise.sigma_N
         return float(left @ left) + prior_cost(found.prior, point)
 
-    used = found.prior.least > -1e200
+    return objective, sd
+
+
+def test_the_optimum_is_one_of_the_objective():
+    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
+    assert found.converged
+    assert not found.active.any()
+    objective, sd = objective_about(system, found, np.r_[0, 4:8])
+    better = minimize(objective, np.zeros(5), method="Nelder-Mead", options={"maxfev": 600})
+    # steps end at a hundredth of a standard error
+    assert better.fun >= objective(np.zeros(5)) - 0.01
+    assert abs(np.exp(found.point.log_times[0]) - 0.2) < 4.0 * 0.2 * sd[0]
+    assert found.noise.sigma_N == pytest.approx(0.1, rel=0.12)
+
+
+def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
+    # K falls to less than none: the bound holds it
+    falling = [20.0, 0.0, 0.0, 30.0, -9.0, 0.2]
+    law, system, found = fitted(falling, start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1)
+    assert found.active.any()
+    assert law.model().is_passive(law.theta(found.point.log_times, found.point.linear)[0])
+    free, used = np.r_[0, 4 : 4 + law.linear], found.prior.least > -1e200
+    objective, sd = objective_about(system, found, free)
     slack = (found.prior.cone @ found.point.shared - found.prior.least)[used]
+    rows = found.prior.cone[used][:, free] * sd
     there = minimize(
         objective, np.zeros(free.size), method="SLSQP",
-        constraints={"type": "ineq", "fun": lambda by: slack + cone[used] @ (by * sd)},
+        constraints={"type": "ineq", "fun": lambda by: slack + rows @ by},
     )  # fmt: skip
     assert objective(np.zeros(free.size)) <= there.fun + 0.02
 
 
 def test_what_is_held_stays():
-    law, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[20.0, -1.2, 0.35, 30.0, 0.2])
+    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[20.0, -1.2, 0.35, 30.0, 0.2])
     start = found.point.moved(found.point.shared + np.eye(8)[0])
     kept = minimise(
         system, start,
-        lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False),
+        partial(prior_rows, system, Scatter(), Priors(), machine=False),
         machine=False, held=np.array([0]), sigma_N=found.noise.sigma_N,
     )  # fmt: skip
     assert kept.point.log_times[0] == pytest.approx(start.log_times[0], abs=1e-9)

@@ -132,35 +132,28 @@ def test_several_logs_with_scatter_hold_the_truth_too():
 
 @pytest.mark.system
 def test_a_law_that_lacks_a_branch_has_the_generalised_posterior():
-    lacking = replace(ONE, branches=(Branch((30.0,), 0.2), Branch((20.0,), 2.5)), sigma_N=0.05)
-    state = fitted(lacking)
+    state = fitted(replace(ONE, branches=(*ONE.branches, Branch((20.0,), 2.5)), sigma_N=0.05))
     assert state.identified.discrepant
-    found = sampled(state)
+    found, name = sampled(state), "static_1_N_per_mm"
     assert found.posterior.sampler.detail["density"] == "generalised"
     assert found.posterior.noise.samples_per_independent > 1.0
-    plain = state.fit.parameter("static_1_N_per_mm").detail["estimate_stderr"]
-    assert found.parameter("static_1_N_per_mm").uncertainty.sd > 1.5 * plain
-
-
-def test_without_a_sampler_the_fit_stands():
-    state = fitted()
+    plain = state.fit.parameter(name).detail["estimate_stderr"]
+    assert found.parameter(name).uncertainty.sd > 1.5 * plain
+    # without a sampler the fit stands
     assert with_posterior(state, priors=Priors(), options=PosteriorOptions(sampler="none")) is state.fit
 
 
 def test_gains_of_the_channels_scale_the_tissue():
-    law = kelvin_voigt_law(1, 1, 4.0)
-    theta = np.array([[20.0, -1.2, 0.35, 30.0, 6.0, 0.2]])
-    force, travel = 1.02, 0.97
-    found = law.model(), _with_gains(law, theta, np.array([[force, travel]]))[0]
+    law, (force, travel) = kelvin_voigt_law(1, 1, 4.0), (1.02, 0.97)
+    theta, model = np.array([20.0, -1.2, 0.35, 30.0, 6.0, 0.2]), law.model()
+    found = _with_gains(law, theta[None], np.array([[force, travel]]))[0]
     # F_shown = g_F F(x), x_shown = g_x x
     x = np.linspace(0.1, 3.0, 5)
-    shown = law.model().static_force(theta[0], travel * x) / force
-    np.testing.assert_allclose(found[0].static_force(found[1], x), shown, rtol=1e-12)
-    np.testing.assert_allclose(
-        found[0].stiffness(found[1], x)[0] * x,
-        law.model().stiffness(theta[0], travel * x)[0] * travel * x / force,
-    )
-    assert found[1][-1] == 0.2
+    shown = model.static_force(theta, travel * x) / force
+    np.testing.assert_allclose(model.static_force(found, x), shown, rtol=1e-12)
+    shown = model.stiffness(theta, travel * x)[0] * travel / force
+    np.testing.assert_allclose(model.stiffness(found, x)[0], shown)
+    assert found[-1] == 0.2
 
 
 def test_draws_are_brought_inside_no_further_than_needed():
@@ -172,6 +165,11 @@ def test_draws_are_brought_inside_no_further_than_needed():
     # K of 2 at the centre and -1 there: a third of the way is left out
     np.testing.assert_allclose(found[1], centre + (linear[1] - centre) * 2.0 / 3.0, atol=1e-6)
     assert (law.cone() @ found.T >= -1e-12).all()
+    # a centre that rounding puts outside a wall
+    drawn = np.array([[1.1, 0.1, 0.0, -1e-13], [1.1, 0.1, 0.0, -0.5]])
+    inside = _passive(kelvin_voigt_law(1, 0, 4.0), drawn, np.array([1.0, 0.0, 0.0, -1e-18]))
+    assert np.abs(inside).max() <= 1.2
+    np.testing.assert_allclose(inside[:, -1], 0.0, atol=1e-12)
 
 
 def test_statistical_draws_have_the_machine_at_its_mean():
@@ -186,12 +184,3 @@ def test_statistical_draws_have_the_machine_at_its_mean():
     assert found[:, 0].std() == pytest.approx(0.01, rel=0.1)
     np.testing.assert_allclose(found.mean(axis=0), vectors.mean(axis=0), atol=1e-12)
     assert found[:, -1].std() == pytest.approx(vectors[:, -1].std(), rel=0.02)
-
-
-def test_a_draw_is_brought_to_a_centre_that_rounding_puts_outside_a_wall():
-    law = kelvin_voigt_law(1, 0, 4.0)
-    centre = np.array([1.0, 0.0, 0.0, -1e-18])
-    drawn = np.array([[1.1, 0.1, 0.0, -1e-13], [1.1, 0.1, 0.0, -0.5]])
-    inside = _passive(law, drawn, centre)
-    assert np.abs(inside).max() <= 1.2
-    np.testing.assert_allclose(inside[:, -1], 0.0, atol=1e-12)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from density_cases import COVARIANCE, MEAN, banana, correlated
 
-from tissueid.inference.mixture import learn_mixture
-from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal
+from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal, learn_mixture
 from tissueid.inference.sampling import smoothed
 
 CORNERS = {

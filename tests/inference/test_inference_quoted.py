@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, small_recipe
 
+from tissueid.inference.holds import drainage_time, drained_share, hold_numbers, relaxation_spectrum
+from tissueid.inference.quoted import depth_test
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.measured.geometry import Geometry, stated_geometry
 from tissueid.model.functionals import complex_stiffness, force_after_ramp, force_after_step
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.moduli import Indenter, contact_of
 from tissueid.synth import Branch, Hold, Log, Move
+from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
 TRUE = Branch((30.0,), 0.2)
 MODEL = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=4.0)
@@ -102,30 +105,31 @@ def test_nothing_is_said_beyond_the_hold_nor_between_two_samples(fit):
     assert "outside" in find(asked, "tan_delta", frequency_Hz=50.0).reason
 
 
-def test_a_plateau_that_was_not_seen_is_not_quoted():
-    slow = small_recipe(branches=(Branch((30.0,), 4.0),), sigma_N=0.05)
-    ratio = find(fitted(recipe=slow).quoted.model, "peak_to_plateau", path="step")
-    assert ratio.value is None
-    assert "plateau was not seen" in ratio.reason
+SLOW = small_recipe(branches=(Branch((30.0,), 4.0),), sigma_N=0.05)
+#: One slow ramp: the branch is a straight line beside the static force.
+STRAIGHT = small_recipe(
+    branches=(Branch((5.0,), 0.01),), sigma_N=2.0, logs=(Log("slow", (Move(4.0, 30.0), Hold(2.0))),)
+)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "name", "at", "reason"),
+    [
+        (SLOW, "peak_to_plateau", {"path": "step"}, "plateau was not seen"),
+        (STRAIGHT, "loss_stiffness", {"frequency_Hz": 3.0}, "determine"),
+    ],
+)
+def test_what_the_data_do_not_determine_is_null_with_its_reason(recipe, name, at, reason):
+    one = find(fitted(recipe=recipe).quoted.model, name, **at)
+    assert one.value is None
+    assert reason in one.reason
 
 
 def test_without_a_hold_the_ramp_s_relaxation_is_not_invented():
-    ramps = small_recipe(branches=(TRUE,))
-    ramps = replace(ramps, logs=ramps.logs[:3])
-    model = fitted(recipe=ramps).quoted.model
-    assert all(one.value is None for one in model if one.at.get("path") == "ramp")
-    assert fitted(recipe=ramps).quoted.spectra == ()
-
-
-def test_what_the_data_do_not_determine_is_null():
-    # one slow ramp: the branch is a straight line beside the static force
-    slow = small_recipe(branches=(Branch((5.0,), 0.01),), sigma_N=2.0)
-    slow = replace(slow, logs=(Log("slow", (Move(4.0, 30.0), Hold(2.0))),))
-    found = fitted(recipe=slow)
-    assert not found.parameter("relaxation_time_s").identified
-    loss = find(found.quoted.model, "loss_stiffness", frequency_Hz=3.0)
-    assert loss.value is None
-    assert "determine" in loss.reason
+    plan = small_recipe(branches=(TRUE,))
+    quoted = fitted(recipe=replace(plan, logs=plan.logs[:3])).quoted
+    assert all(one.value is None for one in quoted.model if one.at.get("path") == "ramp")
+    assert quoted.spectra == ()
 
 
 def test_moduli_are_forces_over_the_tip_s_geometry(fit):
@@ -146,13 +150,12 @@ def test_moduli_are_forces_over_the_tip_s_geometry(fit):
     assert fit.quoted.assumptions["poisson"] == 0.5
 
 
-def test_drainage_under_a_small_tip_is_warned_of():
+def test_drainage_under_a_small_tip_is_warned_of(fit):
     tiny = fitted(geometry=Geometry(Indenter("flat", 0.02)))
     flag = next(flag for flag in tiny.flags if flag.code == "poroelastic")
     # a^2/D for D of 1e-2 and 1e-5 mm2/s
     assert (flag.values["from_s"], flag.values["to_s"]) == pytest.approx((0.04, 40.0))
-    wide = fitted(geometry=Geometry(Indenter("flat", 3.0)))
-    assert not [flag for flag in wide.flags if flag.code == "poroelastic"]
+    assert not [flag for flag in fit.flags if flag.code == "poroelastic"]
 
 
 def test_without_a_tip_there_is_no_modulus():
@@ -161,7 +164,108 @@ def test_without_a_tip_there_is_no_modulus():
     assert stated_geometry({"shape": "other"}, 10.0, 0.5) is None
     known = stated_geometry({"shape": "flat", "radius_mm": 2.0, "material": "steel"}, 10.0, 0.4)
     assert known == Geometry(Indenter("flat", 2.0), 10.0, 0.4)
-    with pytest.raises(ValueError, match="Poisson"):
-        Geometry(Indenter("flat", 2.0), poisson=0.7)
-    with pytest.raises(ValueError, match="thickness"):
-        Geometry(Indenter("flat", 2.0), thickness_mm=-1.0)
+    for wrong, said in (({"poisson": 0.7}, "Poisson"), ({"thickness_mm": -1.0}, "thickness")):
+        with pytest.raises(ValueError, match=said):
+            Geometry(Indenter("flat", 2.0), **wrong)
+
+
+DEPTHS = np.repeat([1.0, 2.0, 4.0, 8.0], 2)
+BALL = Geometry(Indenter("sphere", 20.0))
+
+
+def scattered(times: np.ndarray, sd: float = 0.05) -> list[float]:
+    return list(times * np.exp(sd * np.random.default_rng(3).standard_normal(times.size)))
+
+
+@pytest.mark.parametrize(
+    ("depths", "times", "verdict"),
+    [
+        (DEPTHS, scattered(0.4 * DEPTHS), "drainage"),
+        (DEPTHS, scattered(np.full(8, 0.4)), "viscous"),
+        (DEPTHS, scattered(0.4 * DEPTHS**0.5), "neither"),
+        ([1.0, 2.0, 4.0], [0.2, 3.0, 0.4], "can't decide"),
+    ],
+)
+def test_the_slope_decides(depths: list[float], times: list[float], verdict: str) -> None:
+    slope, flags = depth_test(BALL, list(depths), times)
+    assert slope is not None
+    assert slope.at["verdict"] == verdict
+    assert slope.at["low"] <= slope.value <= slope.at["high"]
+    assert [flag.code for flag in flags] == ["poroelastic"] * (verdict == "drainage")
+
+
+def test_without_two_contacts_there_is_no_test_and_a_buried_tip_says_so() -> None:
+    slope, flags = depth_test(Geometry(Indenter("sphere", 5.0)), [1.0, 2.0, 4.0], [1.0, 2.0, 4.0])
+    assert slope is not None
+    assert (slope.value, flags) == (None, ())
+    assert "4 mm of depth, 5 mm of radius" in slope.reason
+    three, flat = [1.0, 2.0, 4.0], Geometry(Indenter("flat", 5.0))
+    for geometry, depths in ((None, three), (flat, three), (BALL, [4.0, 4.0, 4.0]), (BALL, [1.0, 4.0])):
+        assert depth_test(geometry, depths, [1.0] * len(depths)) == (None, ())
+
+
+@pytest.mark.parametrize("ramp_s", [0.0, 0.5])
+@pytest.mark.parametrize("truth", [0.3, 3.0])
+def test_the_time_of_drainage_is_found_behind_its_ramp(truth: float, ramp_s: float) -> None:
+    """Parts of a ramp under a sphere, drained each from its own moment, by a fine sum."""
+    time = np.arange(0.0, 10.0, 0.01)
+    part = (np.arange(4000) + 0.5) / 4000
+    weight = np.diff(np.append(0.0, ((np.arange(4000) + 1.0) / 4000) ** 1.5))
+    since = time[:, None] + ramp_s * (1.0 - part)
+    force = 5.0 + 20.0 * drained_share(since / truth) @ weight
+    force += 0.01 * np.random.default_rng(1).standard_normal(time.size)
+    assert drainage_time(time, force, ramp_s) == pytest.approx(truth, rel=0.01)
+
+
+def test_the_function_of_drainage_begins_at_one_and_ends_at_none() -> None:
+    """Hu et al. 2010, the printed coefficients."""
+    np.testing.assert_allclose(drained_share(np.array([0.0, 1.0, 1e4])), [1.0, 0.2930, 0.0], atol=2e-4)
+    assert drainage_time(np.arange(5.0), np.ones(5), 0.0) == 0.0
+
+
+RATE = 100.0
+PLATEAU, FAST, SLOW = 5.0, (4.0, 0.2), (3.0, 5.0)
+
+
+def relaxing(time):
+    return PLATEAU + FAST[0] * np.exp(-time / FAST[1]) + SLOW[0] * np.exp(-time / SLOW[1])
+
+
+def test_the_longest_hold_tells_how_it_was_reached_and_standing_in_air_is_none():
+    """A linear ramp of one second to 12 N, then the relaxation above."""
+    time = np.arange(int(31.0 * RATE) + 1) / RATE
+    corner, force = int(RATE), np.where(time < 1.0, 12.0 * time, relaxing(np.maximum(time - 1.0, 0.0)))
+    ramp = Phase("ramp", 0, corner + 1, 0.0, 1.0, 3.0)
+    hold = Phase("hold", corner, time.size, 1.0, float(time[-1]), 0.0)
+    trial = Trial("knee", time, np.minimum(time, 1.0) * 3.0, force, source=Source(path="hold.csv"))
+    segmentation = Segmentation(1, 1, Contact(0, 0.0, 1e-3), (ramp, hold), 0.01)
+    found = hold_numbers(trial, segmentation)
+    assert (found.longest_s, found.speed_mm_s, found.depth_mm) == pytest.approx((30.0, 3.0, 3.0))
+    quiet = replace(trial, force_N=np.full(time.size, 0.01))
+    assert hold_numbers(quiet, segmentation).longest_s == 0.0
+    assert hold_numbers(trial, replace(segmentation, contact=None)).spectra == ()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.2])
+def test_spectrum_has_its_two_peaks_and_fits_to_the_noise(noise):
+    time = np.arange(0.0, 30.0, 0.01)
+    force = relaxing(time) + noise * np.random.default_rng(3).standard_normal(time.size)
+    tau, amplitude, plateau, _, rmse = relaxation_spectrum(time, force)
+    assert (amplitude >= 0.0).all()
+    fast, slow = tau < 1.0, tau >= 1.0
+    # smoothing and noise spread a line over its neighbours, its sum and its centre stay
+    assert amplitude[fast].sum() == pytest.approx(FAST[0], rel=0.05)
+    assert amplitude[slow].sum() == pytest.approx(SLOW[0], rel=0.05)
+    for part, (_, centre) in ((fast, FAST), (slow, SLOW)):
+        mean = np.exp(np.average(np.log(tau[part]), weights=amplitude[part]))
+        assert mean == pytest.approx(centre, rel=0.15)
+    assert plateau == pytest.approx(PLATEAU, rel=0.02)
+    assert rmse <= max(1.05 * noise, 0.005)
+
+
+def test_smoothing_grows_with_the_noise():
+    time = np.arange(0.0, 30.0, 0.01)
+    draws = np.random.default_rng(4).standard_normal(time.size)
+    weights = [relaxation_spectrum(time, relaxing(time) + sd * draws)[3] for sd in (0.002, 0.02, 0.2)]
+    assert weights == sorted(weights)
+    assert weights[-1] > weights[0]

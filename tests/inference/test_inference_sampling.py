@@ -1,4 +1,4 @@
-"""Chains of known densities, and runs that are killed and go on to the same draws."""
+"""Chains of known densities, Pareto smoothing, and runs that are killed and go on to the same draws."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from density_cases import COVARIANCE, MEAN, Density, banana, correlated
 
 from tissueid.inference import sampling
-from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample
+from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample, smoothed
 
 DRAWS = 1_500
 
@@ -48,10 +48,38 @@ def test_a_banana_has_its_moments():
     )
 
 
-def test_a_seed_repeats_its_draws_and_another_does_not():
-    first, same, other = (sample(correlated(), draws=300, seed=seed) for seed in (3, 3, 4))
+def test_a_seed_repeats_its_draws_another_does_not_and_progress_is_told():
+    said = []
+    first = sample(
+        correlated(), draws=300, seed=3, progress=lambda points, share: said.append((points, share))
+    )
+    same, other = (sample(correlated(), draws=300, seed=seed) for seed in (3, 4))
     np.testing.assert_array_equal(first.chain, same.chain)
     assert not np.array_equal(first.chain, other.chain)
+    assert said[-1][1] == 1.0
+    # looks of importance sampling, then rounds of the walkers
+    points = [points for points, _ in said]
+    assert points[0] == 1_000
+    assert points == sorted(points)
+    assert points[-1] >= 1_000 + WALKERS * STEPS
+
+
+def test_a_killed_run_goes_on_to_the_same_draws(tmp_path):
+    kept_in = {"checkpoint": tmp_path / "chains" / "liver.npz", "key": "liver"}
+
+    def told(points, share):
+        if points >= 3_000:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        sample(correlated(), draws=4_000, seed=5, progress=told, **kept_in)
+    resumed, again = correlated(), correlated()
+    found = sample(resumed, draws=4_000, seed=5, **kept_in)
+    whole = sample(again, draws=4_000, seed=5)
+    np.testing.assert_array_equal(found.chain, whole.chain)
+    np.testing.assert_array_equal(found.log_density, whole.log_density)
+    # looks that were kept were not taken again
+    assert resumed.calls <= again.calls - 2
 
 
 def test_a_density_that_no_proposal_meets_is_refused():
@@ -85,47 +113,23 @@ def test_too_few_draws_are_no_convergence_and_say_so(monkeypatch):
     assert "of 50000 effective draws" in found.detail["reason"]
 
 
-def test_progress_is_told():
-    said = []
-    sample(correlated(), draws=DRAWS, seed=1, progress=lambda points, share: said.append((points, share)))
-    assert said[-1][1] == 1.0
-    points = [points for points, _ in said]
-    # looks of importance sampling, then rounds of the walkers
-    assert points[0] == 1_000
-    assert points == sorted(points)
-    assert points[-1] >= 1_000 + WALKERS * STEPS
-
-
-def test_a_normal_within_walls_is_walked_by_its_own_draws():
-    """Nearly every draw is a new one: the least coordinate of 3,840 is worth most of them."""
-    found = sample(Density(4, lambda z: -0.5 * (z**2).sum(axis=1)), draws=DRAWS, seed=1)
-    assert found.acceptance > 0.75
-    assert found.detail["effective_draws"] > 0.6 * WALKERS * STEPS
+@pytest.mark.parametrize("is_normal", [False, True])
+def test_a_normal_is_walked_by_its_own_draws_and_its_medians_hardly_depend_on_the_seed(is_normal):
+    """A Sobol sequence: 2,048 independent draws would differ by 0.04 standard deviations of a median."""
+    target = Density(4, lambda z: -0.5 * (z**2).sum(axis=1))
+    target.is_normal = is_normal
+    chains = [sample(target, draws=2_000, seed=seed) for seed in (0, 1)]
+    # nearly every draw is a new one: the least coordinate of 3,840 is worth most of them
+    assert all(one.acceptance > 0.75 for one in chains)
+    assert all(
+        one.detail["effective_draws"] > (2_000 if is_normal else 0.5 * WALKERS * STEPS) for one in chains
+    )
+    apart = np.subtract(*(np.median(one.chain.reshape(-1, 4), axis=0) for one in chains))
+    assert not is_normal or np.abs(apart).max() <= 0.015
 
 
 class KilledError(Exception):
     pass
-
-
-def test_a_killed_run_goes_on_to_the_same_draws(tmp_path):
-    path = tmp_path / "chains" / "liver.npz"
-    whole = sample(correlated(), draws=4_000, seed=5)
-    dying = correlated()
-
-    def told(points, share):
-        if points >= 3_000:
-            raise KilledError
-
-    with pytest.raises(KilledError):
-        sample(dying, draws=4_000, seed=5, checkpoint=path, key="liver", progress=told)
-    resumed = correlated()
-    found = sample(resumed, draws=4_000, seed=5, checkpoint=path, key="liver")
-    np.testing.assert_array_equal(found.chain, whole.chain)
-    np.testing.assert_array_equal(found.log_density, whole.log_density)
-    again = correlated()
-    sample(again, draws=4_000, seed=5)
-    # looks that were kept were not taken again
-    assert resumed.calls <= again.calls - 2
 
 
 def kept(path, key="key", seed=31, count=7):
@@ -149,39 +153,32 @@ def test_points_weights_and_generator_come_back_bit_for_bit(tmp_path):
     "how", ["another key", "another size", "cut", "empty", "noise", "objects", "missing", "other"]
 )
 def test_what_cannot_be_gone_on_from_is_left_aside(tmp_path, how):
-    path, key, size = tmp_path / "liver.npz", "key", 3
+    path = tmp_path / "liver.npz"
     kept(path)
     content = path.read_bytes()
-    if how == "another key":
-        key = "other"
-    elif how == "another size":
-        size = 4
-    elif how == "cut":
-        path.write_bytes(content[: len(content) // 2])
-    elif how == "empty":
-        path.write_bytes(b"")
-    elif how == "noise":
-        path.write_bytes(np.random.default_rng(32).bytes(5000))
+    spoiled = {
+        "cut": content[: len(content) // 2],
+        "empty": b"",
+        "noise": np.random.default_rng(32).bytes(5000),
+    }
+    if how in spoiled:
+        path.write_bytes(spoiled[how])
     elif how == "objects":
         np.savez(path, key=np.array("key"), points=np.array([{"any": "object"}], dtype=object))
     elif how == "missing":
         path.unlink()
-    else:
+    elif how == "other":
         np.savez(path, points=np.zeros(3))
-    rng = np.random.default_rng(8)
-    points, weights = Checkpoint(path, key).resume(rng, size)
-    assert points.shape == (0, size)
-    assert weights.size == 0
+    rng, size = np.random.default_rng(8), 4 if how == "another size" else 3
+    points, weights = Checkpoint(path, "other" if how == "another key" else "key").resume(rng, size)
+    assert (points.shape, weights.size) == ((0, size), 0)
     np.testing.assert_array_equal(rng.standard_normal(3), np.random.default_rng(8).standard_normal(3))
 
 
-def test_without_a_path_nothing_is_kept(tmp_path):
+def test_without_a_path_or_a_folder_that_can_be_written_nothing_is_kept_or_stopped(tmp_path):
     kept(None)
     assert list(tmp_path.iterdir()) == []
     assert Checkpoint(None, "key").resume(np.random.default_rng(1), 2)[0].shape == (0, 2)
-
-
-def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
     (tmp_path / "taken").write_text("a file where the folder should be")
     kept(tmp_path / "taken" / "liver.npz")
     assert (tmp_path / "taken").read_text() == "a file where the folder should be"
@@ -202,11 +199,48 @@ def test_a_write_is_due_once_an_interval(tmp_path, monkeypatch):
     assert len(Checkpoint(path, "key").resume(rng, 3)[0]) == 2
 
 
-def test_medians_of_a_generalised_posterior_hardly_depend_on_the_seed():
-    """A Sobol sequence: 2,048 independent draws would differ by 0.04 standard deviations of a median."""
-    target = Density(4, lambda z: -0.5 * (z**2).sum(axis=1))
-    target.is_normal = True
-    chains = [sample(target, draws=2_000, seed=seed) for seed in (0, 1)]
-    apart = np.subtract(*(np.median(one.chain.reshape(-1, 4), axis=0) for one in chains))
-    assert np.abs(apart).max() <= 0.015
-    assert all(one.detail["effective_draws"] > 2_000 for one in chains)
+def test_equal_weights_are_worth_all_their_draws_and_none_outside():
+    found = smoothed(np.full(500, 3.0))
+    np.testing.assert_allclose(found.weights, 1.0 / 500)
+    assert found.worth == pytest.approx(500.0)
+    assert found.pareto < 0.0
+    log_weight = np.where(np.arange(400) % 2, 0.0, -np.inf)
+    found = smoothed(log_weight)
+    assert (found.weights[::2] == 0.0).all()
+    assert found.worth == pytest.approx(200.0)
+    log_weight[40:] = -np.inf
+    none = smoothed(log_weight)
+    assert (none.worth, none.pareto) == (0.0, np.inf)
+
+
+def test_a_proposal_that_is_wide_enough_gives_the_moments():
+    rng = np.random.default_rng(1)
+    z = 1.5 * rng.standard_normal(20_000)
+    found = smoothed(-0.5 * z**2 + 0.5 * (z / 1.5) ** 2)
+    # weights of a normal under one of sd s are bounded: E w^2 = s^2 / sqrt(2 s^2 - 1), worth 0.83
+    assert found.worth / 20_000 == pytest.approx(np.sqrt(2.0 * 2.25 - 1.0) / 2.25, rel=0.02)
+    assert found.pareto < 0.2
+    assert found.weights.sum() == pytest.approx(1.0)
+    assert float(found.weights @ z) == pytest.approx(0.0, abs=0.03)
+    assert float(found.weights @ z**2) == pytest.approx(1.0, abs=0.04)
+
+
+@pytest.mark.parametrize("shape", [0.3, 0.7, 1.2])
+def test_the_shape_of_a_pareto_tail_is_found(shape):
+    # weights u^-k have a generalised Pareto tail of shape k
+    found = [smoothed(-shape * np.log(np.random.default_rng(s).random(20_000))).pareto for s in range(12)]
+    # 420 points of the tail, drawn towards 0.5 by ten
+    assert np.mean(found) == pytest.approx(shape, abs=0.06)
+    assert np.std(found) < 0.12
+
+
+def test_a_single_giant_is_cut_down_to_its_tail():
+    rng = np.random.default_rng(3)
+    log_weight = np.append(0.3 * rng.standard_normal(1_000), 12.0)
+    found = smoothed(log_weight)
+    raw = np.exp(log_weight - log_weight.max())
+    assert 1.0 / ((raw / raw.sum()) ** 2).sum() < 1.5
+    assert found.pareto > 0.7
+    # weights keep their order
+    order = np.argsort(log_weight)
+    assert (np.diff(found.weights[order]) >= -1e-15).all()

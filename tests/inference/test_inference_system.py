@@ -96,10 +96,10 @@ def test_derivatives_are_differences_of_predictions(machine):
 
 
 def test_a_closed_machine_has_no_derivatives():
-    system = system_of(three_logs(), LAW, effects=ALL)
-    found = system.derivatives(point_of(LAW, THETA, logs=3, own=ALL.size), machine=False)
+    system, point = system_of(three_logs(), LAW, effects=ALL), point_of(LAW, THETA, logs=3, own=ALL.size)
+    found = system.derivatives(point, machine=False)
     assert (found.shared[:, LAW.times : LAW.times + 3] == 0.0).all()
-    np.testing.assert_allclose(found.force, system.predict(point_of(LAW, THETA, logs=3, own=ALL.size)))
+    np.testing.assert_allclose(found.force, system.predict(point))
 
 
 def test_gain_contact_and_shape_of_a_log_are_its_own():

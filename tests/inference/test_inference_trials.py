@@ -1,12 +1,23 @@
-"""Residual summaries of a trial and the curve that is kept of it."""
+"""Residual summaries of a trial against what its samples say, and the curve that is kept of it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from inference_cases import model_force
+from scipy.signal import lfilter
 
-from tissueid.inference.trials import CURVE_POINTS, Adjustment, ResidualTotals, summarise_trial
+from tissueid.inference.residual_blocks import residual_blocks
+from tissueid.inference.summaries import BINS, residual_summary
+from tissueid.inference.trials import (
+    CORNER_POINTS,
+    CURVE_POINTS,
+    Adjustment,
+    ResidualTotals,
+    lag_one_correlation,
+    nrmsd,
+    summarise_trial,
+)
 from tissueid.inference.window import fitted_log
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -57,20 +68,29 @@ def test_summary_of_a_good_fit():
     assert np.sqrt(totals.squares / totals.count) == pytest.approx(found.nrmsd.rmse_N)
 
 
-def test_a_large_residual_is_flagged_with_its_share():
+def test_residuals_that_are_large_or_correlated_are_flagged():
     trial, segmentation, log = recorded(sigma=0.2, spike=2500)
     found = summary(trial, segmentation, log)
     flag = next(one for one in found.flags if one.code == "residual_large")
-    assert flag.values["max_residual_fraction"] == pytest.approx(found.max_residual_fraction)
+    assert flag.values["max_residual_fraction"] == found.max_residual_fraction
     assert found.max_residual_fraction == pytest.approx(40.0 / np.ptp(trial.force_N), rel=0.05)
+    wrong = summary(*recorded(sigma=0.2), Adjustment(gain=1.1))
+    assert {"residual_correlated", "residual_large"} <= {one.code for one in wrong.flags}
+    assert wrong.residual_acf1 > 0.9
+    assert wrong.gain == 1.1
 
 
-def test_a_wrong_model_leaves_correlated_residuals():
-    trial, segmentation, log = recorded(sigma=0.2)
-    found = summary(trial, segmentation, log, Adjustment(gain=1.1))
-    assert {"residual_correlated", "residual_large"} <= {one.code for one in found.flags}
-    assert found.residual_acf1 > 0.9
-    assert found.gain == 1.1
+def test_a_short_curve_is_kept_whole_and_totals_are_of_all_samples():
+    totals, seen = ResidualTotals(), []
+    for n in (200, 300):
+        trial, segmentation, log = recorded(sigma=0.1, n=n)
+        curve = summary(trial, segmentation, log, totals=totals).curve
+        np.testing.assert_array_equal(curve.force_N, trial.force_N)
+        seen.append((curve.force_N, curve.model_N))
+    force, model = (np.concatenate(one) for one in zip(*seen, strict=True))
+    assert totals.squares == pytest.approx(float(((force - model) ** 2).sum()))
+    assert totals.force == pytest.approx(float(np.abs(force).sum()))
+    assert (totals.low, totals.high, totals.count) == (force.min(), force.max(), 500)
 
 
 def test_decimation_keeps_ends_and_extremes():
@@ -84,11 +104,6 @@ def test_decimation_keeps_ends_and_extremes():
     assert curve.depth_mm.max() == pytest.approx(4.0)
     assert (np.diff(curve.time_s) > 0.0).all()
     assert curve.model_N.shape == curve.fitted.shape == curve.force_N.shape
-
-
-def test_a_short_curve_is_kept_whole():
-    trial, segmentation, log = recorded(n=200)
-    np.testing.assert_array_equal(summary(trial, segmentation, log).curve.force_N, trial.force_N)
 
 
 def test_excluded_samples_stay_in_the_curve_and_out_of_the_numbers():
@@ -106,16 +121,78 @@ def test_excluded_samples_stay_in_the_curve_and_out_of_the_numbers():
     assert not found.curve.fitted.all()
 
 
-def test_totals_over_trials_are_those_of_all_samples():
-    rng = np.random.default_rng(0)
-    totals = ResidualTotals()
-    forces, models = [], []
-    for n in (30, 50):
-        force, model = rng.normal(size=n), rng.normal(size=n)
-        totals.add(force, model)
-        forces.append(force)
-        models.append(model)
-    force, model = np.concatenate(forces), np.concatenate(models)
-    assert totals.squares == pytest.approx(float(((force - model) ** 2).sum()))
-    assert totals.force == pytest.approx(float(np.abs(force).sum()))
-    assert (totals.low, totals.high, totals.count) == (force.min(), force.max(), 80)
+@pytest.mark.parametrize(
+    ("force", "model", "by_range", "by_mean", "rmse"),
+    [
+        ([0.0, 4.0, 8.0, 12.0], [1.0, 3.0, 9.0, 11.0], 1.0 / 12.0, 1.0 / 6.0, 1.0),
+        # the range is that of the measurement
+        ([0.0, 10.0], [0.0, 30.0], np.sqrt(200.0) / 10.0, np.sqrt(200.0) / 5.0, np.sqrt(200.0)),
+        # the mean is that of the size of the force
+        ([-4.0, -8.0], [-5.0, -7.0], 1.0 / 4.0, 1.0 / 6.0, 1.0),
+        ([-1.0, 1.0], [-1.0, 2.0], np.sqrt(0.5) / 2.0, np.sqrt(0.5), np.sqrt(0.5)),
+        ([5.0] * 4, [5.0] * 4, 0.0, 0.0, 0.0),
+        ([5.0] * 4, [6.0] * 4, np.inf, 0.2, 1.0),
+    ],
+)
+def test_deviation_by_range_by_mean_and_in_newtons(force, model, by_range, by_mean, rmse):
+    found = nrmsd(np.array(force), np.array(model))
+    assert (found.range, found.mean, found.rmse_N) == pytest.approx((by_range, by_mean, rmse))
+
+
+def test_correlation_at_one_sample_is_that_of_the_residual():
+    assert lag_one_correlation(np.resize([1.0, -1.0], 1000)) == pytest.approx(-0.999)
+    assert lag_one_correlation(np.sin(np.linspace(0.0, 6.28, 1000))) > 0.99
+    noise = np.random.default_rng(2).normal(size=200_000)
+    # sd of the estimate is sqrt((1 - phi^2) / n) = 0.0016
+    residual = 100.0 + lfilter([1.0], [1.0, -0.7], noise)
+    assert lag_one_correlation(residual) == pytest.approx(0.7, abs=0.008)
+    for few in ([1.0], [1.0, 2.0], [3.0, 3.0, 3.0]):
+        assert lag_one_correlation(np.array(few)) == 0.0
+
+
+def summary_of(sigma, scale):
+    """A log, the residual of all its samples, and what is kept of it."""
+    _, segmentation, log = recorded(sigma=sigma)
+    fitted = model_force(MODEL, THETA, log, NEITHER)
+    blocks = residual_blocks(segmentation, log, MODEL, THETA, NEITHER, fitted)
+    return log, log.data.force_N - fitted, residual_summary(log, fitted, blocks, sigma_N=scale)
+
+
+def test_the_histogram_counts_every_fitted_sample_and_those_beyond_it():
+    log, residual, found = summary_of(0.2, 0.2)
+    residual = residual[log.data.include]
+    assert found.counts.sum() == residual.size == 5000
+    np.testing.assert_array_equal(found.counts[1:-1], np.histogram(residual, found.edges_N)[0])
+    assert found.edges_N.size == BINS + 1
+    # in bins of a hundredth of that noise nearly everything lies beyond
+    narrow = summary_of(0.2, 0.002)[2].counts
+    assert (narrow[0], narrow[-1]) == ((residual < -0.01).sum(), (residual >= 0.01).sum())
+    # a model that is exact leaves its rounding, which is counted in bins of its own size
+    assert summary_of(0.0, 0.0)[2].counts.sum() == 5000
+
+
+def test_the_autocorrelation_is_the_direct_one_and_means_of_the_hold_stand_since_its_corner():
+    log, residual, found = summary_of(0.2, 0.2)
+    centred = residual[log.data.include] - residual[log.data.include].mean()
+    direct = [centred[k:] @ centred[:-k] / (centred @ centred) for k in found.lags.tolist()]
+    np.testing.assert_allclose(found.correlation, direct, atol=1e-12)
+    assert 1 == found.lags[0] < found.lags[-1] <= 1250
+    # five standard errors of a white correlation
+    assert np.abs(found.correlation).max() < 5 / np.sqrt(5000)
+    since = log.data.time_s - 2.0
+    held = zip(found.hold_since_s[3:], found.hold_mean_N[3:], found.hold_count[3:], strict=True)
+    for place, mean, count in held:
+        inside = (since >= place / 10**0.125 - 1e-9) & (since < place * 10**0.125 - 1e-9)
+        assert count == inside.sum()
+        assert mean == pytest.approx(residual[inside].mean(), abs=1e-12)
+    assert (found.start_s, found.step_s) == pytest.approx((log.data.time_s[0], 0.002))
+
+
+def test_the_kept_curve_follows_relaxation_behind_the_corner():
+    curve = summary(*recorded(n=60_000)).curve
+    assert curve.time_s.size <= CURVE_POINTS + 2
+    since = curve.time_s - 2.0
+    # of 60,000 samples some 2,500 bins of 48 ms: the first of them alone would show nothing below
+    early = since[(since > 0.0) & (since < 0.048)]
+    assert early.size >= CORNER_POINTS // 4
+    assert early.min() == pytest.approx(0.002)

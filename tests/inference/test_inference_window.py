@@ -1,11 +1,16 @@
-"""Which samples are fitted, and how one log is divided for held-out prediction."""
+"""Samples that are fitted, of any history; stretches of one log; chains of noise."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tissueid.inference.window import FOLDS, GUARD_SD, STRETCHES, assign_folds, fitted_log, with_contact
+from tissueid.inference.window import FOLDS, GUARD_SD, STRETCHES, assign_folds, chain_breaks, fitted_log
+from tissueid.measured.relaxation import relaxation_rows
+from tissueid.pipeline import identify
+from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
 STEP = 0.01
@@ -53,19 +58,25 @@ def test_fit_starts_at_a_contact_inserted_between_two_samples():
     assert log.speeds_mm_s == (2.0,)
 
 
-def test_contact_on_a_sample_needs_no_insertion():
+def test_signs_and_baseline_are_taken_out():
+    plain = in_air_trial()
+    normal, phases = fitted_log(plain, segmented(plain)), segmented(plain).phases
+    flipped = Trial("s", plain.time_s, -plain.displacement_mm, 2.0 - plain.force_N)
+    contact = Contact(normal.first, -0.505, 0.05, baseline_N=2.0, in_record=True)
+    other = fitted_log(flipped, Segmentation(-1, -1, contact, phases, 0.1))
+    np.testing.assert_allclose(other.data.depth_mm, normal.data.depth_mm, atol=1e-12)
+    np.testing.assert_allclose(other.data.force_N, normal.data.force_N, atol=1e-12)
+
+
+def test_contact_on_a_sample_needs_no_insertion_and_its_error_leaves_samples_out():
     trial = in_air_trial(contact_mm=0.5)
     log = fitted_log(trial, segmented(trial, contact_mm=trial.displacement_mm[25]))
     assert not log.inserted
     assert log.data.depth_mm[0] == 0.0
-
-
-def test_guard_zone_leaves_out_what_the_contact_error_reaches():
     trial = in_air_trial()
-    log = fitted_log(trial, segmented(trial, sd=0.1))
-    recorded = slice(1, None)
-    np.testing.assert_array_equal(log.data.include[recorded], log.data.depth_mm[recorded] >= GUARD_SD * 0.1)
-    assert (~log.data.include).sum() > 10
+    data = fitted_log(trial, segmented(trial, sd=0.1)).data
+    np.testing.assert_array_equal(data.include[1:], data.depth_mm[1:] >= GUARD_SD * 0.1)
+    assert (~data.include).sum() > 10
 
 
 def test_a_record_that_starts_in_contact_loses_nothing_unless_guarded():
@@ -80,70 +91,37 @@ def test_a_record_that_starts_in_contact_loses_nothing_unless_guarded():
     np.testing.assert_array_equal(guarded.data.include, guarded.data.depth_mm >= GUARD_SD * 0.1)
 
 
-def test_signs_and_baseline_are_taken_out():
-    plain = in_air_trial()
-    flipped = Trial("s", plain.time_s, -plain.displacement_mm, 2.0 - plain.force_N)
-    normal = fitted_log(plain, segmented(plain))
-    index = normal.first
-    phases = segmented(plain).phases
-    contact = Contact(index, -0.505, 0.05, baseline_N=2.0, in_record=True)
-    other = fitted_log(flipped, Segmentation(-1, -1, contact, phases, 0.1))
-    np.testing.assert_allclose(other.data.depth_mm, normal.data.depth_mm, atol=1e-12)
-    np.testing.assert_allclose(other.data.force_N, normal.data.force_N, atol=1e-12)
-
-
-def test_fit_ends_where_the_tool_turns_back():
+def test_fit_ends_where_the_tool_turns_back_and_of_cycles_with_the_first_rise():
     time = np.arange(600) * STEP
     displacement = np.concatenate([np.linspace(0, 4, 201), np.full(199, 4.0), np.linspace(4, 0, 200)])
-    trial = Trial("s", time, displacement, 10.0 * displacement)
     phases = (
         phase("ramp", 0, 201, time, 2.0),
         phase("hold", 200, 400, time),
         phase("retract", 399, 600, time, -2.0),
     )
-    log = fitted_log(trial, Segmentation(1, 1, Contact(0, 0.0, 0.01), phases, 0.1))
+    contact = Contact(0, 0.0, 0.01)
+    trial = Trial("s", time, displacement, 10.0 * displacement)
+    log = fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1))
     assert log.data.time_s.size == 400
     assert log.data.depth_mm[-1] == pytest.approx(4.0)
-
-
-def test_of_a_cycle_only_the_first_rise_is_fitted():
-    time = np.arange(401) * STEP
+    time = time[:401]
     displacement = 2.0 * (1.0 - np.cos(2 * np.pi * time / 2.0))
-    trial = Trial("s", time, displacement, 10.0 * displacement)
     phases = (phase("cycle", 0, 201, time), phase("cycle", 200, 401, time))
-    log = fitted_log(trial, Segmentation(1, 1, Contact(0, 0.0, 0.01), phases, 0.1))
-    assert log.data.time_s[-1] == pytest.approx(1.0)
-    assert log.depth_mm == pytest.approx(4.0)
-    assert not log.has_hold
+    trial = Trial("s", time, displacement, 10.0 * displacement)
+    log = fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1))
+    assert (log.data.time_s[-1], log.depth_mm, log.has_hold) == pytest.approx((1.0, 4.0, False))
     assert log.speeds_mm_s[0] == pytest.approx(4.0, rel=0.02)  # mean speed up to the peak
 
 
-def test_no_contact_or_too_few_samples_give_nothing():
+@pytest.mark.parametrize(
+    ("contact", "moving"),
+    [(None, True), (Contact(398, 0.5, 0.01, in_record=True), True), (Contact(0, 0.0, 0.01), False)],
+)
+def test_no_contact_or_too_few_samples_or_no_travel_give_nothing(contact, moving):
     trial = in_air_trial()
-    without = segmented(trial)
-    assert fitted_log(trial, Segmentation(1, 1, None, without.phases, 0.1)) is None
-    late = Segmentation(1, 1, Contact(398, 0.5, 0.01, in_record=True), without.phases, 0.1)
-    assert fitted_log(trial, late) is None
-    still = Trial("s", trial.time_s, np.zeros(400), trial.force_N)
-    assert fitted_log(still, Segmentation(1, 1, Contact(0, 0.0, 0.01), (), 0.1)) is None
-
-
-def test_moving_the_contact_deeper_moves_depth_zero():
-    trial = in_air_trial()
-    moved = with_contact(trial, segmented(trial), shift_mm=0.2, sd_mm=0.01)
-    assert moved.contact.displacement_mm == pytest.approx(0.705)
-    assert moved.contact.in_record
-    log = fitted_log(trial, moved)
-    assert log.depth_mm == pytest.approx(3.8)
-    assert log.data.time_s[0] == pytest.approx(0.705 / 2.0)
-
-
-def test_moving_the_contact_before_the_record_makes_it_start_in_contact():
-    trial = in_air_trial()
-    moved = with_contact(trial, segmented(trial), shift_mm=-0.8, sd_mm=0.01)
-    assert not moved.contact.in_record
-    assert moved.contact.index == 0
-    assert fitted_log(trial, moved).data.depth_mm[0] == pytest.approx(0.295)
+    phases = segmented(trial).phases if moving else ()
+    trial = replace(trial, displacement_mm=trial.displacement_mm * moving)
+    assert fitted_log(trial, Segmentation(1, 1, contact, phases, 0.1)) is None
 
 
 def test_every_fold_holds_a_part_of_ramp_and_hold():
@@ -174,3 +152,162 @@ def test_early_hold_is_cut_finer_than_late_hold():
     changes = np.flatnonzero(np.diff(fold[corner:])) * STEP
     lengths = np.diff(changes)
     assert lengths[-1] > 10 * lengths[2]
+
+
+def changed(steps, **at):
+    """Steps with some of them replaced, by their place behind an underscore."""
+    out = np.array(steps)
+    for place, value in at.items():
+        out[int(place[1:])] = value
+    return out
+
+
+RATES = np.concatenate([np.full(300, 1e-3), np.full(300, 0.1), np.full(200, 1.0)])
+EVEN = np.full(400, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        (np.full(500, 1e-3), [0]),
+        (np.diff([float(f"{k / 30.0:.3f}") for k in range(600)]), [0]),  # printed with rounding
+        (RATES, [0]),
+        (RATES[::-1], [0]),
+        (changed(EVEN, _100=0.03, _250=5.0), [0, 101, 251]),  # gaps
+        # an event row and the sample after it, within a clock and where its rate changes
+        *((changed(np.insert(EVEN, 200, s * 0.01), _201=(1 - s) * 0.01), [0, 201, 202]) for s in (0.02, 0.5)),
+        (np.concatenate([np.full(300, 1e-3), [4e-4, 6e-4], np.full(300, 0.1)]), [0, 301, 302]),
+        # an irregular clock is broken by real gaps only
+        (changed(np.random.default_rng(1).uniform(0.01, 0.05, size=800), _400=3.0), [0, 401]),
+        ([], [0]),
+        ([1.0], [0]),
+        ([1.0] * 4, [0]),
+    ],
+)
+def test_chains_of_noise_break_at_gaps_and_event_rows(steps, expected):
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    assert np.flatnonzero(chain_breaks(time)).tolist() == expected
+
+
+def test_repeated_times_start_chains_and_no_samples_none():
+    assert 51 in np.flatnonzero(chain_breaks(np.cumsum(np.append(0.0, changed(EVEN, _50=0.0)))))
+    assert chain_breaks(np.zeros(0)).size == 0
+
+
+RATE_HZ = 50.0
+STIFFNESS, TAU_S = 20.0, 2.0
+STATIC = (8.0, 0.0, 0.6)
+SIGMA_N = 0.02
+
+
+def recording(knots_s: list[float], depths_mm: list[float], *, lost: bool = False, seed: int = 1) -> Trial:
+    """A tissue of one branch along a polyline, by the exact recursion; ``lost`` cuts off what would pull."""
+    time = np.arange(0.0, knots_s[-1], 1.0 / RATE_HZ)
+    depth = np.interp(time, knots_s, depths_mm)
+    x = np.maximum(depth, 0.0)
+    decay = np.exp(-1.0 / RATE_HZ / TAU_S)
+    gain = TAU_S * RATE_HZ * (1.0 - decay)
+    state = np.zeros(time.size)
+    for n in range(time.size - 1):
+        state[n + 1] = decay * state[n] + gain * (x[n + 1] - x[n])
+    force = sum(a * x ** (k + 1) for k, a in enumerate(STATIC)) + STIFFNESS * state
+    if lost:
+        force = np.where(depth <= 0.0, 0.0, np.maximum(force, 0.0))
+    noise = SIGMA_N * np.random.default_rng(seed).standard_normal(time.size)
+    return Trial("tissue", time, depth, force + noise)
+
+
+def kept_contact() -> Trial:
+    """Three cycles between 2 and 1 mm, then 4 mm held for 10 s."""
+    return recording([0, 2, 3, 4, 5, 6, 7, 10, 20], [0, 2, 1, 2, 1, 2, 1, 4, 4])
+
+
+def test_cycles_in_contact_stay_out_of_the_likelihood_and_in_the_state() -> None:
+    trial = kept_contact()
+    divided = segment(trial)
+    assert [phase.kind for phase in divided.phases] == ["cycle"] * 3 + ["ramp", "hold"]
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert log.data.time_s[0] == 0.0
+    assert log.data.depth_mm.size == trial.time_s.size
+    first = int(np.argmax(log.data.include))
+    # the third cycle ends at 7 s
+    assert log.data.time_s[first] == pytest.approx(7.0, abs=3.0 / RATE_HZ)
+    assert log.data.include[first:].all()
+    assert log.has_hold
+    assert (*log.speeds_mm_s, log.depth_mm) == pytest.approx((1.0, 4.0), rel=0.01)
+
+
+def test_cycles_without_a_test_are_fitted_on_their_first_rise() -> None:
+    trial = recording([0, 2, 4, 6, 8], [0, 2, 0.5, 2, 0.5])
+    divided = segment(trial)
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert divided.test == 0
+    assert log.data.time_s[-1] == pytest.approx(2.0, abs=3.0 / RATE_HZ)
+
+
+def test_a_test_after_cycles_gives_back_the_tissue() -> None:
+    found = identify([kept_contact()]).specimens[0]
+    # the branch state at the test's start is some -1 mm: without its history tau is off by tens of per cent
+    assert found.parameter("relaxation_time_s").value == pytest.approx(TAU_S, rel=0.03)
+    (said,) = [flag.message for flag in found.trials[0].flags if flag.code == "unloading_left_out"]
+    assert "3 cycles before the test (their state is carried on)" in said
+
+
+def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
+    knots = [0, 3, 6, 9, 12, 32, 35, 45]
+    trial = recording(knots, [-1, 2, -1, 2, -1, -1, 2, 2], lost=True)
+    divided = segment(trial)
+    kinds = [phase.kind for phase in divided.phases]
+    assert kinds == ["approach", "cycle", "cycle", "rest", "approach", "ramp", "hold"]
+    assert divided.contact is not None
+    # 20 s of rest are ten relaxation times: contact is met at 33 s again
+    assert trial.time_s[divided.contact.index] == pytest.approx(33.0, abs=0.1)
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert log.data.time_s[0] == pytest.approx(33.0, abs=0.1)
+    left_out = identify([trial]).specimens[0].trials[0].flags
+    assert any("let go" in flag.message for flag in left_out if flag.code == "unloading_left_out")
+
+
+def ruptured() -> Trial:
+    """A ramp to 4 mm in 4 s that loses 60 % of its force at 3 mm, and a hold."""
+    trial = recording([0, 4, 14], [0, 4, 4])
+    return Trial(
+        "broken", trial.time_s, trial.displacement_mm, np.where(trial.time_s > 3.0, 0.4, 1.0) * trial.force_N
+    )
+
+
+def test_samples_from_the_first_rupture_on_take_no_part_unless_the_user_denies_it() -> None:
+    trial = ruptured()
+    divided, denied = segment(trial), segment(trial, options=SegmentOptions(rupture=False))
+    assert [[event.kind for event in one.events] for one in (divided, denied)] == [["rupture"], []]
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert log.data.time_s[-1] == pytest.approx(3.0, abs=3.0 / RATE_HZ)
+    assert not log.has_hold
+    assert relaxation_rows(trial, divided) == ()
+    flags = {flag.code: flag.message for flag in identify([trial]).specimens[0].trials[0].flags}
+    assert {"rupture", "unloading_left_out"} <= set(flags)
+    assert "the first rupture" in flags["unloading_left_out"]
+    whole = fitted_log(trial, denied)
+    assert whole is not None
+    assert whole.data.time_s[-1] == trial.time_s[-1]
+
+
+def test_a_cut_without_samples_is_said() -> None:
+    divided = segment(ruptured(), options=SegmentOptions(start_s=100.0))
+    assert (divided.phases, divided.contact) == ((), None)
+    assert "too_few_samples" in {flag.code for flag in divided.flags}
+
+
+def test_the_user_may_cut_a_recording() -> None:
+    trial = recording([0, 2, 3, 5, 15, 17], [0, 2, 0, 4, 4, 0])
+    divided = segment(trial, options=SegmentOptions(start_s=3.0, end_s=12.0))
+    assert [phase.kind for phase in divided.phases] == ["ramp", "hold"]
+    assert divided.phases[0].start_s == 3.0
+    assert divided.phases[-1].end_s == 12.0
+    log = fitted_log(trial, divided)
+    assert log is not None
+    assert (log.data.time_s[0], log.data.time_s[-1]) == (3.0, 12.0)

@@ -1,14 +1,19 @@
-"""Random passive tissues and tool paths for the model tests."""
+"""Random passive tissues and tool paths for the model tests, and their walk under the servo's ticks."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from closed_forms import from_coordinates
 from hypothesis import settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.polynomial import from_coordinates
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.servo_law import servo_law
 
 DEPTH_MM = 8.0
 #: Same examples in every run, none stored: a failure is reproduced by running the test again.
@@ -73,3 +78,34 @@ def sampled(corners: list[tuple[float, float]], per_leg: int) -> tuple[np.ndarra
             time.extend(time[-1] + lasting * fraction)
             depth.extend(depth[-1] + (end - depth[-1]) * fraction)
     return np.array(time), np.array(depth)
+
+
+TICK = 1e-3
+
+
+def walked(model: Any, theta: Any, time: Any, depth: Any) -> NDArray[np.float64]:
+    """Force of the servo at every tick."""
+    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
+    steps = np.diff(time, prepend=time[0])
+    return np.array([tissue_step_in(law, 0, state, 0, x, h) for x, h in zip(depth, steps, strict=True)])
+
+
+def assert_no_energy(model: Any, theta: Any, rng: np.random.Generator, *, turns: int) -> None:
+    """The work done on the tissue along a random closed loop is never negative, and it never pulls."""
+    knots = np.concatenate([[0.0], rng.uniform(-0.2, 1.0, turns) * model.depth_mm, [-0.2]])
+    time = np.cumsum(0.1 + rng.exponential(0.15, knots.size))
+    ticks = np.arange(0.0, time[-1], TICK)
+    depth = np.interp(ticks, time, knots)
+    force = walked(model, theta, ticks, depth)
+    work = float((0.5 * (force[1:] + force[:-1]) * np.diff(depth)).sum())
+    assert work >= -1e-6 * force.max() * model.depth_mm
+    assert force.min() >= 0.0
+
+
+def assert_stiffer_has_all_forces_times_that(model: Any, theta: Any, depth: Any) -> None:
+    """A servo's law times three pushes back three times as much at every tick."""
+    law = servo_law(model, theta)
+    blocks = [(one.packed(), np.zeros(STATE_SIZE)) for one in (law, law.stiffer(3.0))]
+    for x in depth:
+        once, thrice = (tissue_step_in(packed, 0, state, 0, x, TICK) for packed, state in blocks)
+        assert abs(thrice - 3.0 * once) <= 1e-9 * max(thrice, 1.0)

@@ -31,22 +31,24 @@ def seed_scaling(clamp_N: float, motion: float = 5.0) -> Scaling:
     return scaling_for(SEED_MODEL, SEED_THETA, clamp_N=clamp_N, fastest_mm_s=FASTEST_MM_S, motion=motion)
 
 
-@pytest.mark.parametrize(("motion", "stiffness"), [(1.0, 4464.0), (3.0, 1488.0), (5.0, 893.0), (8.0, 558.0)])
-def test_device_stiffness_is_that_of_the_table_for_8_9_N(motion: float, stiffness: float) -> None:
-    # the table lets the deepest force take all of 8.9 N, the product nine tenths of the clamp
-    scaling = seed_scaling(8.9 / CLAMP_SHARE, motion)
-    assert scaling.device_stiffness_N_per_m == pytest.approx(stiffness, rel=TABLE_1_RESIDUAL)
-    assert 1.0 / scaling.force == pytest.approx(24.9, rel=TABLE_1_RESIDUAL)
-
-
 @pytest.mark.parametrize(
-    ("clamp", "reduction", "stiffness"),
-    [(5.0, 49.2, 452.0), (5.0 * 3460.0 / 6600.0, 93.9, 237.0), (2.0, 123.0, 181.0), (8.0, 30.7, 723.0)],
+    ("clamp", "motion", "reduction", "stiffness"),
+    [
+        # the table lets the deepest force take all of 8.9 N, the product nine tenths of the clamp
+        *(
+            (8.9 / CLAMP_SHARE, m, 24.9, k)
+            for m, k in ((1.0, 4464.0), (3.0, 1488.0), (5.0, 893.0), (8.0, 558.0))
+        ),
+        (5.0, 5.0, 49.2, 452.0),
+        (5.0 * 3460.0 / 6600.0, 5.0, 93.9, 237.0),
+        (2.0, 5.0, 123.0, 181.0),
+        (8.0, 5.0, 30.7, 723.0),
+    ],
 )
-def test_default_scale_for_each_clamp_is_that_of_the_design(
-    clamp: float, reduction: float, stiffness: float
+def test_scale_for_each_clamp_and_motion_is_that_of_the_design(
+    clamp: float, motion: float, reduction: float, stiffness: float
 ) -> None:
-    scaling = seed_scaling(clamp)
+    scaling = seed_scaling(clamp, motion)
     assert 1.0 / scaling.force == pytest.approx(reduction, rel=TABLE_1_RESIDUAL)
     assert scaling.device_stiffness_N_per_m == pytest.approx(stiffness, rel=TABLE_1_RESIDUAL)
     assert scaling.peak_force_N == pytest.approx(CLAMP_SHARE * clamp, rel=1e-12)
@@ -77,25 +79,15 @@ def test_tissue_without_force_has_no_scale() -> None:
         scaling_for(SEED_MODEL, np.array([0.0, 0.0, 0.0, 0.0, 0.1]), clamp_N=5.0, fastest_mm_s=1.0)
 
 
-def least_damping(
-    slope: float,
-    stiffness: list[float],
-    tau: list[float],
-    delay_ticks: float,
-    *,
-    periods: int = 60,
-    parts: int = 4,
-) -> float:
-    """Oracle: the damping with which no motion of ``periods`` servo periods gains energy.
+def least_damping(slope: float, stiffness: list[float], tau: list[float], delay_ticks: float) -> float:
+    """Oracle: the damping with which no motion of 60 servo periods, of 4 speeds each, gains energy.
 
-    The velocity is constant on ``parts`` pieces of every period; the sampled law, its hold and its
-    delay are one matrix from velocity to force, and the least b with b v'v + v'F(v) >= 0 is minus its
-    smallest symmetric eigenvalue.  A finite motion needs a little less than the supremum.
+    The sampled law, its hold and its delay are one matrix from velocity to force, and the least b with
+    b v'v + v'F(v) >= 0 is minus its smallest symmetric eigenvalue.  A finite motion needs a little less.
     """
+    periods, parts = 60, 4
     n = periods * parts
-    position = np.zeros((periods, n))
-    for k in range(periods):
-        position[k, : k * parts] = PERIOD_S / parts
+    position = PERIOD_S / parts * (np.arange(n) < parts * np.arange(periods)[:, None])
     lag = np.subtract.outer(np.arange(periods), np.arange(periods))
     law = slope * np.eye(periods)
     for weight, relaxation in zip(stiffness, tau, strict=True):
@@ -103,11 +95,8 @@ def least_damping(
         decay = np.where(lag >= 0, a ** np.maximum(lag, 0), 0.0)
         moved = np.eye(periods) - np.eye(periods, k=-1)
         law += weight * (1.0 - a) * relaxation / PERIOD_S * decay @ moved
-    sampled = law @ position
-    force = np.zeros((n, n))
-    late = round(delay_ticks * parts)
-    for i in range(late, n):
-        force[i] = sampled[(i - late) // parts]
+    force, late = np.zeros((n, n)), round(delay_ticks * parts)
+    force[late:] = np.repeat(law @ position, parts, axis=0)[: n - late]
     return float(-np.linalg.eigvalsh((force + force.T) / 2.0)[0])
 
 
@@ -130,9 +119,10 @@ def test_bound_is_what_the_worst_motion_needs(
 def test_elastic_wall_of_3_N_per_mm_needs_half_a_period_and_each_tick_twice_that(
     delay: int, expected: float
 ) -> None:
-    # k (T / 2 + d T), reached as w -> 0
-    actual = damping_bound(3000.0, NOTHING, NOTHING, period_s=PERIOD_S, delay_ticks=delay)
-    assert actual == pytest.approx(expected, rel=1e-9)
+    # k (T / 2 + d T), reached as w -> 0; linear in the law, and never negative
+    for size in (0.0, 1.0, 10.0):
+        actual = damping_bound(3000.0 * size, NOTHING, NOTHING, period_s=PERIOD_S, delay_ticks=delay)
+        assert actual == pytest.approx(expected * size, rel=1e-9)
 
 
 @pytest.mark.parametrize("tau", [5e-4, 0.021, 3.0])
@@ -147,38 +137,22 @@ def test_bound_without_delay_is_reached_at_the_nyquist_frequency(tau: float) -> 
 
 @pytest.mark.parametrize(("delay", "expected"), [(0, 0.40), (1, 1.04), (2, 1.64)])
 def test_seed_tissue_at_8_9_N_needs_the_damping_of_the_design(delay: int, expected: float) -> None:
-    scaling = seed_scaling(8.9)
-    actual = required_damping(SEED_MODEL, SEED_THETA, scaling, period_s=PERIOD_S, delay_ticks=delay)
-    assert actual == pytest.approx(expected, rel=TABLE_1_RESIDUAL)
-
-
-def test_unscaled_seed_tissue_needs_more_damping_than_any_device_has() -> None:
-    unscaled = Scaling(force=1.0, motion=1.0, device_stiffness_N_per_m=111_040.0, peak_force_N=222.8)
-    needed = required_damping(SEED_MODEL, SEED_THETA, unscaled, period_s=PERIOD_S, delay_ticks=0.0)
-    assert needed == pytest.approx(55.5, abs=0.1)  # k0 + K = 111 N/mm, times T / 2
+    need = required_damping(SEED_MODEL, SEED_THETA, seed_scaling(8.9), period_s=PERIOD_S, delay_ticks=delay)
+    assert need == pytest.approx(expected, rel=TABLE_1_RESIDUAL)
 
 
 def test_damping_needed_grows_with_the_delay() -> None:
-    scaling = seed_scaling(5.0)
-    needs = [
-        required_damping(SEED_MODEL, SEED_THETA, scaling, period_s=PERIOD_S, delay_ticks=delay)
-        for delay in DELAYS
-    ]
+    seed = (SEED_MODEL, SEED_THETA, seed_scaling(5.0))
+    needs = [required_damping(*seed, period_s=PERIOD_S, delay_ticks=delay) for delay in DELAYS]
     assert np.all(np.diff(needs) > 0.0)
-    default = required_damping(SEED_MODEL, SEED_THETA, scaling, period_s=PERIOD_S)
-    assert default == pytest.approx(np.interp(DEFAULT_DELAY_TICKS, DELAYS, needs), rel=1e-12)
+    default = np.interp(DEFAULT_DELAY_TICKS, DELAYS, needs)
+    assert required_damping(*seed, period_s=PERIOD_S) == pytest.approx(default, rel=1e-12)
 
 
-def test_bound_scales_with_stiffness_and_is_never_negative() -> None:
-    one = damping_bound(2.0, np.array([5.0]), np.array([0.02]), period_s=PERIOD_S, delay_ticks=1.0)
-    ten = damping_bound(20.0, np.array([50.0]), np.array([0.02]), period_s=PERIOD_S, delay_ticks=1.0)
-    assert ten == pytest.approx(10.0 * one, rel=1e-12)
-    assert damping_bound(0.0, NOTHING, NOTHING, period_s=PERIOD_S, delay_ticks=1.0) == 0.0
-
-
-def test_elastic_model_needs_the_damping_of_its_steepest_spot() -> None:
-    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
-    theta = np.array([1.0, 0.0, 0.02])
+def test_unscaled_tissue_needs_the_damping_of_its_steepest_spot() -> None:
     unscaled = Scaling(force=1.0, motion=1.0, device_stiffness_N_per_m=0.0, peak_force_N=0.0)
-    actual = required_damping(model, theta, unscaled, period_s=PERIOD_S, delay_ticks=0.0)
-    assert actual == pytest.approx((1.0 + 0.06 * 64.0) * 1000.0 * PERIOD_S / 2.0, rel=1e-9)
+    elastic = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM), np.array([1.0, 0.0, 0.02])
+    # k0 + K = 111 N/mm, and F_s' = 4.84 N/mm at 8 mm, times T / 2
+    for tissue_, expected, near in (((SEED_MODEL, SEED_THETA), 55.5, 2e-3), (elastic, 2.42, 1e-9)):
+        needed = required_damping(*tissue_, unscaled, period_s=PERIOD_S, delay_ticks=0.0)
+        assert needed == pytest.approx(expected, rel=near)

@@ -25,53 +25,43 @@ THETA = MODEL.join(
 )
 
 
-def test_force_after_a_step_is_that_of_a_jump_in_the_recursion():
-    time = np.array([0.0, 0.0, 0.3, 2.0])
+@pytest.mark.parametrize("ramp_s", [0.0, 1.5])
+def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(ramp_s):
+    time = np.array([0.0, ramp_s, ramp_s + 0.1, 5.0])
     force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
     for k in (1, 2, 3):
-        assert force_after_step(MODEL, THETA, 3.0, float(time[k])) == pytest.approx(force[k], rel=1e-13)
+        since = float(time[k] - ramp_s)
+        ramp = (force_after_ramp, (MODEL, THETA, 3.0, 2.0, since))
+        function, at = ramp if ramp_s else (force_after_step, (MODEL, THETA, 3.0, since))
+        assert function(*at) == pytest.approx(force[k], rel=1e-13)
 
 
-def test_force_after_a_ramp_is_that_of_the_recursion():
-    time = np.array([0.0, 1.5, 1.6, 5.0])
-    force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
-    for k in (1, 2, 3):
-        found = force_after_ramp(MODEL, THETA, 3.0, 2.0, float(time[k] - 1.5))
-        assert found == pytest.approx(force[k], rel=1e-13)
+def last_cycle(frequency, amplitude, n):
+    """Phase, travel and force of a late period of a sine about 2 mm."""
+    settle = int(np.ceil(12.0 * 1.2 * frequency)) + 1
+    angle = 2.0 * np.pi * np.arange(0.0, settle + 1.0, 1.0 / n)
+    x = 2.0 + amplitude * np.sin(angle)
+    # from rest at the mean depth: F_s alone, no branch
+    states = branch_states(angle / (2.0 * np.pi * frequency), x, np.array([0.05, 1.2]))
+    force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
+    return angle[-n - 1 :], x[-n - 1 :], force[-n - 1 :]
 
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("frequency", [0.05, 0.7, 6.0])
 def test_storage_and_loss_are_those_of_a_small_sine(frequency):
-    period, depth, amplitude = 1.0 / frequency, 2.0, 1e-4
-    # several slow relaxation times of settling, then one period of 2000 samples
-    settle = int(np.ceil(12.0 * 1.2 / period)) + 1
-    time = np.arange(0.0, settle + 1.0, 1.0 / 2000.0) * period
-    wave = np.sin(2.0 * np.pi * frequency * time)
-    states = branch_states(time, depth + amplitude * wave, np.array([0.05, 1.2]))
-    x = depth + amplitude * wave
-    force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
-    last = slice(-2000, None)
-    in_phase = 2.0 * np.mean(force[last] * wave[last]) / amplitude
-    ahead = np.cos(2.0 * np.pi * frequency * time)
-    out_of_phase = 2.0 * np.mean(force[last] * ahead[last]) / amplitude
-    storage, loss = complex_stiffness(MODEL, THETA, depth, frequency)
+    angle, _, force = (one[1:] for one in last_cycle(frequency, 1e-4, 2000))
+    found = complex_stiffness(MODEL, THETA, 2.0, frequency)
     # chords of a sine of 2000 samples: 1e-6; the amplitude's second order: 1e-5
-    assert storage == pytest.approx(in_phase, rel=1e-4)
-    assert loss == pytest.approx(out_of_phase, rel=1e-4)
+    for part, wave in zip(found, (np.sin(angle), np.cos(angle)), strict=True):
+        assert part == pytest.approx(2.0 * np.mean(force * wave) / 1e-4, rel=1e-4)
 
 
 def test_energy_of_a_large_cycle_is_the_area_of_its_loop():
-    frequency, depth, amplitude, n = 0.7, 2.0, 1.5, 4000
-    time = np.arange(0.0, 13.0, 1.0 / n) / frequency
-    x = depth + amplitude * np.sin(2.0 * np.pi * frequency * time)
-    # from rest at the mean depth: F_s alone, no branch
-    states = branch_states(time, x, np.array([0.05, 1.2]))
-    force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
-    last = slice(-n - 1, None)
-    area = np.trapezoid(force[last], x[last])
+    _, x, force = last_cycle(0.7, 1.5, 4000)
     # trapezoids over 4000 samples: 1e-6; what is left of the start after 12 periods: 1e-6
-    assert dissipated_per_cycle(MODEL, THETA, depth, amplitude, frequency) == pytest.approx(area, rel=1e-4)
+    area = np.trapezoid(force, x)
+    assert dissipated_per_cycle(MODEL, THETA, 2.0, 1.5, 0.7) == pytest.approx(area, rel=1e-4)
 
 
 def test_stiffness_is_the_slope_of_slow_and_of_sudden_motion():
@@ -100,28 +90,18 @@ def test_error_of_a_function_is_the_spread_over_draws():
     assert stderr == pytest.approx(float(np.std(draws)), rel=0.05)
 
 
-def test_a_number_that_hangs_on_an_unknown_parameter_has_no_finite_error():
-    unknown = np.zeros(THETA.size, dtype=bool)
-    unknown[-1] = True
-    covariance = np.diag((0.01 * THETA) ** 2)
+def test_a_number_that_hangs_on_an_unknown_parameter_or_has_no_slope_has_no_finite_error():
+    unknown, covariance = np.arange(THETA.size) == THETA.size - 1, np.diag((0.01 * THETA) ** 2)
+    for function, finite in (
+        (lambda theta: equilibrium_stiffness(MODEL, theta, 2.0)[0], True),
+        (lambda theta: complex_stiffness(MODEL, theta, 2.0, 0.3)[1], False),
+    ):
+        assert np.isfinite(delta_method(function, THETA, covariance, unknown)[1]) == finite
 
-    def plateau(theta):
-        return equilibrium_stiffness(MODEL, theta, 2.0)[0]
-
-    assert np.isfinite(delta_method(plateau, THETA, covariance, unknown)[1])
-
-    def loss(theta):
-        return complex_stiffness(MODEL, theta, 2.0, 0.3)[1]
-
-    assert np.isinf(delta_method(loss, THETA, covariance, unknown)[1])
-
-
-def test_a_value_without_a_slope_beside_it_has_no_error():
     def beside_a_pole(theta):
         return float(theta[0]) if theta[0] <= 1.0 else float("inf")
 
-    value, stderr = delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool))
-    assert (value, stderr) == (1.0, np.inf)
+    assert delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool)) == (1.0, np.inf)
 
 
 def test_a_shape_that_nothing_determines_leaves_no_error_of_a_number() -> None:

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import lambertw
 
 from tissueid.model.base import ContactPath
-from tissueid.model.damped import DampedModel, path_ratio
+from tissueid.model.channels import DampedModel, path_ratio
 from tissueid.model.grammar import parsed
 from tissueid.model.impact import (
     IMPACT_SIZE,
@@ -37,20 +37,55 @@ REACHED = {0.3: 0.256, 0.5: 0.470, 0.7: 0.683, 0.9: 0.894}
 MASS_KG = 0.6
 
 
+def packed(*law: float, **given: float) -> tuple[np.ndarray, np.ndarray]:
+    """The law's block, and a memory without a contact."""
+    block = np.empty(IMPACT_SIZE)
+    pack_impact(*law, block, 0, **{"slowest_mm_s": 1.0, **given})
+    return block, np.zeros(IMPACT_STATE)
+
+
 def drop(stiffness: float, exponent: float, chi: float, *, speed_mm_s: float, dt: float) -> float:
     """Speed after the contact of a free mass over that before it, by velocity Verlet."""
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(stiffness, exponent, chi, law, 0, slowest_mm_s=1.0)
+    block, memory = packed(stiffness, exponent, chi)
     depth, speed, force = -2.0 * speed_mm_s * dt, speed_mm_s, 0.0
     for _ in range(1_000_000):
         # N over kg in mm: a thousand mm a metre
         depth += speed * dt - 500.0 * force / MASS_KG * dt * dt
-        after = impact_step(law, 0, memory, 0, depth, dt)
+        after = impact_step(block, 0, memory, 0, depth, dt)
         speed -= 500.0 * (force + after) / MASS_KG * dt
         force = after
         if depth < 0.0 and speed < 0.0:
             return -speed / speed_mm_s
     raise AssertionError("the mass never left")
+
+
+def rendered_drop(stiffness_SI: float, restitution: float, *, delay_ticks: int) -> float:
+    """The same mass at 0.2 m/s against the law held from tick to tick at 1 kHz, its force some ticks late."""
+    block, memory = packed(stiffness_SI * 1000.0**-1.5, 1.5, damping_factor(restitution))
+    depth_m, speed, dt = -0.9 * 0.2 * 1e-3, 0.2, 1e-3
+    waiting = [0.0] * delay_ticks
+    for _ in range(100_000):
+        waiting.append(impact_step(block, 0, memory, 0, 1e3 * depth_m, dt))
+        acceleration = -waiting.pop(0) / MASS_KG
+        depth_m += speed * dt + 0.5 * acceleration * dt * dt
+        speed += acceleration * dt
+        if depth_m < 0.0 and speed < 0.0 and not any(waiting):
+            return -speed / 0.2
+    raise AssertionError("the mass never left")
+
+
+def forces(depths: list[float], *, hysteresis_mm: float) -> list[float]:
+    """Forces at ticks of 1 ms, k = 10 N/mm, chi = 2."""
+    block, memory = packed(10.0, 1.0, 2.0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
+    return [float(impact_step(block, 0, memory, 0, depth, 1e-3)) for depth in depths]
+
+
+def test_the_speed_is_filtered_before_it_is_latched() -> None:
+    block, memory = packed(10.0, 1.0, 1.0, filter_s=5e-3)
+    for k in range(40):
+        impact_step(block, 0, memory, 0, -4.0 + 0.1 * k, 1e-3)
+    # 39 steps of 1 ms at 100 mm/s from rest
+    assert memory[1] == pytest.approx(100.0 * (1.0 - math.exp(-39e-3 / 5e-3)))
 
 
 def reached_restitution(chi: float) -> float:
@@ -75,9 +110,28 @@ def test_the_exact_law_returns_what_was_asked_for(asked: float, stiffness: float
     assert drop(stiffness, exponent, chi, speed_mm_s=100.0, dt=1e-6) == pytest.approx(asked, rel=0.01)
 
 
-def test_an_elastic_contact_is_undamped() -> None:
-    assert damping_factor(1.0) == 0.0
-    assert damping_factor(1.0, "exact") == pytest.approx(0.0, abs=1e-7)
+CHATTER = [-0.2, -0.1, 0.1, -0.01, 0.01]
+
+
+@pytest.mark.parametrize(
+    ("depths", "hysteresis_mm", "at", "expected"),
+    [
+        # in at 1 mm/s, then 100 mm/s: the factor stays within 1 + chi; v0 is the floor of 20 mm/s
+        ([-1e-3, 0.0, 1e-3, 0.101, 0.201], 0.0, -1, 10.0 * 0.201 * 3.0),
+        ([-1e-3, 0.0, 1e-3], 0.0, -1, 10.0 * 1e-3 * (1.0 + 2.0 * 1.0 / 20.0)),
+        # out at half the speed it came in with: 1 - chi / 2 = 0 of the elastic force
+        ([-0.1, 0.0, 0.1, 0.2, 0.15, 0.05, -0.05], 0.0, 4, 0.0),
+        # 200 mm/s in; after a hair's breadth outside the second entry, at 20 mm/s, is latched anew or not
+        (CHATTER, 0.05, -1, 0.1 * (1.0 + 2.0 * 20.0 / 200.0)),
+        (CHATTER, 0.0, -1, 0.1 * 3.0),
+    ],
+)
+def test_force_follows_the_speed_latched_at_contact_and_never_pulls(
+    depths: list[float], hysteresis_mm: float, at: int, expected: float
+) -> None:
+    found = forces(depths, hysteresis_mm=hysteresis_mm)
+    assert found[at] == pytest.approx(expected, abs=1e-12)
+    assert min(found) == 0.0
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.049, 1.01, math.nan])
@@ -85,25 +139,6 @@ def test_a_restitution_without_a_bounded_force_is_refused(restitution: float) ->
     with pytest.raises(ValueError, match=r"within 0\.05 and 1"):
         damping_factor(restitution)
     assert not law().is_passive(np.array([1.0, 1.5, restitution]))
-
-
-def rendered_drop(
-    stiffness_SI: float, restitution: float, *, delay_ticks: int, speed_m_s: float = 0.2
-) -> float:
-    """The same mass against the law held from tick to tick at 1 kHz, its force some ticks late."""
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    chi = damping_factor(restitution)
-    pack_impact(stiffness_SI * 1000.0**-1.5, 1.5, chi, law, 0, slowest_mm_s=1.0)
-    depth_m, speed, dt = -0.9 * speed_m_s * 1e-3, speed_m_s, 1e-3
-    waiting = [0.0] * delay_ticks
-    for _ in range(100_000):
-        waiting.append(impact_step(law, 0, memory, 0, 1e3 * depth_m, dt))
-        acceleration = -waiting.pop(0) / MASS_KG
-        depth_m += speed * dt + 0.5 * acceleration * dt * dt
-        speed += acceleration * dt
-        if depth_m < 0.0 and speed < 0.0 and not any(waiting):
-            return -speed / speed_m_s
-    raise AssertionError("the mass never left")
 
 
 def test_a_servo_s_contact_is_right_where_it_is_soft_and_makes_energy_where_it_is_stiff() -> None:
@@ -124,56 +159,13 @@ def test_what_a_servo_at_1_khz_makes_of_restitution() -> None:
         sys.stdout.write("  ".join(row) + "\n")
 
 
-def forces(
-    depths: list[float], *, chi: float = 2.0, hysteresis_mm: float = 0.0, dt: float = 1e-3
-) -> list[float]:
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(10.0, 1.0, chi, law, 0, slowest_mm_s=20.0, hysteresis_mm=hysteresis_mm)
-    return [float(impact_step(law, 0, memory, 0, depth, dt)) for depth in depths]
-
-
-def test_a_slow_touch_does_not_multiply_the_push_after_it() -> None:
-    # in at 1 mm/s, then 100 mm/s: the factor stays within 1 + chi
-    found = forces([-1e-3, 0.0, 1e-3, 0.101, 0.201])
-    assert found[-1] == pytest.approx(10.0 * 0.201 * 3.0)
-    # at the touch itself v0 is the floor of 20 mm/s
-    assert found[2] == pytest.approx(10.0 * 1e-3 * (1.0 + 2.0 * 1.0 / 20.0))
-
-
-def test_nothing_sticks_to_a_tool_that_is_pulled_out() -> None:
-    found = forces([-0.1, 0.0, 0.1, 0.2, 0.15, 0.05, -0.05])
-    assert min(found) == 0.0
-    # out at half the speed it came in with: 1 - chi / 2 = 0 of the elastic force
-    assert found[4] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_speed_at_contact_is_kept_through_chatter_at_the_surface() -> None:
-    chatter = [-0.2, -0.1, 0.1, -0.01, 0.01]
-    # 200 mm/s in; after a hair's breadth outside the second entry is at 20 mm/s
-    kept, latched_anew = forces(chatter, hysteresis_mm=0.05)[-1], forces(chatter)[-1]
-    assert kept == pytest.approx(0.1 * (1.0 + 2.0 * 20.0 / 200.0))
-    assert latched_anew == pytest.approx(0.1 * 3.0)
-
-
-def test_the_speed_is_filtered_before_it_is_latched() -> None:
-    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
-    pack_impact(10.0, 1.0, 1.0, law, 0, slowest_mm_s=1.0, filter_s=5e-3)
-    for k in range(40):
-        impact_step(law, 0, memory, 0, -4.0 + 0.1 * k, 1e-3)
-    # 39 steps of 1 ms at 100 mm/s from rest
-    assert memory[1] == pytest.approx(100.0 * (1.0 - math.exp(-39e-3 / 5e-3)))
-
-
 def test_each_contact_has_its_own_speed() -> None:
-    depth = np.array([-1.0, 1.0, 2.0, 2.0, -1.0, 3.0, 4.0])
-    chi = damping_factor(0.5)
-    # in at 2 mm/s, on at 1, held; in again at 4 mm/s, on at 1
-    expected = np.maximum(depth, 0.0) * (1.0 + chi * np.array([0.0, 1.0, 0.5, 0.0, 0.0, 1.0, 0.25]))
-    found = law().force(np.array([1.0, 1.0, 0.5]), ContactPath(np.arange(7.0), depth))
-    np.testing.assert_allclose(found, expected)
-    ratio = np.full(7, 0.5)
-    given = law().force(np.array([1.0, 1.0, 0.5]), ContactPath(np.arange(7.0), depth, ratio))
-    np.testing.assert_allclose(given, np.maximum(depth, 0.0) * (1.0 + 0.5 * chi))
+    depth, theta = np.array([-1.0, 1.0, 2.0, 2.0, -1.0, 3.0, 4.0]), np.array([1.0, 1.0, 0.5])
+    # in at 2 mm/s, on at 1, held; in again at 4 mm/s, on at 1; or a ratio that is given
+    told = np.array([0.0, 1.0, 0.5, 0.0, 0.0, 1.0, 0.25])
+    for given, ratio in ((None, told), (np.full(7, 0.5), 0.5)):
+        found = law().force(theta, ContactPath(np.arange(7.0), depth, given))
+        np.testing.assert_allclose(found, np.maximum(depth, 0.0) * (1.0 + damping_factor(0.5) * ratio))
 
 
 @pytest.mark.parametrize("name", ["power * impact", "power * impact-exact"])
@@ -200,5 +192,6 @@ def test_both_factors_are_those_of_one_number_at_a_time() -> None:
     for variant in ("flores", "exact"):
         found = damping_factors(values, variant)
         np.testing.assert_allclose(found, [damping_factor(e, variant) for e in values], rtol=1e-12)
+        assert found[-1] == pytest.approx(0.0, abs=1e-7)
     reached = [reached_restitution(chi) for chi in damping_factors(values, "exact")]
     np.testing.assert_allclose(reached, values, atol=1e-6)

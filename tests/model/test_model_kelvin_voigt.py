@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from closed_forms import linear_basis, ramp_hold_state
+from closed_forms import ramp_hold_state
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, TAU, tissue
 from scipy.integrate import solve_ivp
 
@@ -62,27 +64,29 @@ def test_ramp_and_hold_with_the_corner_on_the_grid_matches_closed_form(branches:
     np.testing.assert_allclose(model.force(theta, ContactPath(time, depth)), expected, rtol=1e-9)
 
 
+def equation_5(degree: int) -> Callable[[np.ndarray, float, np.ndarray], np.ndarray]:
+    """dF/dt at a depth and a speed, of a tissue of one branch."""
+    model, theta = tissue(1, degree)
+    static, stiffness, tau = model.split(theta)
+    fs = np.polynomial.Polynomial([0.0, *static])
+    k = np.polynomial.Polynomial(stiffness[0])
+    return lambda x, v, f: (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
+
+
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
     # the same piecewise linear path for both: no error of sampling, only that of the solver
-    model, theta = tissue(1, degree)
-    path = wavy_path(24)
-    static, stiffness, tau = model.split(theta)
-    fs = np.polynomial.Polynomial([0.0, *static])
-    k = np.polynomial.Polynomial(stiffness[0])
-
+    (model, theta), rate, path = tissue(1, degree), equation_5(degree), wavy_path(24)
     force = np.zeros(path.time_s.size)
     for i in range(1, force.size):
-        start, x0 = path.time_s[i - 1], path.depth_mm[i - 1]
-        v = (path.depth_mm[i] - x0) / (path.time_s[i] - start)
-
-        def slope(t: float, f: np.ndarray, v: float = v, start: float = start, x0: float = x0) -> np.ndarray:
-            x = x0 + v * (t - start)
-            return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
-
-        leg = (start, path.time_s[i])
-        force[i] = solve_ivp(slope, leg, force[i - 1 : i], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
+        (start, end), (x0, x1) = path.time_s[i - 1 : i + 1], path.depth_mm[i - 1 : i + 1]
+        v = (x1 - x0) / (end - start)
+        leg = solve_ivp(
+            lambda t, f, v=v, start=start, x0=x0: rate(x0 + v * (t - start), v, f),
+            (start, end), force[i - 1 : i], method="DOP853", rtol=1e-12, atol=1e-12,
+        )  # fmt: skip
+        force[i] = leg.y[0, -1]
     # DOP853 at 1e-12 per step, some tens of steps a leg: 1e-10 of the 100 N peak is left to it
     np.testing.assert_allclose(model.force(theta, path), force, rtol=1e-9, atol=1e-8)
 
@@ -90,31 +94,15 @@ def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_smooth_load_and_unload_converge_to_equation_5_with_the_square_of_the_step(degree: int) -> None:
-    model, theta = tissue(1, degree)
-    static, stiffness, tau = model.split(theta)
-    fs = np.polynomial.Polynomial([0.0, *static])
-    k = np.polynomial.Polynomial(stiffness[0])
-
-    def slope(t: float, f: np.ndarray) -> np.ndarray:
-        x, v = smooth_depth(np.array(t)), smooth_speed(t)
-        return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
-
-    expected = solve_ivp(slope, (0.0, 1.6), [0.0], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
+    (model, theta), rate = tissue(1, degree), equation_5(degree)
+    expected = solve_ivp(
+        lambda t, f: rate(smooth_depth(np.array(t)), smooth_speed(t), f),
+        (0.0, 1.6), [0.0], method="DOP853", rtol=1e-12, atol=1e-12,
+    ).y[0, -1]  # fmt: skip
     coarse, fine = (model.force(theta, wavy_path(n))[-1] for n in (1001, 2001))
     # one Richardson step removes h^2; the next term is h^4 of a path whose step is tau / 10 or less
     assert fine + (fine - coarse) / 3.0 == pytest.approx(expected, rel=1e-7)
     assert abs(fine - expected) < 0.3 * abs(coarse - expected)
-
-
-def test_stiffness_stands_outside_the_convolution() -> None:
-    # a hold after a jump: K(x) is that of the depth now, times the decaying state
-    model, theta = tissue(1, 2)
-    path = ContactPath(np.array([0.0, 0.0, 0.02, 0.02]), np.array([0.0, 2.0, 2.0, 5.0]))
-    _, stiffness, tau = model.split(theta)
-    state = 2.0 * np.exp(-0.02 / tau[0]) + 3.0
-    k_at_5 = np.polynomial.Polynomial(stiffness[0])(5.0)
-    fs_at_5 = model.static_force(theta, np.array([5.0]))[0]
-    assert model.force(theta, path)[-1] == pytest.approx(fs_at_5 + k_at_5 * state, rel=1e-13)
 
 
 @every_tissue
@@ -135,76 +123,43 @@ def test_jacobian_matches_central_differences(branches: int, degree: int) -> Non
         np.testing.assert_allclose(actual[:, p], expected, rtol=1e-7, atol=3e-13 / d)
 
 
-@every_tissue
-def test_linear_basis_weighs_up_to_the_force(branches: int, degree: int) -> None:
-    model, theta = tissue(branches, degree)
-    path = wavy_path(80)
-    static, stiffness, tau = model.split(theta)
-    basis = linear_basis(model, np.log(tau), path)
-    np.testing.assert_allclose(
-        basis @ np.concatenate([static, stiffness.ravel()]), model.force(theta, path), rtol=1e-12, atol=1e-11
-    )
-
-
-def test_linear_basis_holds_the_columns_of_the_jacobian() -> None:
-    model, theta = tissue(2, 1)
-    path = wavy_path(40)
-    linear = [i for i, name in enumerate(model.parameter_names) if not name.startswith("relaxation")]
-    _, _, tau = model.split(theta)
-    np.testing.assert_allclose(
-        linear_basis(model, np.log(tau), path), model.jacobian(theta, path)[:, linear], rtol=1e-12, atol=1e-13
-    )
-
-
 def test_model_without_branches_is_its_static_curve() -> None:
-    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
-    theta = np.array([12.0, -1.5, 0.35])
-    path = wavy_path(30)
+    model, theta, path = kelvin_voigt(0, 0, DEPTH_MM), np.array([12.0, -1.5, 0.35]), wavy_path(30)
     x = path.depth_mm
     expected = 12.0 * x - 1.5 * x**2 + 0.35 * x**3
     np.testing.assert_allclose(model.force(theta, path), expected, rtol=1e-13, atol=1e-13)
-    np.testing.assert_allclose(
-        linear_basis(model, np.zeros(0), path) @ theta, expected, rtol=1e-13, atol=1e-13
-    )
     assert model.is_passive(theta)
 
 
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda theta: SEED_MODEL.force(theta, wavy_path(3)),
+        lambda theta: SEED_MODEL.jacobian(theta, wavy_path(3)),
+        SEED_MODEL.is_passive,
+        lambda theta: TissueStepper(SEED_MODEL, theta),
+    ],
+)
+def test_theta_of_the_wrong_length_is_refused_with_the_length_needed(use: Callable[..., object]) -> None:
+    with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
+        use(SEED_THETA[:-1])
+
+
 def test_split_inverts_join_and_branches_are_ordered_by_relaxation_time() -> None:
-    model = kelvin_voigt(branches=2, stiffness_degree=1, depth_mm=DEPTH_MM)
-    theta = model.join(
-        np.array([1.0, 2.0, 3.0]), np.array([[10.0, 11.0], [20.0, 21.0]]), np.array([5.0, 0.1])
-    )
+    model, static = kelvin_voigt(2, 1, DEPTH_MM), np.array([1.0, 2.0, 3.0])
+    theta = model.join(static, np.array([[10.0, 11.0], [20.0, 21.0]]), np.array([5.0, 0.1]))
     np.testing.assert_array_equal(theta, [1.0, 2.0, 3.0, 20.0, 21.0, 0.1, 10.0, 11.0, 5.0])
-    static, stiffness, tau = model.split(theta)
-    np.testing.assert_array_equal(model.join(static, stiffness, tau), theta)
+    np.testing.assert_array_equal(model.join(*model.split(theta)), theta)
 
 
 def test_parameter_names_and_units_are_those_of_the_contract() -> None:
     model = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
-    assert model.parameter_names == (
-        "static_1_N_per_mm",
-        "static_2_N_per_mm2",
-        "static_3_N_per_mm3",
-        "stiffness_0_N_per_mm",
-        "stiffness_1_N_per_mm2",
-        "stiffness_2_N_per_mm3",
-        "relaxation_time_s",
-        "stiffness_0_N_per_mm_b2",
-        "stiffness_1_N_per_mm2_b2",
-        "stiffness_2_N_per_mm3_b2",
-        "relaxation_time_s_b2",
-    )
-    assert [spec.unit for spec in model.parameters][:7] == [
-        "N/mm",
-        "N/mm^2",
-        "N/mm^3",
-        "N/mm",
-        "N/mm^2",
-        "N/mm^3",
-        "s",
-    ]
-    symbols = [spec.symbol for spec in model.parameters]
-    assert len(set(symbols)) == len(symbols)
+    branch = ("stiffness_0_N_per_mm", "stiffness_1_N_per_mm2", "stiffness_2_N_per_mm3", "relaxation_time_s")
+    static = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3")
+    assert model.parameter_names == (*static, *branch, *(f"{name}_b2" for name in branch))
+    units = ["N/mm", "N/mm^2", "N/mm^3"]
+    assert [spec.unit for spec in model.parameters] == [*units, *units, "s", *units, "s"]
+    assert len({spec.symbol for spec in model.parameters}) == len(model.parameters)
 
 
 @pytest.mark.parametrize(
@@ -232,11 +187,8 @@ def test_passive_means_static_force_and_stiffness_are_not_negative(
 
 def test_passivity_is_demanded_up_to_the_identified_depth_only() -> None:
     theta = np.array([10.0, 0.0, 0.0, 5.0, -1.0, 0.1])  # K = 5 - x
-    verdicts = {
-        depth: kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=depth).is_passive(theta)
-        for depth in (4.999, 5.0, 5.001)
-    }
-    assert verdicts == {4.999: True, 5.0: True, 5.001: False}
+    verdicts = [kelvin_voigt(1, 1, depth).is_passive(theta) for depth in (4.999, 5.0, 5.001)]
+    assert verdicts == [True, True, False]
 
 
 @pytest.mark.parametrize(
@@ -255,13 +207,21 @@ def test_model_refuses_what_it_does_not_offer(arguments: tuple[int, int, float],
         kelvin_voigt(*arguments)
 
 
-def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
-    path = wavy_path(3)
-    for use in (
-        lambda theta: SEED_MODEL.force(theta, path),
-        lambda theta: SEED_MODEL.jacobian(theta, path),
-        SEED_MODEL.is_passive,
-        lambda theta: TissueStepper(SEED_MODEL, theta),
-    ):
-        with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
-            use(SEED_THETA[:-1])
+@every_tissue
+def test_stepper_replays_a_path_as_force_computes_it(branches: int, degree: int) -> None:
+    """In and hold, small withdrawals that keep contact, uneven steps, a row of dt = 0, a long gap."""
+    model, theta = tissue(branches, degree)
+    step = 10.0 ** np.random.default_rng(11).uniform(-3.5, -1.5, 199)
+    step[50], step[120] = 0.0, 25.0
+    depth = np.concatenate(
+        [np.linspace(0.0, 7.5, 120), np.full(40, 7.5), 7.5 - 0.01 * np.arange(1, 21), np.full(20, 7.3)]
+    )
+    expected = model.force(theta, ContactPath(np.append(0.0, np.cumsum(step)), depth))
+    assert expected[1:].min() > 0.0  # in contact throughout, so that the two must be the same
+    stepper, other = TissueStepper(model, theta), TissueStepper(model, theta)
+    for _ in range(2):
+        actual = [stepper.step(x, h) for x, h in zip(depth, np.append(0.0, step), strict=True)]
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-12)
+        stepper.reset()  # the second round starts from a tissue at rest again
+    # two steppers do not share their state
+    assert other.step(2.0, 0.01) == TissueStepper(model, theta).step(2.0, 0.01)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from passive_tissues import walked
 from scipy.integrate import quad
 from scipy.special import exp1
 
@@ -16,9 +17,7 @@ from tissueid.model.base import ContactPath, ParameterSpec, scaled_theta
 from tissueid.model.channels import ChannelModel, nodes_for
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, described, known_laws, parsed, rebuilt
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.law import About
-from tissueid.model.servo_law import servo_law
 from tissueid.result import ModelChoice
 
 RESOLUTION, WINDOW = 0.01, 30.0
@@ -109,16 +108,16 @@ def test_every_law_is_described_and_has_its_source(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "branches", "degree"),
+    ("name", "order"),
     [
-        ("polynomial * prony", 1, 0),
-        ("polynomial:3*linear*prony:3", 3, 1),
-        (" polynomial *quadratic* prony:2 ", 2, 2),
+        ("polynomial * prony", (1, 0)),
+        ("polynomial:3*linear*prony:3", (3, 1)),
+        (" polynomial *quadratic* prony:2 ", (2, 2)),
     ],
 )
-def test_names_of_the_papers_law_are_that_law(name, branches, degree):
+def test_names_of_the_papers_law_are_that_law(name, order):
     found = parsed(name)
-    assert (found.branches, found.degree, found.parts) == (branches, degree, None)
+    assert (found.branches, found.degree, found.parts) == (*order, None)
 
 
 @pytest.mark.parametrize(
@@ -224,38 +223,35 @@ class Toe:
         return np.asarray(3.0 * depth_mm**2)[None]
 
 
-def test_a_law_of_another_package_is_one_of_ours(monkeypatch):
-    point = SimpleNamespace(load=lambda: Toe)
-    monkeypatch.setattr(grammar, "entry_points", lambda group: [point] if group == "tissueid.models" else [])
-    grammar._installed.cache_clear()
-    try:
-        law = parsed("toe * tangent * fung").model(8.0, RESOLUTION, WINDOW)
-        assert law.parameter_names[0] == "static_toe_N_per_mm3"
-        assert "toe" in {row["key"] for row in described()}
-        theta = np.array([0.5, 1.2, 0.4, 100.0])
-        time = np.linspace(0.0, 2.0, 400)
-        path = ContactPath(time, np.minimum(4.0 * time, 6.0))
-        servo, state = servo_law(law, theta).packed(), np.zeros(STATE_SIZE)
-        steps = np.diff(time, prepend=0.0)
-        felt = [tissue_step_in(servo, 0, state, 0, x, h) for x, h in zip(path.depth_mm, steps, strict=True)]
-        expected = law.force(theta, path)
-        assert np.abs(np.array(felt) - expected).max() < 0.01 * expected.max()
-    finally:
+@pytest.fixture
+def installed(monkeypatch):
+    """Laws of other packages, behind their entry points."""
+
+    def install(*laws):
+        points = [SimpleNamespace(name="other-package", load=lambda law=law: law) for law in laws]
+        monkeypatch.setattr(
+            grammar, "entry_points", lambda group: points if group == "tissueid.models" else []
+        )
         grammar._installed.cache_clear()
 
+    yield install
+    grammar._installed.cache_clear()
 
-def test_an_unknown_key_lists_what_there_is():
+
+def test_a_law_of_another_package_is_one_of_ours(installed):
+    installed(Toe)
+    law, theta = model("toe * tangent * fung"), np.array([0.5, 1.2, 0.4, 100.0])
+    assert law.parameter_names[0] == "static_toe_N_per_mm3"
+    assert "toe" in {row["key"] for row in described()}
+    time = np.linspace(0.0, 2.0, 400)
+    path = ContactPath(time, np.minimum(4.0 * time, 6.0))
+    expected = law.force(theta, path)
+    assert np.abs(walked(law, theta, time, path.depth_mm) - expected).max() < 0.01 * expected.max()
+
+
+def test_a_key_is_registered_once_and_an_unknown_one_lists_what_there_is(installed):
     with pytest.raises(ModelNameError, match="'maxwell' is no model: STATIC"):
         rebuilt(ModelChoice("maxwell", 1, 3, 0, "shared", "maxwell", (RESOLUTION, WINDOW)), 8.0)
-
-
-def test_a_key_is_registered_once(monkeypatch):
-    again = SimpleNamespace(name="other-package", load=lambda: known["prony"])
-    known = dict(known_laws())
-    monkeypatch.setattr(grammar, "entry_points", lambda group: [again] if group == "tissueid.models" else [])
-    grammar._installed.cache_clear()
-    try:
-        with pytest.raises(ModelNameError, match="'prony' is registered already"):
-            parsed("kelvin-voigt")
-    finally:
-        grammar._installed.cache_clear()
+    installed(known_laws()["prony"])
+    with pytest.raises(ModelNameError, match="'prony' is registered already"):
+        parsed("kelvin-voigt")

@@ -1,16 +1,24 @@
-"""Moduli from a force: round trips, limits between formulas, and what is said beyond their range."""
+"""Moduli from a force, and a layer under a tip: round trips, limits, elasticity solved another way."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.linalg import expm
+from scipy.special import j0, j1
 
 from tissueid.model.moduli import (
     FORMULAS,
+    MOST_A_OVER_H,
     Indenter,
+    compliance,
     contact_of,
+    flat_factor,
     formulas_for,
+    layer_contact,
     poroelastic_band,
 )
 
@@ -30,37 +38,28 @@ def test_modulus_gives_back_the_force_it_came_from(tip, thickness, poisson):
 
 
 def test_half_space_forms_are_those_of_the_books():
-    # 20 kPa, nu = 0.5: E* = 26.667 kPa
-    e_star = 0.02 / 0.75
-    assert e_star * contact_of("hertz", SPHERE, 0.3).factor_mm2 == pytest.approx(
-        4.0 / 3.0 * e_star * math.sqrt(3.0) * 0.3**1.5, rel=1e-14
-    )
-    assert e_star * contact_of("sneddon", FLAT, 0.3).factor_mm2 == pytest.approx(
-        2.0 * e_star * 2.0 * 0.3, rel=1e-14
-    )
     slope = math.tan(math.radians(70.0))
-    assert contact_of("sneddon", CONE, 0.3).factor_mm2 == pytest.approx(2.0 / math.pi * slope * 0.09)
+    for formula, tip, expected in (
+        ("hertz", SPHERE, 4.0 / 3.0 * math.sqrt(3.0) * 0.3**1.5),
+        ("sneddon", FLAT, 2.0 * 2.0 * 0.3),
+        ("sneddon", CONE, 2.0 / math.pi * slope * 0.09),
+    ):
+        assert contact_of(formula, tip, 0.3).factor_mm2 == pytest.approx(expected, rel=1e-14)
 
 
-def test_sneddon_s_sphere_obeys_its_own_equations_and_tends_to_hertz():
-    for depth in (1e-6, 0.1, 1.0, 6.0):
+def test_sneddon_s_sphere_obeys_its_own_equations_and_hertz_leaves_it_by_two_percent():
+    # a/R = 0.4 is the limit that is flagged; there Hertz gives 1.7 % more force than Sneddon's sphere
+    limit = 0.2 * math.log(1.4 / 0.6) * 3.0
+    for depth, more in ((1e-6, 0.0), (0.1, None), (limit, 0.017), (1.0, None), (6.0, None)):
         found = contact_of("sneddon", SPHERE, depth)
         a, radius = found.contact_mm, 3.0
         log = math.log((radius + a) / (radius - a))
         assert a / 2.0 * log == pytest.approx(depth, rel=1e-9)
         assert found.factor_mm2 == pytest.approx((a * a + radius**2) / 2.0 * log - a * radius, rel=1e-6)
-    shallow = 1e-4
-    assert contact_of("sneddon", SPHERE, shallow).factor_mm2 == pytest.approx(
-        contact_of("hertz", SPHERE, shallow).factor_mm2, rel=1e-4
-    )
-
-
-def test_hertz_leaves_its_range_where_it_is_two_percent_off():
-    # a/R = 0.4 is the limit that is flagged; there Hertz gives 1.7 % more force than Sneddon's sphere
-    depth = 0.2 * math.log(1.4 / 0.6) * 3.0
-    exact, hertz = (contact_of(name, SPHERE, depth) for name in ("sneddon", "hertz"))
-    assert exact.contact_mm / 3.0 == pytest.approx(0.4, rel=1e-9)
-    assert hertz.factor_mm2 / exact.factor_mm2 - 1.0 == pytest.approx(0.017, abs=0.001)
+        if more is not None:
+            hertz = contact_of("hertz", SPHERE, depth)
+            assert hertz.factor_mm2 / found.factor_mm2 - 1.0 == pytest.approx(more, abs=1e-3)
+    assert contact_of("sneddon", SPHERE, limit).contact_mm / 3.0 == pytest.approx(0.4, rel=1e-9)
 
 
 @pytest.mark.parametrize("bonded", [True, False])
@@ -90,15 +89,18 @@ def test_dimitriadis_of_an_incompressible_bonded_layer_is_the_printed_series():
     assert found.factor_mm2 / contact_of("hertz", tip, depth).factor_mm2 == pytest.approx(printed, rel=5e-5)
 
 
-def test_what_is_out_of_range_is_said_with_its_number():
-    fine = contact_of("hertz", Indenter("sphere", 10.0), 0.1, thickness_mm=50.0)
-    assert fine.outside == ()
-    deep = contact_of("hertz", SPHERE, 2.0, thickness_mm=8.0)
-    assert [text.split(" = ")[0] for text in deep.outside] == ["a/R", "strain 0.2 a/R", "a/h", "d/h"]
-    thin = contact_of("dimitriadis", Indenter("sphere", 10.0), 0.1, thickness_mm=1.5)
-    assert [text.split(" = ")[0] for text in thin.outside] == ["sqrt(R d)/h"]
-    steep = contact_of("sneddon", Indenter("cone", half_angle_deg=20.0), 0.1)
-    assert [text.split(" = ")[0] for text in steep.outside] == ["strain 0.2 cot(alpha)"]
+@pytest.mark.parametrize(
+    ("formula", "tip", "depth", "thickness", "said"),
+    [
+        ("hertz", Indenter("sphere", 10.0), 0.1, 50.0, []),
+        ("hertz", SPHERE, 2.0, 8.0, ["a/R", "strain 0.2 a/R", "a/h", "d/h"]),
+        ("dimitriadis", Indenter("sphere", 10.0), 0.1, 1.5, ["sqrt(R d)/h"]),
+        ("sneddon", Indenter("cone", half_angle_deg=20.0), 0.1, None, ["strain 0.2 cot(alpha)"]),
+    ],
+)
+def test_what_is_out_of_range_is_said_with_its_number(formula, tip, depth, thickness, said):
+    found = contact_of(formula, tip, depth, thickness_mm=thickness).outside
+    assert [text.split(" = ")[0] for text in found] == said
 
 
 def test_a_layer_too_thin_to_solve_has_no_contact():
@@ -107,27 +109,23 @@ def test_a_layer_too_thin_to_solve_has_no_contact():
 
 
 @pytest.mark.parametrize(
-    ("shape", "radius", "angle", "said"),
+    ("use", "said"),
     [
-        ("pyramid", 1.0, None, "not offered"),
-        ("sphere", None, None, "needs a radius"),
-        ("flat", -1.0, None, "needs a radius"),
-        ("cone", 1.0, None, "half angle"),
-        ("cone", None, 90.0, "half angle"),
+        (lambda: Indenter("pyramid", 1.0, None), "not offered"),
+        (lambda: Indenter("sphere", None, None), "needs a radius"),
+        (lambda: Indenter("flat", -1.0, None), "needs a radius"),
+        (lambda: Indenter("cone", 1.0, None), "half angle"),
+        (lambda: Indenter("cone", None, 90.0), "half angle"),
+        (lambda: contact_of("hertz", SPHERE, 0.1, poisson=0.6), "Poisson"),
+        (lambda: contact_of("hayes", SPHERE, 0.1), "thickness"),
+        (lambda: contact_of("dimitriadis", FLAT, 0.1, thickness_mm=1.0), "a sphere"),
+        (lambda: flat_factor(7.0, 0.5), "outside"),
+        (lambda: layer_contact(5.0, 0.1, 0.3, radius_mm=10.0), "outside"),
     ],
 )
-def test_an_impossible_tip_is_refused(shape, radius, angle, said):
+def test_impossible_tips_and_wrong_uses_are_refused(use, said):
     with pytest.raises(ValueError, match=said):
-        Indenter(shape, radius, angle)
-
-
-def test_wrong_uses_are_refused():
-    with pytest.raises(ValueError, match="Poisson"):
-        contact_of("hertz", SPHERE, 0.1, poisson=0.6)
-    with pytest.raises(ValueError, match="thickness"):
-        contact_of("hayes", SPHERE, 0.1)
-    with pytest.raises(ValueError, match="a sphere"):
-        contact_of("dimitriadis", FLAT, 0.1, thickness_mm=1.0)
+        use()
 
 
 def test_every_formula_has_a_source_and_drainage_grows_with_the_square_of_the_contact():
@@ -135,3 +133,102 @@ def test_every_formula_has_a_source_and_drainage_grows_with_the_square_of_the_co
     low, high = poroelastic_band(1.0)
     assert (low, high) == pytest.approx((100.0, 1e5))
     assert poroelastic_band(2.0) == pytest.approx((4.0 * low, 4.0 * high))
+
+
+#: Table 1 of Hayes et al. 1972 (flat punch, bonded layer, nu = 0.5), as printed: three decimals.
+HAYES_FLAT_HALF = {0.2: 1.281, 0.4: 1.683, 0.6: 2.211, 0.8: 2.855}
+
+
+def surface_compliance(x: float, poisson: float, *, bonded: bool) -> float:
+    """M(x) from Navier's equations of one Fourier mode, integrated through the thickness.
+
+    Plane strain, u = U(z) sin kx, w = W(z) cos kx, k = 1, thickness x; the state (U, W, shear, normal stress)
+    obeys y' = A y.  Below, u and w (or w and the shear stress) vanish; above, a unit normal stress without
+    shear.  The half-space answers with 2 (1 - nu) / (2 G) for a unit stress: M is the ratio.
+    """
+    shear, lame = 1.0, 2.0 * poisson / (1.0 - 2.0 * poisson)
+    whole = lame + 2.0 * shear
+    system = np.array(
+        [
+            [0.0, 1.0, 1.0 / shear, 0.0],
+            [-lame / whole, 0.0, 0.0, 1.0 / whole],
+            [whole - lame**2 / whole, 0.0, 0.0, lame / whole],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
+    through = expm(system * x)
+    free = [2, 3] if bonded else [0, 3]
+    loads = through[np.ix_([2, 3], free)]
+    start = np.linalg.solve(loads, np.array([0.0, 1.0]))
+    return float(through[1, free] @ start) / ((1.0 - poisson) / shear)
+
+
+@pytest.mark.parametrize("bonded", [True, False])
+@pytest.mark.parametrize("poisson", [0.1, 0.3, 0.45])
+def test_compliance_of_a_mode_is_that_of_navier_s_equations(poisson, bonded):
+    for x in (0.05, 0.4, 1.0, 2.5, 6.0):
+        found = 1.0 + float(compliance(np.array([x]), poisson, bonded=bonded)[0])
+        # the matrix exponential loses exp(2x) of 16 digits
+        assert found == pytest.approx(surface_compliance(x, poisson, bonded=bonded), rel=1e-9)
+
+
+@pytest.mark.parametrize("bonded", [True, False])
+def test_a_mode_far_shorter_than_the_thickness_does_not_see_the_base(bonded):
+    assert abs(float(compliance(np.array([20.0]), 0.5, bonded=bonded)[0])) < 1e-13
+
+
+def pressure_rings(a_over_h: float, poisson: float, rings: int) -> float:
+    """kappa of a flat punch by uniform pressure rings and collocation: no integral equation, no cosines.
+
+    A ring of radii s < t under unit pressure has the transform [t J1(kt) - s J1(ks)] / k; depth under all
+    rings together must be one at the middle of each.
+    """
+    edges = np.sin(np.linspace(0.0, math.pi / 2.0, rings + 1))
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    k = (np.arange(60_000) + 0.5) * 0.02
+    layer = 1.0 + compliance(k / a_over_h, poisson, bonded=True)
+    transform = (edges[:, None] * j1(np.outer(edges, k))) / k
+    transform = np.diff(transform, axis=0)
+    depth = 2.0 * (j0(np.outer(middle, k)) * layer) @ transform.T * 0.02
+    pressure = np.linalg.solve(depth, np.ones(rings))
+    area = math.pi * np.diff(edges**2)
+    return float(pressure @ area) / 2.0
+
+
+def test_factor_of_a_punch_is_that_of_rings_of_pressure():
+    for a_over_h in (0.5, 1.0, 2.0):
+        # 40 rings: the singular edge costs 0.4 % of the force
+        assert flat_factor(a_over_h, 0.4) == pytest.approx(pressure_rings(a_over_h, 0.4, 40), rel=6e-3)
+
+
+@pytest.mark.parametrize(("a_over_h", "printed"), HAYES_FLAT_HALF.items())
+def test_factors_are_those_hayes_printed(a_over_h, printed):
+    # the tables were computed with few terms: their last digits drift by 0.2 % towards a/h = 1
+    assert flat_factor(a_over_h, 0.5) == pytest.approx(printed, rel=2.5e-3)
+
+
+def test_a_thick_layer_is_a_half_space():
+    assert flat_factor(0.0, 0.3) == pytest.approx(1.0, rel=1e-14)
+    # the kernel's first order is 2 a/h int (M - 1) dx / pi, 1e-6 here
+    a, factor = layer_contact(0.1, 1e5, 0.4, radius_mm=2.0)
+    assert (a, factor) == pytest.approx((math.sqrt(0.2), 4.0 / 3.0 * math.sqrt(2.0) * 0.1**1.5), rel=2e-5)
+    a, factor = layer_contact(0.1, 1e5, 0.4, half_angle_rad=math.radians(70.0))
+    wide = 2.0 / math.pi * math.tan(math.radians(70.0))
+    assert (a, factor) == pytest.approx((0.1 * wide, 0.01 * wide), rel=2e-5)
+
+
+def test_first_order_of_the_layer_is_the_integral_of_its_compliance():
+    # kappa = 1 - (2/pi) (a/h) int (M - 1) dx + O(a/h)^2, from the kernel at u = s = 0
+    slope, _ = quad(lambda x: float(compliance(np.array([x]), 0.3, bonded=True)[0]), 0.0, 30.0)
+    e = 1e-4
+    assert (flat_factor(e, 0.3) - 1.0) / e == pytest.approx(-2.0 / math.pi * slope, rel=1e-3)
+
+
+def test_a_thin_compressible_layer_is_squeezed_column_by_column():
+    # modulus of a column that can't spread, times area over thickness: reached as h/a
+    poisson, a = 0.2, MOST_A_OVER_H
+    column = (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson)) * (1.0 - poisson**2)
+    force = column * math.pi * a**2
+    assert 2.0 * a * flat_factor(a, poisson) == pytest.approx(force, rel=0.25)
+    nearer = 2.0 * 3.0 * flat_factor(3.0, poisson) / (column * math.pi * 9.0)
+    assert abs(2.0 * a * flat_factor(a, poisson) / force - 1.0) < abs(nearer - 1.0)

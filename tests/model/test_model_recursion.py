@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, legs, sampled
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter
 
 from tissueid.model.kernels import branch_sensitivity, branch_state, step_weights
 
@@ -36,77 +35,43 @@ def test_ramp_and_hold_match_the_closed_form_when_the_corner_is_a_sample() -> No
     np.testing.assert_allclose(branch_state(time, depth, TAU_S, 0.0), expected, rtol=1e-12, atol=1e-14)
 
 
-def test_ramp_hold_form_is_the_definition_of_the_state() -> None:
-    # s(t) = int_0^t exp(-(t-u)/tau) v du over the part of the ramp that has passed, by quadrature
-    nodes, weights = np.polynomial.legendre.leggauss(60)
-    for time in (0.01, 0.3, 0.48, 0.55):
-        end = min(time, 2.0 / SPEED_MM_S)
-        u = 0.5 * end * (nodes + 1.0)
-        expected = 0.5 * end * np.sum(weights * SPEED_MM_S * np.exp(-(time - u) / TAU_S))
-        actual = ramp_hold_state(np.array([time]), speed_mm_s=SPEED_MM_S, depth_mm=2.0, tau_s=TAU_S)
-        assert actual[0] == pytest.approx(expected, rel=1e-12)
-
-
-def test_uniform_steps_match_a_digital_filter() -> None:
-    rng = np.random.default_rng(1)
-    depth = np.abs(np.cumsum(rng.normal(size=500)))
-    depth[0] = 0.0
-    h = 0.01
-    a, phi = np.exp(-h / TAU_S), (1.0 - np.exp(-h / TAU_S)) * TAU_S / h
-    expected = lfilter([phi, -phi], [1.0, -a], depth)
-    actual = branch_state(h * np.arange(500), depth, TAU_S, 0.0)
-    # time differences of h * arange round at 1e-16 * 5 s / 0.01 s = 5e-14 of a step
-    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-12)
-
-
 def test_uneven_path_matches_an_ode_solver_leg_by_leg() -> None:
     time, depth = uneven_path(25)
-    actual = branch_state(time, depth, TAU_S, 0.0)
-    state = 0.0
-    for i in range(1, time.size):
-        h = time[i] - time[i - 1]
+    actual, state = branch_state(time, depth, TAU_S, 0.0), 0.0
+    for h, moved, expected in zip(np.diff(time), np.diff(depth), actual[1:], strict=True):
         if h == 0.0:
-            state += depth[i] - depth[i - 1]
+            state += moved
         else:
-            v = (depth[i] - depth[i - 1]) / h
-            solution = solve_ivp(
-                lambda _t, s, v=v: v - s / TAU_S, (0.0, h), [state], method="LSODA", rtol=1e-12, atol=1e-13
-            )
-            state = solution.y[0, -1]
+            leg = solve_ivp(
+                lambda _t, s, v=moved / h: v - s / TAU_S, (0.0, h), [state],
+                method="LSODA", rtol=1e-12, atol=1e-13,
+            )  # fmt: skip
+            state = leg.y[0, -1]
         # LSODA keeps 1e-12 per step of its own; some hundred of them may add up
-        assert actual[i] == pytest.approx(state, rel=1e-9, abs=1e-10)
+        assert expected == pytest.approx(state, rel=1e-9, abs=1e-10)
 
 
 def test_a_step_may_be_cut_anywhere_without_changing_the_state() -> None:
     time, depth = uneven_path(20)
-    cut_time, cut_depth = [time[0]], [depth[0]]
-    for i in range(1, time.size):
-        for fraction in (0.3, 0.9, 1.0):
-            cut_time.append(time[i - 1] + fraction * (time[i] - time[i - 1]))
-            cut_depth.append(depth[i - 1] + fraction * (depth[i] - depth[i - 1]))
-    cut = branch_state(np.array(cut_time), np.array(cut_depth), TAU_S, 0.0)
+    share = np.array([0.3, 0.9, 1.0])
+    cut_time, cut_depth = (
+        np.append(one[0], (one[:-1, None] + share * np.diff(one)[:, None]).ravel()) for one in (time, depth)
+    )
+    cut = branch_state(cut_time, cut_depth, TAU_S, 0.0)
     # a step of 1e-2 tau at the end of a 40 tau record: times round at 1e-14 of the step
     np.testing.assert_allclose(cut[::3], branch_state(time, depth, TAU_S, 0.0), rtol=1e-11, atol=1e-12)
 
 
-def test_row_without_time_is_an_elastic_jump() -> None:
-    time = np.array([0.0, 0.01, 0.01, 0.01])
+def test_steps_without_time_jump_and_very_large_ones_forget() -> None:
     depth = np.array([0.0, 0.5, 1.5, 1.2])
-    state = branch_state(time, depth, TAU_S, 0.0)
+    state = branch_state(np.array([0.0, 0.01, 0.01, 0.01]), depth, TAU_S, 0.0)
     np.testing.assert_allclose(np.diff(state)[1:], [1.0, -0.3], rtol=1e-14)
-
-
-def test_very_large_steps_are_stable_and_forget() -> None:
-    time = np.array([0.0, 1e6, 2e6, 1e12])
-    depth = np.array([0.0, 5.0, 1.0, 6.0])
-    state = branch_state(time, depth, TAU_S, 0.0)
+    for h in (0.0, 5e-324, 1e-300):
+        assert step_weights(h, 100.0) == (1.0, 1.0)
+    time, depth = np.array([0.0, 1e6, 2e6, 1e12]), np.array([0.0, 5.0, 1.0, 6.0])
     # what remains is the steady state v tau of each leg
-    np.testing.assert_allclose(state[1:], TAU_S * np.diff(depth) / np.diff(time), rtol=1e-12)
-
-
-@pytest.mark.parametrize("h", [0.0, 5e-324, 1e-300])
-def test_vanishing_steps_weigh_like_a_jump(h: float) -> None:
-    assert step_weights(h, 100.0) == (1.0, 1.0)
+    expected = TAU_S * np.diff(depth) / np.diff(time)
+    np.testing.assert_allclose(branch_state(time, depth, TAU_S, 0.0)[1:], expected, rtol=1e-12)
 
 
 def test_long_hold_ends_in_exact_zeros_without_denormals() -> None:
@@ -117,18 +82,6 @@ def test_long_hold_ends_in_exact_zeros_without_denormals() -> None:
     for values in (branch_state(time, depth, TAU_S, 0.0), state, derivative):
         assert values[-1] == 0.0
         assert not np.any((values != 0.0) & (np.abs(values) < smallest))
-
-
-def test_initial_state_decays_on_its_own() -> None:
-    time = 0.003 * np.arange(50)
-    state = branch_state(time, np.full(50, 3.0), TAU_S, 0.7)
-    np.testing.assert_allclose(state, 0.7 * np.exp(-time / TAU_S), rtol=1e-12)
-
-
-def test_sensitivity_carries_the_same_state() -> None:
-    time, depth = uneven_path()
-    state, _ = branch_sensitivity(time, depth, TAU_S)
-    np.testing.assert_array_equal(state, branch_state(time, depth, TAU_S, 0.0))
 
 
 @pytest.mark.parametrize("tau", [1e-3, TAU_S, 0.9, 30.0, 5e3])

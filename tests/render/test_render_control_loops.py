@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from closed_forms import from_coordinates
 
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.polynomial import from_coordinates
 from tissueid.rendering.control import (
     ControlRun,
     ControlSettings,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fit_factory import specimen_fit
 
-from tissueid.inference.order import gain_spread, order_effect, repeated_sites
+from tissueid.inference.verdict import gain_spread, order_effect, repeated_sites
 from tissueid.result import TrialFit
 
 

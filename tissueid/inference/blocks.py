@@ -1,9 +1,8 @@
 """Blocks of a log: stretches in which the measured travel is straight, each with its mean force.
 
-A short log is kept sample by sample.  A long one is cut where its travel bends, finely behind every corner
-and ever more coarsely after it (blocks grow by :data:`GROWTH`), so that a relaxation is seen evenly in ln
-time.  A block is compared with the mean of the model over it (Simpson's rule on its ends and its middle); a
-sample at a corner, the first and the last are blocks of their own, and compared with the model there.
+A short log is kept sample by sample.  Blocks of a long one grow by :data:`GROWTH` behind every corner, so
+that a relaxation is seen evenly in ln time, and are compared with the model's mean over them (Simpson's
+rule).
 """
 
 from __future__ import annotations
@@ -215,9 +214,8 @@ def log_blocks(
 ) -> Blocks:
     """Reduce a log.
 
-    ``data``: from contact to the end of its fitted part; ``step_s``: median sampling interval [s];
-    ``contact_sd_mm``: standard deviation of its contact point [mm]; ``leads``: the log begins at contact, and
-    the tool came down to it: contact may lie before; ``whole``: keep every sample, however long the log is.
+    ``leads``: the tool came down to the contact, which may lie before the log; ``whole``: keep every
+    sample.
     """
     time, force, include = data.time_s, data.force_N, data.include
     if data.exact or whole or time.size <= SAMPLED:

@@ -1,18 +1,10 @@
 """Any contact model, damped or not, as the engine sees it: columns along a path, a passive cone, and theta.
 
-Linear parameters are forces [N]: each static coefficient's at the largest depth, then for each branch the
-coefficients of K_j depth by powers of u = x / depth.  What is not linear is a positive number, sought in its
-logarithm: first the relaxation times, then shapes of the static law, then of each branch the ratio of an
-inside channel and further shapes of its relaxation.
-
-A damped static law as the engine sees it: static columns times 1 + chi r, r measured along the path.
-Beside them every log has its reading in air, a constant force: where nothing relaxes, the ratio of two forces
-is all that tells the damping, and a reading that is off by 0.3 % of the force is off by as much in it.
-
-Speed along a log over the speed at which each contact began.
-Speeds are slopes of a line through a short stretch of displacement that never reaches over the corner of a
-phase: a machine's speed changes at corners, and a window across one would blur them.  They are those of the
-recorded travel: what a frame gives way to changes the depth of the tip, not this ratio.
+Linear parameters are forces [N]: static coefficients' at the largest depth, then each branch's of K_j depth
+by powers of u = x / depth.  What is not linear is sought in its logarithm: relaxation times, shapes of the
+static law, then of each branch the ratio of an inside channel and further shapes.  A damped law is static
+columns times 1 + chi r, r the recorded speed over that at which the contact began, beside a reading in air of
+each log.
 """
 
 from __future__ import annotations
@@ -29,12 +21,10 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
 from tissueid.inference.window import FittedLog, LogData, chain_breaks
-from tissueid.model.channels import ChannelModel
-from tissueid.model.damped import DampedModel
+from tissueid.model.channels import ChannelModel, DampedModel, minimum_on_unit
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
-from tissueid.model.polynomial import minimum_on_unit
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
@@ -315,10 +305,7 @@ class ChannelLaw:
         return kelvin_voigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
 
     def lifted(self, linear: FloatArray) -> FloatArray:
-        """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none.
-
-        Of a static law that is convolved it is the slope that is lifted.
-        """
+        """Rows of linear parameters, each polynomial (its slope, inside) lifted by what its minimum lacks."""
         out = np.array(linear)
         for one in self.blocks:
             block = out[:, one.at]
@@ -341,20 +328,14 @@ class ChannelLaw:
         return np.concatenate([1.0 / static, np.tile(powers, (n, self.branches))], axis=1)
 
     def ln_volume(self, log_times: FloatArray, stated: Container[str]) -> FloatArray:
-        """Ln of the volume of coefficients whose prior a study states, by that of linear parameters, (n,).
-
-        It follows the shapes of the static law.
-        """
+        """Ln of the volume of coefficients with a stated prior, by that of linear parameters, (n,)."""
         named = [k for k, name in enumerate(self.linear_names[: self.static_size]) if name in stated]
         if not (named and self.static.shapes):
             return np.zeros(len(log_times))
         return np.asarray(np.log(self.field(log_times)[:, named]).sum(axis=1))
 
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
-        """Theta of the contact model [N, mm, s], of one point or of rows of points.
-
-        ``exact``: take linear parameters as they are, not lifted to the exact passive set.
-        """
+        """Theta [N, mm, s] of one point or rows of points; ``exact``: linear parameters are not lifted."""
         log_times, linear = np.atleast_2d(log_times), np.atleast_2d(linear)
         linear = (linear if exact else self.lifted(linear)) * self.field(log_times)
         static = linear[:, : self.static_size]
@@ -455,8 +436,7 @@ CORNER = 2
 def with_speed_ratio(trial: Trial, segmentation: Segmentation, log: FittedLog) -> FittedLog | None:
     """A log from its samples in air on, with its speed ratio; None where no contact begins at a speed.
 
-    Nothing relaxes under these laws, so that samples near the contact and in air before it count as well:
-    they say where the contact is not.  Samples beside a corner have no speed and stay out.
+    Nothing relaxes under these laws: samples near the contact and in air say where the contact is not.
     """
     depth, force = contact_frame(trial, segmentation)
     speed = _speeds(trial.time_s, depth, segmentation)

@@ -1,9 +1,6 @@
-"""Choice of branches and of the degree of K: the simplest that predicts left-out data as well as the best.
+"""Choice among laws and orders: the simplest that predicts left-out data as well as the best.
 
-What is left out is a speed or a depth where there are three of them or more, else a log (of many logs an
-eighth), else stretches of the one log.  Logs are predicted by a fit of the others, and have their own gain,
-contact and shape from their ramps; stretches by the step that the fit takes without them, within the passive
-cone.
+Left out is a speed or a depth where there are three of them, else a log, else stretches of the one log.
 """
 
 from __future__ import annotations
@@ -66,9 +63,7 @@ class Tried:
     @property
     def law(self) -> ChannelLaw:
         """The law."""
-        law = self.system.law
-        assert isinstance(law, ChannelLaw)  # noqa: S101 -- there is no other
-        return law
+        return self.system.law
 
     @property
     def name(self) -> str:
@@ -274,9 +269,8 @@ def resolved(one: Tried, step_s: float) -> bool:
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
     """Candidates of one program: K varies with depth, and has a third branch, only where much is gained.
 
-    Ramps of one speed to one depth tell F_s(x) from K(x) s(x) only by the form of their polynomials; a
-    contact that is off by its error, or a corner between two samples, is then described by a K that bends.
-    Three times that the one hold hardly tells apart are each known to a factor of ten.
+    Only the form of their polynomials tells F_s(x) from K(x) s(x) there: an error of the contact looks
+    like a K that bends.
     """
 
     def plainer(other: Tried, one: Tried) -> bool:
@@ -298,11 +292,9 @@ class Choice:
 
 
 def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> Choice:
-    """Choose among laws: of those within one standard error of the best, the one of fewest parameters.
+    """The law of fewest parameters (of two the Kelvin-Voigt law) within one standard error of the best.
 
-    Of two with as many the Kelvin-Voigt law is taken.
-
-    ``paper``: the Kelvin-Voigt law in its chosen order; ``choose``: other laws may be chosen.
+    ``choose``: other laws than ``paper``, the Kelvin-Voigt law in its chosen order, may be chosen.
     """
     everyone = [one for one in (paper, *others) if one is not None]
     laws = [one for one in everyone if one.name != YARDSTICK] or everyone
@@ -322,10 +314,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
 def table_of(
     orders: Sequence[dict[str, Any]], choice: Choice, paper: Tried | None
 ) -> tuple[dict[str, Any], ...]:
-    """Rows of every candidate: orders of the Kelvin-Voigt law, then the other laws by their names.
-
-    Scores are ln of the mean square error of the chosen one over a candidate's, on what was left out.
-    """
+    """Rows of every candidate; scores are ln of the chosen one's mean square error over its own."""
     chosen, rows = choice.chosen, [dict(row) for row in orders]
     if paper is not None and chosen is not paper:
         behind = next(one.gain for one in choice.rivals if one.name == paper.name)
@@ -351,12 +340,7 @@ def _named_row(name: str, law: ChannelLaw | ChannelModel, score: float, stderr: 
 def chosen_among(
     tried: Sequence[Tried],
 ) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
-    """The simplest candidate within one standard error of the best, a table, and those that are as good.
-
-    Returns ``chosen``; ``table``: branches, stiffness_degree, score (ln of the error of the best over its
-    own; 0 is best), stderr, chosen, tau_s (shortest relaxation time); ``as_good``: candidates within one
-    standard error of the best.
-    """
+    """The simplest candidate within one standard error of the best, a table, and those that are as good."""
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
     as_good, wide = [], float(t.ppf(ONE_ERROR, max(best.errors.size - 1, 1)))
     for one in tried:

@@ -1,9 +1,6 @@
-"""Diagnostics of Markov chains: effective sample sizes, R-hat and Monte-Carlo errors.
+"""Diagnostics of Markov chains: effective sample sizes and R-hat, as arviz-stats has them.
 
-The measures of arviz-stats, after Vehtari, Gelman, Simpson, Carpenter and Bürkner (2021),
-*Rank-normalization, folding, and localization: an improved R-hat*, Bayesian Analysis 16, 667
-(doi 10.1214/20-BA1221).  Ranks with their normal scores, and effective sizes, are worked out here: nearly all
-the time goes there, and a specimen has dozens of parameters.
+Vehtari, Gelman, Simpson, Carpenter and Bürkner (2021), doi 10.1214/20-BA1221.
 """
 
 from __future__ import annotations
@@ -44,12 +41,9 @@ class Diagnostics:
 
 
 def diagnose(draws: Mapping[str, FloatArray]) -> dict[str, Diagnostics]:
-    """Effective sizes and R-hat of each parameter.
+    """Effective sizes and R-hat of each parameter's draws, (chains, draws), or (draws,) in their order.
 
-    ``draws``: name -> array of shape (chains, draws), or (draws,) for a single chain of draws in their order.
-    The walkers of an ensemble are its chains.  At least eight draws a chain, all finite.  Returns name ->
-    :class:`Diagnostics`.  Raises ValueError: too few draws, or draws that are not finite, naming the
-    parameter.
+    Raises ValueError: under eight draws a chain, or draws that are not finite, naming the parameter.
     """
     scores: dict[int, FloatArray] = {}
     found = {}
@@ -105,10 +99,9 @@ def _r_hat(chains: FloatArray) -> float:
 
 
 def _effective_size(chains: FloatArray) -> float:
-    """Effective number of draws for the mean of chains of shape (chains, draws).
+    """Effective draws for the mean of chains (chains, draws), by Geyer's initial monotone sequence.
 
-    By Geyer's initial monotone sequence of the correlations of all chains together (Vehtari et al. 2021,
-    equations 9 to 11), as ``array_stats.ess`` has it, all lags at once.
+    Vehtari et al. 2021, equations 9 to 11, as ``array_stats.ess`` has it, all lags at once.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -135,10 +128,7 @@ def _effective_size(chains: FloatArray) -> float:
 
 
 def _normal_scores(size: int) -> FloatArray:
-    """Normal score of each rank among ``size``, and of the half ranks between that ties share.
-
-    Returns (2 size - 1,), at ranks 1, 1.5, 2, ..., size.
-    """
+    """Normal score of each rank among ``size``, and of the half ranks that ties share, (2 size - 1,)."""
     from scipy.special import ndtri
 
     ranks = 1.0 + 0.5 * np.arange(2 * size - 1)

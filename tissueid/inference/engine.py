@@ -1,14 +1,14 @@
 """From the logs of a specimen to the optimum of the law that predicts best, under its noise.
 
-The order of work: logs become blocks; candidates are fitted with the machine open; the noise is told with the
-most flexible of them, against what the recordings show; the simplest candidate that predicts what was left
-out is kept, and finished under its noise.
+Candidates are fitted with the machine open; the noise is told with the most flexible of them, against what
+the recordings show; the simplest that predicts what was left out is kept, and finished under its noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,7 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
-from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
-from tissueid.inference.memory import scan_memory
+from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
@@ -53,8 +52,6 @@ LOOK_STEPS = 14
 LEAST_NOISE = 1e-6
 #: Error of a prediction, over the range of force, below which laws are told apart by rounding alone.
 ROUNDED = 1e-5
-#: Share of the quantum of a force's digits that is a standard deviation.
-QUANTUM_SD = 1.0 / np.sqrt(12.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,37 +132,33 @@ class _Fitting:
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
         return law_of(name.model(self.base.depth_mm, self.step_s, longest), len(self.base.logs))
 
-    def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
+    def minimise(self, system: System, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""
         return minimise(
             system,
             start,
-            lambda point: prior_rows(
-                system, law, point, self.scatter, self.request.priors, machine=self.request.machine
-            ),
+            partial(prior_rows, system, self.scatter, self.request.priors, machine=self.request.machine),
             memory=memory,
             machine=self.request.machine,
             least_sigma_N=self.least_N,
             steps=steps,
         )
 
-    def candidate(
-        self, law: ChannelLaw, memory: Memory, *, steps: int = LOOK_STEPS
-    ) -> tuple[System, ChannelLaw, Optimum]:
+    def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
-        found = [self.minimise(system, law, start, memory, steps) for start in starts]
-        return system, law, min(found, key=lambda one: _badness(system, one))
+        found = [self.minimise(system, start, memory, LOOK_STEPS) for start in starts]
+        return system, min(found, key=lambda one: _badness(system, one))
 
     def learn_scatter(self, branches: int, degree: int) -> None:
         """Estimate how much logs differ, and where each stands."""
         if not self.base.effects.gain:
             return
-        system, law, optimum = self.candidate(self.law(branches, degree), Memory())
+        system, optimum = self.candidate(self.law(branches, degree), Memory())
         for _ in range(SCATTER_ROUNDS):
             self.scatter = scatter_of(system, optimum)
-            optimum = self.minimise(system, law, optimum.point, Memory(), LOOK_STEPS)
+            optimum = self.minimise(system, optimum.point, Memory(), LOOK_STEPS)
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
 
 
@@ -183,11 +176,7 @@ def _badness(system: System, optimum: Optimum) -> float:
 
 
 def scatter_of(system: System, optimum: Optimum) -> Scatter:
-    """Standard deviations between logs that their own parameters show at an optimum.
-
-    They are taken about the mean of the logs: what all of them share is the specimen's, and a prior around 0
-    that is as wide as their spread leaves it nowhere else.
-    """
+    """Standard deviations between logs, about their mean: what all of them share is the specimen's."""
     own = optimum.point.own - optimum.point.own.mean(axis=0)
     variance = np.diagonal(optimum.normal.own_inverse, axis1=1, axis2=2)
 
@@ -202,10 +191,7 @@ def scatter_of(system: System, optimum: Optimum) -> Scatter:
 
 
 def _orders(request: Request) -> list[tuple[int, int]]:
-    """First candidates: few, the others only beside a winner at their edge.
-
-    Shapes of logs can stand in for a K that bends, which then shows nowhere: it is tried at once.
-    """
+    """First candidates: few, and a K that bends, which shapes of logs could stand in for."""
     branches = [b for b in request.branches if b <= 2] or [min(request.branches)]
     degrees = [d for d in request.degrees if d <= 1] or [min(request.degrees)]
     bent = [(1, d) for d in request.degrees if d > max(degrees) and 1 in branches]
@@ -225,15 +211,11 @@ def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -
 def identify_logs(
     logs: Sequence[Blocks],
     facts: Sequence[FittedLog],
-    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Sequence[LogEvidence],
     request: Request,
     tick: Callable[[str], None],
 ) -> Identified:
-    """Choose and fit the law of a specimen.
-
-    ``facts``: their samples are not looked at; ``evidence``: gives what the recordings show of their noise,
-    under an optimum; ``tick``: told what is being done.
-    """
+    """Choose and fit the law of a specimen; of ``facts`` the samples are not looked at."""
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
     effects = _effects(request.pooling, len(logs))
@@ -249,15 +231,12 @@ def identify_logs(
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
-    memory, refuted = Memory(), True
+    memory = Memory()
     tick("noise")
-    seen: Sequence[LogEvidence] | None = None
     if request.noise != "white":
-        system, law, optimum = fitting.candidate(fitting.law(*flexible), Memory())
-        seen = evidence(system, law, optimum)
-        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
-        refuted = verdict.refuted
-        memory = Memory() if refuted else noise.memory
+        system, optimum = fitting.candidate(fitting.law(*flexible), Memory())
+        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
+        memory = Memory() if verdict.refuted else noise.memory
     orders, laws = _Orders(None, (), ()), request.candidates
     if laws.paper is not None:
         orders = _orders_tried(fitting, memory, groups, facts, tick)
@@ -311,7 +290,7 @@ def _orders_tried(
 
 def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:
     """A law, fitted, and asked to predict what is left out."""
-    system, law, optimum = fitting.candidate(law, memory)
+    system, optimum = fitting.candidate(law, memory)
     if groups is None:
         return Tried(law.branches, law.degree, optimum, system, np.ones(1))
     least = (ROUNDED * float(np.ptp(system.force))) ** 2
@@ -338,7 +317,7 @@ def _noise(
 def _finished(
     fitting: _Fitting,
     chosen: Tried,
-    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Sequence[LogEvidence],
     memory: Memory,
     left_out: str,
     tick: Callable[[str], None],
@@ -348,18 +327,17 @@ def _finished(
     optimum = chosen.optimum
     tick("the optimum")
     for _ in range(2):
-        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        optimum = fitting.minimise(system, optimum.point, memory, 40)
         if system.effects.gain:
             fitting.scatter = scatter_of(system, optimum)
-            optimum = fitting.minimise(system, law, optimum.point, memory, 40)
-        seen = evidence(system, law, optimum)
-        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
+            optimum = fitting.minimise(system, optimum.point, memory, 40)
+        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
         wanted = Memory() if verdict.refuted else noise.memory
         if wanted == memory:
             break
         memory = wanted
     else:
-        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        optimum = fitting.minimise(system, optimum.point, memory, 40)
     return Identified(
         system=system, law=law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
         discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=request,
@@ -379,9 +357,7 @@ def refit(
     return minimise(
         identified.system,
         start or identified.optimum.point,
-        lambda point: prior_rows(
-            identified.system, identified.law, point, identified.scatter, request.priors, machine=machine
-        ),
+        partial(prior_rows, identified.system, identified.scatter, request.priors, machine=machine),
         memory=identified.optimum.noise.memory,
         machine=machine,
         steps=steps,

@@ -1,17 +1,13 @@
-"""Noise that recordings show where nothing happens, and whether the noise of a fit can be it.
+"""Correlation of residuals, noise that recordings show where nothing happens, and whether one is the other.
 
-Correlation that is found in residuals is noise only where the recording shows such noise: late in its holds,
-or in air where it has none.  Slow forces are taken off there by a polynomial, and off the likelihood in the
-same step (restricted maximum likelihood; Patterson & Thompson 1971, doi 10.1093/biomet/58.3.545), so that
-noise with a long memory is not mistaken for less noise.  Everywhere, differences of the force bound what is
-new from sample to sample.  Noise that a fit needs beyond either is none: what is left is a discrepancy of the
-model (Kennedy & O'Hagan 2001, doi 10.1111/1467-9868.00294).
+By restricted likelihood (doi 10.1093/biomet/58.3.545), slow forces and the fit in it.  Noise that a fit needs
+beyond late holds, air and differences is a discrepancy of the model (doi 10.1111/1467-9868.00294).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +16,9 @@ from scipy import stats
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, whitener
-from tissueid.inference.optimum import Noise
+from tissueid.inference.optimum import Noise, normal_equations, whitener_of
+from tissueid.inference.prior import PriorRows
+from tissueid.inference.system import Derivatives, Point, System
 from tissueid.inference.window import FittedLog, chain_breaks
 from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
@@ -97,11 +95,7 @@ def _quiet(time_s: FloatArray, force_N: FloatArray, degree: int) -> _Quiet:
 def log_evidence(
     trial: Trial, segmentation: Segmentation, log: FittedLog, residual_N: FloatArray | None = None
 ) -> LogEvidence:
-    """Look at one recording.
-
-    ``trial``, ``segmentation``, ``log``: the recording, its phases and its fitted part; ``residual_N`` (n,):
-    measured less modelled force at the samples of ``log``; the force itself otherwise [N].
-    """
+    """Evidence of one recording; of its force, or of ``residual_N`` at the samples of ``log``."""
     time, include = log.data.time_s, log.data.include
     values = log.data.force_N if residual_N is None else residual_N
     found = []
@@ -150,8 +144,7 @@ def verdict_on_noise(
 ) -> NoiseVerdict:
     """Judge if the noise that residuals suggest is noise of the recordings.
 
-    ``noise``: of the residuals; ``step_s``: sampling interval [s]; ``alone``: one log is all there is: of
-    correlation that nothing quiet shows, it can't tell noise from what the model lacks.
+    ``alone``: of one log nothing else tells correlated noise from what the model lacks.
     """
     stretches = [one for log in logs for one in log.quiet]
     digits = float(np.median([one.quantum_N for one in logs]))
@@ -179,3 +172,107 @@ def verdict_on_noise(
     freedom = sum(one.freedom for one in stretches)
     measured = math.sqrt(max(power / freedom, least))
     return NoiseVerdict(refuted, measured, True, max(excess, step_excess), p_value)
+
+
+#: Correlation times over the step, and white shares beside them, of a first look.
+SCANNED_TIMES, SCANNED_SHARES = np.geomspace(0.35, 400.0, 11), (0.0, 0.3, 0.7)
+#: Gain in ln L below which noise is white, and below which it has no white part.
+WORTH, SHARE_WORTH = 5.0, 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryScan:
+    """The best correlation, and how much it gains over white noise in ln L."""
+
+    noise: Noise
+    gain: float
+
+
+def _restricted(
+    system: System, point: Point, parts: Derivatives, prior: PriorRows, memory: Memory, rough_N: float
+) -> tuple[float, float]:
+    """Restricted ln L of a correlation, and its sigma [N]."""
+    white = whitener_of(system, memory)
+    normal = normal_equations(system, point, parts, white, rough_N, prior)
+    # a machine that is not asked about has neither derivatives nor priors
+    live = np.diag(normal.hessian) > 0.0
+    scale = np.sqrt(np.diag(normal.hessian)[live])
+    hessian = normal.hessian[np.ix_(live, live)] / scale / scale[:, None]
+    gradient = normal.gradient[live] / scale
+    move = np.linalg.solve(hessian + 1e-12 * np.eye(len(scale)), gradient)
+    off = float(gradient @ move)
+    if normal.own.shape[1]:
+        off += float(np.einsum("lq,lqr,lr->", normal.own_gradient, normal.own_inverse, normal.own_gradient))
+    square = max(float(normal.residual @ normal.residual) - off, 1e-12) * rough_N**2
+    fitted = normal.shared.shape[1] - 3 + point.own.size
+    freedom = max(system.force.size - fitted, 1)
+    log_det = white.log_det + float(np.linalg.slogdet(hessian)[1]) + 2.0 * float(np.log(scale).sum())
+    if normal.own.shape[1]:
+        log_det -= float(np.linalg.slogdet(normal.own_inverse)[1].sum())
+    variance = square / freedom
+    return -0.5 * (freedom * np.log(variance) + log_det), float(np.sqrt(variance))
+
+
+def scan_memory(
+    system: System,
+    point: Point,
+    parts: Derivatives,
+    prior: PriorRows,
+    *,
+    step_s: float,
+    rough_N: float,
+    model: str = "auto",
+) -> MemoryScan:
+    """Correlation of the noise: ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+
+    ``rough_N``: size of the residuals.
+    """
+    look: Callable[[Memory], tuple[float, float]] = lambda memory: _restricted(  # noqa: E731
+        system, point, parts, prior, memory, rough_N
+    )
+    plain, sigma = look(Memory())
+    if model == "white" or system.force.size < 12 or not np.isfinite(plain):
+        # residuals that parameters take up show no noise
+        return MemoryScan(Noise(sigma), 0.0)
+    best = (-np.inf, sigma, Memory())
+    for share in (0.0,) if model == "ar1" else SCANNED_SHARES:
+        for time in SCANNED_TIMES * step_s:
+            value, scale = look(Memory(float(time), share))
+            if value > best[0]:
+                best = (value, scale, Memory(float(time), share))
+    best = _refined(best, look, share=model != "ar1")
+    if best[2].white > 0.0 and model == "auto":
+        pure = _refined(
+            max(((*look(Memory(float(t))), Memory(float(t))) for t in SCANNED_TIMES * step_s), key=_first),
+            look,
+            share=False,
+        )
+        if best[0] - pure[0] < SHARE_WORTH:
+            best = pure
+    gain = float(best[0] - plain)
+    if model == "auto" and gain < WORTH:
+        return MemoryScan(Noise(sigma), gain)
+    return MemoryScan(Noise(best[1], best[2]), gain)
+
+
+_Found = tuple[float, float, Memory]
+
+
+def _first(found: _Found) -> float:
+    return found[0]
+
+
+def _refined(best: _Found, look: Callable[[Memory], tuple[float, float]], *, share: bool) -> _Found:
+    """The best of a finer and finer look around it."""
+    width, spread = 0.5, 0.15
+    for _ in range(4):
+        _, _, at = best
+        tried = [Memory(at.time_s * np.exp(d), at.white) for d in (-width, width)]
+        if share and at.white > 0.0:
+            tried += [Memory(at.time_s, float(np.clip(at.white + d, 0.0, 0.98))) for d in (-spread, spread)]
+        for memory in tried:
+            value, scale = look(memory)
+            if value > best[0]:
+                best = (value, scale, memory)
+        width, spread = 0.6 * width, 0.6 * spread
+    return best

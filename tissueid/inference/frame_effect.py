@@ -1,27 +1,155 @@
-"""Effect of a compliant frame on the numbers: as a remark where none is known, as an sd where one is.
+"""A compliant frame: taken off the travel where it is known, else its effect on the numbers.
 
-A hold behind a frame of stiffness k_f relaxes with ``tau_app = tau (1 + K / (k_f + k_0))``, k_0 the static
-stiffness: while the force falls the frame gives back and the tip moves on.  In a ramp tip speed and force
-are each less by ``k_f / (k_f + k_0)``, so that ``eta_app = eta (k_f / (k_f + k_0))^2``.  Both are linearised
-about half depth, and derived for this project; they say how large the effect is, not what to correct by.
+``x - u(F + n)`` carries the force's noise n into the depth: u is given the force of a flexible law instead,
+fitted until law and travel agree, ``F = law(x - u(F))``.  Behind a rigid frame's fit, ``tau_app = tau (1 + K
+/ (k_f + k_0))`` and ``eta_app = eta (k_f / (k_f + k_0))^2`` (derived about half depth).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.inference.system import MACHINE
+from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.logs import LogHandle, blocks_of
+from tissueid.inference.noise import Memory
+from tissueid.inference.optimum import minimise, whitener_of
+from tissueid.inference.prior import Scatter, prior_rows
+from tissueid.inference.search import starting_points
+from tissueid.inference.system import MACHINE, Effects, Point, System
+from tissueid.inference.window import FittedLog
 from tissueid.manifest import FrameCurve
-from tissueid.model.frame import tangent_stiffness, tangent_stiffness_sd
+from tissueid.model.frame import deflection, deflection_sd, tangent_stiffness, tangent_stiffness_sd
 from tissueid.model.grammar import rebuilt
-from tissueid.priors import CalibrationPrior
+from tissueid.priors import CalibrationPrior, Priors
 from tissueid.result import SpecimenFit
+from tissueid.trial import Phase, Trial
+
+#: Branches and degree of K of the law that smooths the force.
+SMOOTHING_BRANCHES, SMOOTHING_DEGREE = 2, 2
+#: Unloading is smoothed by the mean of so many samples: it takes part in no fit unless that is asked for.
+UNLOADING_SAMPLES = 11
+#: Starts of the fit, each from the deflection that the one before found.
+ROUNDS = 2
+#: A force this many times the largest calibrated one can't be corrected.
+BEYOND_LIMIT = 1.5
+
+
+def _moving_mean(values: FloatArray, samples: int) -> FloatArray:
+    """Mean over an odd number of samples about each, fewer where that is the whole of them."""
+    half = min(samples, values.size - 1) // 2
+    if half < 1:
+        return values
+    padded = np.pad(values, half, mode="reflect")
+    total = np.concatenate([[0.0], np.cumsum(padded)])
+    return np.asarray((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1))
+
+
+def beyond_calibration(frame: FrameCurve, force_N: float) -> bool:
+    """Test if a force lies so far beyond the calibrated ones that its deflection is unknown."""
+    return frame.range_N is not None and force_N > BEYOND_LIMIT * frame.range_N[1]
+
+
+def _phase(phase: Phase, depth_mm: FloatArray) -> Phase:
+    """The same phase with the tip's speed."""
+    span = phase.end_s - phase.start_s
+    if phase.speed_mm_s == 0.0 or span <= 0.0:
+        return phase
+    return replace(phase, speed_mm_s=float(depth_mm[phase.stop - 1] - depth_mm[phase.start]) / span)
+
+
+def _moved(handle: LogHandle, give_mm: FloatArray, flags: tuple[Flag, ...] = ()) -> LogHandle:
+    """The same log with a deflection taken off its displacement."""
+    load = handle.load
+
+    def tip() -> Trial:
+        raw = load()
+        return replace(raw, displacement_mm=raw.displacement_mm - give_mm, flags=(*raw.flags, *flags))
+
+    depth = handle.segmentation.compression_sign * tip().displacement_mm
+    phases = tuple(_phase(phase, depth) for phase in handle.segmentation.phases)
+    moved = replace(handle, load=tip, segmentation=replace(handle.segmentation, phases=phases))
+    _, log = moved.fitted()
+    return replace(moved, facts=log.without_samples())
+
+
+def _flag(frame: FrameCurve, peak_N: float) -> Flag:
+    """Flag of the deflection taken off, with its sd and the calibration's reach."""
+    at = np.array([peak_N])
+    give, sd = float(deflection(frame, at)[0]), float(deflection_sd(frame, at)[0])
+    stiffness = tangent_stiffness(frame, peak_N)
+    values = {"deflection_mm": give, "sd_mm": sd, "force_N": peak_N, "frame_stiffness_N_per_mm": stiffness}
+    message = f"the frame's give of {give:.3g} mm (sd {sd:.2g}) under {peak_N:.3g} N was taken off"
+    if frame.range_N is not None and peak_N > frame.range_N[1]:
+        message = (
+            f"the frame's give of {give:.3g} mm was taken off, beyond the {frame.range_N[1]:.3g} N calibrated"
+        )
+        values["calibrated_to_N"] = frame.range_N[1]
+    return Flag("frame_corrected", message, values)
+
+
+def tip_handles(
+    handles: Sequence[LogHandle], frame: FrameCurve, tick: Callable[[str], None] | None = None
+) -> list[LogHandle]:
+    """The logs of one specimen with the deflection of the frame taken off their crosshead displacement."""
+    tick = tick or (lambda _: None)
+    pairs = [handle.fitted() for handle in handles]
+    with threadpool_limits(limits=1, user_api="blas"):
+        depth = max(log.depth_mm for _, log in pairs)
+        law = kelvin_voigt_law(SMOOTHING_BRANCHES, SMOOTHING_DEGREE, depth)
+        effects = Effects(gain=len(handles) > 1)
+        blocks = [blocks_of(handle, log) for handle, (_, log) in zip(handles, pairs, strict=True)]
+        system = System(blocks, law, depth, effects, give=lambda force: deflection(frame, force))
+        start = Point(np.zeros(2), np.zeros(3), np.zeros(law.linear), np.zeros((len(handles), effects.size)))
+        tick("the frame")
+        white = whitener_of(system, Memory())
+        found = None
+        for _ in range(ROUNDS):
+            first = starting_points(system, law, start, white)[0]
+            found = minimise(
+                system,
+                first,
+                partial(prior_rows, system, Scatter(), Priors(), machine=False),
+                machine=False,
+            )
+            system.guess = system.tip_force(found.point)[0]
+        assert found is not None  # noqa: S101 -- there was a round
+        return [
+            _corrected(handle, trial, log, (system, found.point, i), frame)
+            for i, (handle, (trial, log)) in enumerate(zip(handles, pairs, strict=True))
+        ]
+
+
+def _corrected(
+    handle: LogHandle, trial: Trial, log: FittedLog, fit: tuple[System, Point, int], frame: FrameCurve
+) -> LogHandle:
+    """One log in the displacement of the tip, by the force of the fitted law along it."""
+    system, point, index = fit
+    contact = handle.segmentation.contact
+    assert contact is not None  # noqa: S101 -- a handle has a fitted log
+    alone = System(
+        [blocks_of(handle, log, whole=True)], system.law, system.depth_mm, system.effects, give=system.give
+    )
+    own = replace(point, own=point.own[index : index + 1])
+    alone.follow(own)
+    samples = log.data.time_s[int(log.inserted) :]
+    expected = alone.guess[np.searchsorted(alone.logs[0].time_s, samples)]
+    measured = handle.segmentation.force_sign * (trial.force_N - contact.baseline_N)
+    # the tool is in air before contact
+    force = np.zeros_like(measured)
+    stop = log.first + expected.size
+    force[stop:] = _moving_mean(measured[stop:], UNLOADING_SAMPLES)
+    force[log.first : stop] = expected
+    flag = _flag(frame, float(force.max()))
+    return _moved(handle, handle.segmentation.compression_sign * deflection(frame, force), (flag,))
+
 
 #: Stiffness of a small table-top machine with fixture and load cell, where nobody says: 1,000 N/mm is
 #: towards the soft end of what makers print.
@@ -60,10 +188,7 @@ def frame_effect(fit: SpecimenFit, frame_N_per_mm: float) -> FrameEffect:
 
 
 def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any]) -> list[Flag]:
-    """The flags of a fit, with ``compliance_unknown`` as the study leaves it.
-
-    ``frame``: what was taken off the displacement; ``stated``: ``[calibration]`` of the study.
-    """
+    """The flags of a fit, with ``compliance_unknown`` as the study's ``[calibration]`` leaves it."""
     flags = [flag for flag in fit.flags if flag.code != "compliance_unknown"]
     if not fit.parameters or fit.model.branches == 0 or fit.axes.normalised:
         return flags
@@ -77,14 +202,9 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
 def machine_flag(
     machine: FloatArray, priors: Mapping[str, CalibrationPrior], *, force_N: float, depth_mm: float
 ) -> Flag | None:
-    """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against.
-
-    ``machine`` (3,): compliance of the frame [mm/N], skew and force filter [s], at the optimum; ``priors``:
-    by their names in :data:`tissueid.priors.CALIBRATION_DEFAULTS`; ``force_N``, ``depth_mm``: the largest
-    recorded.
-    """
+    """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against."""
     values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
-    words = {
+    needed = {
         "frame_compliance_mm_per_N": lambda value: f"a frame of {1.0 / max(value, 1e-9):.3g} N/mm",
         "skew_s": lambda value: f"channels {1e3 * abs(value):.3g} ms apart",
         "force_filter_s": lambda value: f"a force filter of {1e3 * value:.3g} ms",
@@ -99,11 +219,9 @@ def machine_flag(
         name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
     else:
         return None
-    return Flag(
-        "machine_implausible",
-        f"the fit needs {words[name](values[name])}, {why}",
-        {"name": name, "value": values[name], "deviations": far[name], "frame_share": share},
-    )
+    words = f"the fit needs {needed[name](values[name])}, {why}"
+    told = {"name": name, "value": values[name], "deviations": far[name], "frame_share": share}
+    return Flag("machine_implausible", words, told)
 
 
 def _shortest(fit: SpecimenFit) -> float:

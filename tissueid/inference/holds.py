@@ -1,9 +1,7 @@
-"""The regularised relaxation spectrum of a hold, without a contact model.
+"""The regularised relaxation spectrum of a hold, as seen after the ramp, without a contact model.
 
-The spectrum is a Prony series on a logarithmic grid with non-negative amplitudes, smoothed by
-second differences (Tikhonov); the strongest smoothing is taken that fits about as well as none
-(discrepancy principle).  It is the spectrum **as seen after the ramp**: a branch that relaxed within the
-ramp shows little of its stiffness.
+A Prony series on a logarithmic grid, non-negative, smoothed by second differences as far as it still fits
+about as well (discrepancy principle).
 """
 
 from __future__ import annotations
@@ -43,19 +41,14 @@ class HoldNumbers:
 
 
 def drained_share(time: FloatArray) -> FloatArray:
-    """Share of the pressure that is left under a sphere, of time over a^2 / D.
-
-    Hu, Zhao, Vlassak & Suo 2010, doi 10.1063/1.3370354.
-    """
+    """Share of the pressure left under a sphere, of time over a^2 / D (doi 10.1063/1.3370354)."""
     return np.asarray(0.491 * np.exp(-0.908 * np.sqrt(time)) + 0.509 * np.exp(-1.679 * time))
 
 
 def drainage_time(time_s: FloatArray, force_N: FloatArray, ramp_s: float) -> float:
     """Time a^2 / D of drainage that comes nearest to a hold after a ramp [s].
 
-    Of a ramp at constant speed under a sphere, force F_e ~ x^1.5: each part of it drains from its own moment.
-
-    ``time_s``, ``force_N`` (n,): since the stop.
+    Under a sphere, F_e ~ x^1.5: each part of the ramp drains from its own moment.
     """
     if time_s.size < MIN_SAMPLES or not time_s[-1] > 2.0 * ramp_s:
         return 0.0
@@ -84,11 +77,9 @@ def drainage_time(time_s: FloatArray, force_N: FloatArray, ramp_s: float) -> flo
 def relaxation_spectrum(
     time_s: FloatArray, force_N: FloatArray
 ) -> tuple[FloatArray, FloatArray, float, float, float]:
-    """Regularised spectrum of a relaxing force.
+    """Regularised spectrum of a force that relaxes from the stop on.
 
-    ``time_s`` (n,): from the stop on, growing [s]; ``force_N`` (n,).  Returns ``tau_s, amplitude_N`` (k,):
-    grid from two sampling intervals to the window, and force that relaxes at each; ``plateau_N, smoothing,
-    rmse_N``.
+    Returns ``tau_s, amplitude_N`` (k,), and ``plateau_N, smoothing, rmse_N``.
     """
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0.0]))

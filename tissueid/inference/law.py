@@ -1,15 +1,9 @@
-"""Paths, relaxation along them, and what the engine asks of a law.
-
-The engine asks for the columns whose weights are the linear parameters, and for the rows that keep these
-weights passive; whatever is not linear is differentiated numerically along the path.  The one law there is,
-made of any parts, is :mod:`tissueid.inference.channel_law`.
-"""
+"""Paths, relaxation along them, and derivatives of a force by depth, as the engine's law takes them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +30,7 @@ class Path:
 
 
 def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
-    """States y with y_i = decay_i y_(i-1) + right_i along the last axis, in one banded solve.
+    """States y_i = decay_i y_(i-1) + right_i along the last axis: one banded solve.
 
     ``decay`` (..., m): 0 at the first point of each log; ``right`` (c, ..., m) and (..., m).
     """
@@ -50,8 +44,7 @@ def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
 def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
     """Convolution of the rate of ``value`` with exp(-t / tau), exact where it is linear in between.
 
-    ``value`` (m,) and (n, m) and (c, m): basis function of depth along the path, or several; ``tau_s`` (j,)
-    and (j, n).  Returns (j, m) (j, n, m) (c, j, m).
+    ``value`` (m,) and (n, m) and (c, m); ``tau_s`` (j,) and (j, n).  Returns (j, m) (j, n, m) (c, j, m).
     """
     change = np.empty(value.shape)
     change[..., 0] = 0.0
@@ -88,8 +81,8 @@ def passive_rows(powers: int) -> FloatArray:
 class Slopes:
     """Derivative of a force along a path by depth over the largest depth [N].
 
-    The force changes by ``direct`` times the change at the same moment, by ``outer`` times the convolution of
-    the change with each relaxation time, and by the convolution of ``inner`` times the change.
+    Of a change of depth: ``direct`` at once, ``outer`` times its convolution, and the convolution of
+    ``inner`` times it.
     """
 
     direct: FloatArray  # (m,)
@@ -112,36 +105,3 @@ class Slopes:
         for j, row in enumerate(() if self.inner is None else self.inner):
             out = out + relaxation_states(path, row * depth, self.tau_s[j : j + 1])[:, 0]
         return np.asarray(out)
-
-
-class Law(Protocol):
-    """A law with given orders in scaled units: depth over the largest depth, forces in N."""
-
-    @property
-    def times(self) -> int:
-        """Number of nonlinear parameters: logarithms of times."""
-        ...
-
-    @property
-    def linear(self) -> int:
-        """Number of linear parameters."""
-        ...
-
-    def along(self, logs: tuple[int, ...]) -> Law:
-        """The same law for a path of some of its logs."""
-        ...
-
-    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
-        """Columns of the linear parameters, shape (linear, m) [-].
-
-        Of n points of the parameters, (n, t) and a path of (n, m), they are (linear, n, m).
-        """
-        ...
-
-    def cone(self) -> FloatArray:
-        """Rows G with G @ linear >= 0 for passive tissue."""
-        ...
-
-    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
-        """Answer of the force to small changes of depth along a path."""
-        ...

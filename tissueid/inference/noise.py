@@ -1,8 +1,6 @@
 """Noise of the observations: white, or an AR(1) beside white noise, whitened exactly through blocks.
 
-The mean of n samples of an AR(1) depends on its state before them and leaves a state behind: a Kalman filter
-of one state.  Its gains do not depend on the data, so whitening is one banded solve for any number of
-columns.
+A Kalman filter of one state, whose gains do not depend on the data: one banded solve for all columns.
 """
 
 from __future__ import annotations
@@ -56,8 +54,8 @@ class Whitener:
 def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Moments of a block of n samples of an AR(1) of unit variance.
 
-    Weight of the state before it in its mean, variance of the rest of the mean, covariance of that with the
-    state after it, and decay of the state.
+    Weight of the state before it in its mean, rest's variance, covariance with the state after it, and
+    decay.
     """
     decay = r**n
     rest = np.maximum(1.0 - r, 1e-15)
@@ -81,9 +79,8 @@ def whitener(
 ) -> Whitener:
     """Prepare whitening under noise of unit variance.
 
-    ``count`` (k,): samples of each observation; ``step_s`` (k,): sampling interval within it; ``gap_s`` (k,):
-    time from the last sample of the observation before to its first; ignored where a chain starts; ``chain``
-    (k,): starts of chains.
+    ``count``, ``step_s`` (k,): samples of each observation and their interval; ``gap_s`` (k,): time since
+    the one before; ``chain`` (k,): starts of chains.
     """
     if memory.time_s <= 0.0 or memory.white >= 1.0:
         return Whitener(np.sqrt(count), -float(np.log(count).sum()))

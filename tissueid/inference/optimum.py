@@ -1,7 +1,6 @@
 """Constrained Gauss-Newton steps with Levenberg-Marquardt damping, the logs' own parameters eliminated.
 
-The problem is a least-squares one in shared parameters, in each log's own, and in priors as rows.  A step
-solves its quadratic model within the passive cone (least distance programming; Lawson & Hanson 1974, ch. 23).
+A step solves its quadratic model within the passive cone (Lawson & Hanson 1974, ch. 23).
 """
 
 from __future__ import annotations
@@ -52,10 +51,7 @@ def whitener_of(system: System, memory: Memory) -> Whitener:
 def nearest_in_cone(
     centre: FloatArray, covariance: FloatArray, cone: FloatArray, least: FloatArray
 ) -> FloatArray:
-    """Point of ``cone @ x >= least`` nearest to a centre in the metric of a covariance.
-
-    ``centre`` (n,); ``covariance`` (n, n); ``cone`` (c, n), ``least`` (c,).
-    """
+    """Point (n,) of ``cone @ x >= least`` nearest to a centre in the metric of a covariance."""
     missing = least - cone @ centre
     if not (missing > 0.0).any():
         return centre
@@ -219,9 +215,7 @@ def minimise(
 ) -> Optimum:
     """Minimise the objective from a point.
 
-    ``prior_at``: priors around a point; ``memory``: correlation of the noise; ``sigma_N``: noise held at
-    this; otherwise it follows the residuals; ``machine``: the machine is open; ``least_sigma_N``: noise is
-    not below this; ``held``: shared parameters that stay where they are.
+    ``sigma_N``: noise held at this, else it follows the residuals; ``held``: shared parameters that stay.
     """
     white = whitener_of(system, memory)
     prior = prior_at(point)

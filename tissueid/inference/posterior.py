@@ -1,9 +1,7 @@
 """The posterior of a fitted specimen, from draws to what is reported.
 
-One set of draws with the machine open.  The total interval is read off them as they are; the statistical one
-off the same draws with the machine at its posterior mean, by the linear dependence of the tissue on it.  The
-printed value is the median.  Where the law misses more than the noise, draws are of the generalised posterior
-(:mod:`tissueid.inference.residual_blocks`).
+The total interval is of the draws as they are, the statistical one with the machine at its posterior mean;
+the printed value is the median.
 """
 
 from __future__ import annotations
@@ -21,16 +19,16 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
-from tissueid.inference.misfit import misfit_alarm
-from tissueid.inference.prior_rows import log_theta_prior, prior_table
 from tissueid.inference.reported import (
     interval95,
+    log_theta_prior,
     next_indentation,
     predictive_bands,
+    prior_table,
     reported_draws,
     uncertainty_budget,
 )
-from tissueid.inference.residual_blocks import sandwich_covariance
+from tissueid.inference.residual_blocks import misfit_alarm, sandwich_covariance
 from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
@@ -41,7 +39,6 @@ from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
-SAMPLERS = ("emcee", "none")
 #: Draws that a bundle and a report keep.
 KEPT_DRAWS = 2000
 #: Steps towards the centre in which a draw outside the passive set is brought inside.
@@ -203,9 +200,8 @@ def with_posterior(
 ) -> SpecimenFit:
     """The fit of a specimen with its posterior.
 
-    ``checkpoint``: file that the sampler can go on from after a kill; ``key``: of everything the posterior
-    depends on; a checkpoint with another key is not used; ``instrument``: give the total interval too;
-    normalised recordings have no instrument to ask about; ``tick``: told what is being done.
+    ``checkpoint``: file to go on from after a kill, used with the same ``key``; ``instrument``: give the
+    total interval.
     """
     tick = tick or (lambda _: None)
     if options.sampler == "none" or fitted.identified.law.branches == 0 or not fitted.identified.quotable:
@@ -268,9 +264,8 @@ def _with_medians(
 ) -> tuple[Estimate, ...]:
     """Values are medians of the draws; what is identified is judged by their intervals.
 
-    Polynomials always have an interval that says how well they are known; times are identified where theirs
-    is closed, and narrow in the logarithm, and so are viscosities of times that are not: where a time is
-    known, what opens K tau is K at that depth, a polynomial.
+    Polynomials always are; times where the interval is closed and narrow in the logarithm; viscosities
+    where theirs is narrow or the time is known.
     """
     out: list[Estimate] = []
     times: dict[str, bool] = {}

@@ -1,14 +1,8 @@
 """Priors as rows of a least-squares problem: of the machine, of linear parameters, and of each log's own.
 
-Coefficients of F_s / x and of each K in the Bernstein basis are normal around 0 with the standard deviation
-at which that part alone would carry :data:`tissueid.priors.WEAK_FACTOR` times the largest force (of a branch:
-at its largest state), unless the study states one.
-
-Priors of the instrument's nuisances from [calibration] of a study; defaults else.
-A class is a limit of error in percent of the reading (ISO 7500-1 for force, ISO 9513 for displacement),
-taken as two standard deviations.  A frame that is known has been taken off the displacement already
-(:mod:`tissueid.inference.tip`): what remains is a compliance around zero, of either sign, as uncertain as its
-calibration.  A delay and a filter are taken off by nobody: their priors are around what was stated.
+Bernstein coefficients of F_s / x and of each K are normal around 0, so wide that the part alone would carry
+:data:`tissueid.priors.WEAK_FACTOR` times the largest force.  A class of the instrument (ISO 7500-1, ISO 9513)
+is a limit of error in percent, two standard deviations; of a known frame only its uncertainty is left.
 """
 
 from __future__ import annotations
@@ -109,13 +103,9 @@ def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatAr
     return np.reshape(rows, (len(rows), t + m + law.linear)), np.array(target)
 
 
-def prior_rows(
-    system: System, law: ChannelLaw, point: Point, scatter: Scatter, priors: Priors, *, machine: bool
-) -> PriorRows:
-    """Priors around a point.
-
-    ``point``: largest states of the branches are taken here; ``machine``: the machine is open.
-    """
+def prior_rows(system: System, scatter: Scatter, priors: Priors, point: Point, *, machine: bool) -> PriorRows:
+    """Priors around a point, where the largest states of the branches are taken."""
+    law = system.law
     t, m, p = law.times, len(MACHINE), law.linear
     force = float(np.abs(system.force).max())
     path = system.path(system.travel)
@@ -211,11 +201,7 @@ def _frame_prior(frame: FrameCurve) -> CalibrationPrior:
 
 
 def calibration_priors(calibration: Calibration | None) -> Mapping[str, CalibrationPrior]:
-    """Priors of force gain, displacement gain, skew, force filter and frame compliance.
-
-    ``calibration``: ``None`` without a study.  Returns the names of
-    :data:`tissueid.priors.CALIBRATION_DEFAULTS`, for ``Priors.calibration``.
-    """
+    """Priors of gains, skew, filter and frame by their names, as a study's ``[calibration]`` has them."""
     if calibration is None:
         return CALIBRATION_DEFAULTS
     values = calibration.values

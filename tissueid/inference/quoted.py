@@ -1,8 +1,7 @@
-"""The numbers people quote from a fit, each within what its data support.
+"""The numbers people quote from a fit, each within what its data support, or the reason instead.
 
-Nothing is said of times after the longest hold or before two sampling intervals, nor of frequencies
-outside the reciprocal band 1/(2 pi window) ... 1/(2 pi resolution); a number whose 95 % interval is as
-wide as the number is not given.  Each such place holds the reason instead.
+Under a known tip, moduli by every formula that fits it, and drainage or viscosity: fluid leaves a contact in
+a time that grows as its radius squared (doi 10.1063/1.3370354).
 """
 
 from __future__ import annotations
@@ -12,16 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.quantities import Spectrum
+from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
+from tissueid.measured.geometry import Geometry
 from tissueid.model import functionals
 from tissueid.model.channels import ChannelModel
-from tissueid.quantities import Quantity, QuotedNumbers
+from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
+from tissueid.quantities import DEPTH_TEST, Quantity, QuotedNumbers
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].
 FREQUENCIES_HZ = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -191,11 +194,7 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
 def model_numbers(
     tissue: TissueEstimate, supported: Supported, frequencies_Hz: Sequence[float] = ()
 ) -> tuple[Quantity, ...]:
-    """Functionals of a fitted tissue.
-
-    ``frequencies_Hz``: asked for: those that are not supported come with the reason.  Without any, the
-    supported of :data:`FREQUENCIES_HZ`.
-    """
+    """Functionals of a fitted tissue, at the frequencies asked for, else the supported of the usual ones."""
     quote = _Quoter(tissue, unknown_parameters(tissue))
     return (
         *_relaxation(quote, supported),
@@ -205,10 +204,7 @@ def model_numbers(
 
 
 def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
-    """The same numbers, shares that relax with the spread over laws that predict as well.
-
-    Half the range over the laws, at least :data:`LEAST_FORM` of the peak, is added in quadrature.
-    """
+    """The same numbers; shares that relax have half the range over laws as good in quadrature."""
     alike = [one for one in rivals if one.as_good]
     if not alike:
         return numbers
@@ -241,10 +237,7 @@ def quoted_numbers(
     duration_s: float,
     frequencies_Hz: Sequence[float] = (),
 ) -> QuotedNumbers:
-    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip.
-
-    ``holds``: a trial each; ``step_s``, ``duration_s``: sampling interval and longest fitted log [s].
-    """
+    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip."""
     most = max((one.longest_s for one in holds), default=0.0)
     # of holds equally long the deepest: the same protocol ends a sample earlier or later
     equal = [one for one in holds if one.longest_s >= EQUALLY_LONG * most]
@@ -258,3 +251,139 @@ def quoted_numbers(
         model=model_numbers(tissue, supported, frequencies_Hz),
         spectra=spectra,
     )
+
+
+#: Depths at which a modulus is given, as shares of the fitted depth.
+SHARES = (0.5, 1.0)
+KPA_PER_MPA = 1000.0
+
+
+def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
+    return float(model.static_force(theta, np.array([depth]))[0])
+
+
+def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
+    return functionals.force_after_step(model, theta, depth, 0.0)
+
+
+def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
+    rows = []
+    at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
+    for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden)):
+        if contact is None:
+            reason = f"{formula} has no solution here: the contact is too wide for the layer"
+            rows.append(Quantity(name, "kPa", at, None, None, reason))
+            continue
+        value, stderr = functionals.delta_method(
+            lambda theta, f=force, c=contact: KPA_PER_MPA * c.modulus_MPa(f(tissue.model, theta, depth)),  # type: ignore[misc]
+            tissue.theta,
+            tissue.covariance,
+            unknown_parameters(tissue),
+        )
+        if width_of(value, stderr) > MAX_WIDTH:
+            rows.append(Quantity(name, "kPa", at, None, None, "the data do not determine it"))
+        else:
+            rows.append(Quantity(name, "kPa", at, value, stderr))
+    return rows
+
+
+def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
+    """Relaxation times that fluid flow under this contact could have as well."""
+    tau = tissue.model.times(tissue.theta)
+    low, high = poroelastic_band(contact.contact_mm)
+    suspect = [float(value) for value in tau if low <= value <= high]
+    if not suspect:
+        return []
+    times = ", ".join(f"{value:.3g}" for value in suspect)
+    message = f"relaxation in {times} s lies where fluid drains from this contact, {low:.3g} to {high:.3g} s"
+    values = {"tau_s": suspect, "contact_mm": contact.contact_mm, "from_s": low, "to_s": high}
+    return [Flag("poroelastic", message, values)]
+
+
+def with_moduli(
+    quoted: QuotedNumbers, tissue: TissueEstimate, geometry: Geometry | None
+) -> tuple[QuotedNumbers, list[Flag]]:
+    """The same numbers with the moduli for a tip, where there is one, and what is to be said of them."""
+    if geometry is None:
+        return quoted, []
+    rows: list[Quantity] = []
+    outside: dict[str, tuple[str, ...]] = {}
+    full = tissue.model.depth_mm
+    deepest: Contact | None = None
+    for formula in formulas_for(geometry.indenter, geometry.thickness_mm):
+        for share in SHARES:
+            contact = geometry.contact(formula, share * full)
+            rows += _moduli(tissue, formula, share * full, contact)
+        if contact is not None:
+            deepest = deepest or contact
+            if contact.outside:
+                outside[formula] = contact.outside
+    flags = [] if deepest is None else _poroelastic(tissue, deepest)
+    if outside:
+        formula, limits = next(iter(outside.items()))
+        more = f"; {len(outside)} formulas in all" if len(outside) > 1 else ""
+        values = {"formulas": list(outside), "depth_mm": full}
+        words = f"at {full:.3g} mm {formula} is outside its range: {limits[0]}{more}"
+        flags.append(Flag("modulus_out_of_range", words, values))
+    return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags
+
+
+UNIT = "1"
+#: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.
+VISCOUS, DRAINAGE = 0.0, 2.0
+#: Ratio of the largest to the smallest contact radius, depth over tip radius, and holds, that can decide.
+FEWEST_RATIO, BURIED, FEWEST_HOLDS = 1.1, 0.5, 3
+#: Least standard deviation of ln tau: two holds at one site agree no better.
+LEAST_SD = 0.02
+
+
+def depth_test(
+    geometry: Geometry | None, depths_mm: Sequence[float], tau_s: Sequence[float]
+) -> tuple[Quantity | None, tuple[Flag, ...]]:
+    """Slope of ln tau on ln contact radius over equally long holds, and its flag.
+
+    ``verdict`` and 95 % interval are among its conditions; without a tip, or under a flat punch, nothing
+    is tested.
+    """
+    if geometry is None or geometry.indenter.shape == "flat" or len(depths_mm) < FEWEST_HOLDS:
+        return None, ()
+    formula = formulas_for(geometry.indenter, geometry.thickness_mm)[0]
+    contacts = [geometry.contact(formula, depth) for depth in depths_mm]
+    radius = np.array([np.nan if one is None else one.contact_mm for one in contacts])
+    if not np.isfinite(radius).all() or radius.max() < FEWEST_RATIO * radius.min():
+        return None, ()
+    deepest = float(max(depths_mm))
+    at: dict[str, float | str] = {"depth_mm": deepest, "holds": float(len(depths_mm))}
+    tip = geometry.indenter.radius_mm
+    if geometry.indenter.shape == "sphere" and tip is not None and deepest > BURIED * tip:
+        reason = f"the tip is buried: {deepest:.3g} mm of depth, {tip:.3g} mm of radius"
+        return Quantity(DEPTH_TEST, UNIT, at, None, None, reason), ()
+    slope, error, half = _slope(np.log(radius), np.log(tau_s))
+    verdict = _verdict(slope - half, slope + half)
+    at |= {"low": slope - half, "high": slope + half, "verdict": verdict}
+    flags: tuple[Flag, ...] = ()
+    if verdict == "drainage":
+        words = (
+            f"relaxation times grow as the contact radius to the power {slope:.2f} [{slope - half:.2f}, "
+            f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
+        )
+        flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
+    return Quantity(DEPTH_TEST, UNIT, at, slope, error), flags
+
+
+def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+    """Slope of a line, its standard error, and half its 95 % interval."""
+    off, freedom = x - x.mean(), x.size - 2
+    slope = float(off @ y / (off @ off))
+    rest = y - y.mean() - slope * off
+    sd = max(float(np.sqrt(rest @ rest / freedom)), LEAST_SD)
+    error = sd / float(np.sqrt(off @ off))
+    return slope, error, float(t.ppf(0.975, freedom)) * error
+
+
+def _verdict(low: float, high: float) -> str:
+    """One of drainage, viscous, neither, can't decide."""
+    viscous, drains = low <= VISCOUS <= high, low <= DRAINAGE <= high
+    if viscous == drains:
+        return "can't decide" if viscous else "neither"
+    return "viscous" if viscous else "drainage"

@@ -1,26 +1,23 @@
-"""Means of a log's residual over blocks of its program, and the covariance that follows from their scores.
+"""Means of a log's residual over blocks of its program: the misfit alarm, and the clustered sandwich.
 
-A hold is cut into blocks of equal ln(time since its corner), a ramp (or any other move) into fractions of its
-own path, finer where it starts.  Blocks of one place in the program carry one key in every log, so that an
-error of the model, which repeats, can be told from noise, which does not.  Beside every mean stands the mean
-of the model's derivatives over the same samples: what the fit has taken out of the residual.
-
-Covariance where a law misses more than the noise: the clustered sandwich.
-Scores of clusters at the optimum say how much the misfit moves each direction (Mueller 2013, doi
-10.3982/ECTA9097).  Clusters are logs where there are four or more, otherwise stretches of each log: fractions
-of its travel in ramps, equal in ln time in holds.  Few clusters leave directions unseen: their scores are
-drawn towards the mean over all directions, and Student's t stands for the normal.
+Blocks of one place in the program have one key in every log: an error of the model repeats, noise does not,
+and it is largest at corners.  Beside each mean stands what the fit has taken out.  Where a law misses more
+than noise, scores of logs, or of stretches, give the covariance (Mueller 2013, doi 10.3982/ECTA9097).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.linalg import solve_triangular
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
 from tissueid.inference.optimum import covariance_of
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
@@ -91,8 +88,8 @@ def _corner_columns(
 ) -> FloatArray:
     """Remainder of an error of the branch states at each corner, shape (n, holds * branches).
 
-    A stop between two samples is not in the logged displacement: the states behind it are off by up to a
-    fraction of v tau, and forget that with their relaxation times.
+    A stop between two samples is not in the displacement: the states behind it are off, and forget that
+    with tau.
     """
     time = log.data.time_s
     columns = []
@@ -121,11 +118,7 @@ def residual_blocks(
     adjustment: Adjustment,
     fitted: FloatArray,
 ) -> ResidualBlocks:
-    """Block means of one log under its specimen's model.
-
-    ``model``, ``theta``: the specimen's tissue; ``adjustment``: the log's own gain, contact offset and shape;
-    ``fitted`` (n,): force of all that along the log [N].
-    """
+    """Block means of one log under its specimen's model; ``fitted`` (n,): its force along the log [N]."""
     data = log.data
     path = ContactPath(data.time_s, data.depth_mm, data.speed_ratio)
     keys = _keys(segmentation, log)
@@ -166,24 +159,20 @@ def residual_blocks(
 
 
 #: Logs from which they are the clusters, and stretches of a log that are one cluster otherwise.
-FEWEST_LOGS, TOGETHER = 4, 2
+LOGS_AS_CLUSTERS, TOGETHER = 4, 2
 NORMAL_975 = 1.959963984540054
 
 
 def _clusters(target: SpecimenTarget) -> NDArray[np.int64]:
     """Cluster of each observation."""
     system = target.system
-    if len(system.logs) >= FEWEST_LOGS:
+    if len(system.logs) >= LOGS_AS_CLUSTERS:
         return system.log
     return np.asarray(system.log * 1000 + system.fold // TOGETHER)
 
 
 def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
-    """Covariance of the free coordinates, and the samples that one independent sample stands for.
-
-    Returns ``covariance`` (d, d); ``worth``: mean ratio of the variance to that of independent samples, at
-    least 1.
-    """
+    """Covariance (d, d) of the free coordinates, and the samples that one independent sample stands for."""
     normal, s = target.optimum.normal, target.n_shared
     columns = np.zeros((normal.residual.size, len(target.mode)))
     columns[:, :s] = normal.shared
@@ -215,3 +204,286 @@ def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
     values = np.maximum(values, 1.0)
     values = np.where(values > 1.0, 1.0 + (values - 1.0) * tail, 1.0)
     return root @ ((vectors * values) @ vectors.T) @ root.T, worth
+
+
+#: Probability with which each check may be raised by noise.
+LEVELS = {"shared structure": 0.008, "within logs": 0.004, "early hold": 0.003, "ramp start": 0.003}
+FLIPS = 1999
+#: With fewer logs the exchanges of signs are too few for the level.
+FEWEST_LOGS = 8
+SEED = 20110
+#: Noise that is known from a short record may be so much stronger at long lags than its fit says.
+SPECTRUM_TOLERANCE = 1.15
+#: Blocks count as early up to this share of a hold, as the start of a ramp up to this share of its path.
+EARLY_SHARE = 0.1
+START_PLACES = 3
+
+
+class _Row(NamedTuple):
+    """One statistic of signs: which blocks it sums, for the sentence."""
+
+    words: str
+    columns: NDArray[np.int64]
+
+
+def _parts(noise: NoiseFit) -> tuple[float, float]:
+    """Variances of the white and of the correlated part [N^2]."""
+    variance = noise.sigma_N**2
+    if noise.model == "white" or noise.phi <= 0.0:
+        return variance, 0.0
+    phi, theta = noise.phi, noise.moving_average
+    lag_one = (1.0 - phi * theta) * (phi - theta) / (1.0 + theta * theta - 2.0 * phi * theta)
+    share = min(max(lag_one / phi, 0.0), 1.0)
+    return variance * (1.0 - share), variance * share
+
+
+def _rate(noise: NoiseFit) -> float:
+    """Decay of the correlation [1/s]; infinite for white noise."""
+    return -float(np.log(noise.phi)) / noise.reference_step_s if noise.phi > 0.0 else float("inf")
+
+
+def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
+    """Covariance of the block means of one log under its noise, shape (k, k) [N^2].
+
+    Geometric series: ``n + 2 sum_j (n - j) r^j`` of n samples whose neighbours are correlated by r,
+    products across a gap.
+    """
+    white, correlated = _parts(noise)
+    n = blocks.count.astype(np.float64)
+    covariance = np.diag(white / n)
+    if correlated == 0.0:
+        return covariance
+    rate = _rate(noise)
+    step = np.where(n > 1, (blocks.end_s - blocks.start_s) / np.maximum(n - 1, 1), blocks.step_s)
+    x = np.maximum(rate * step, 1e-12)
+    r, one_less = np.exp(-x), -np.expm1(-x)
+    series = -np.expm1(-n * x) / one_less
+    own = (n * (1.0 + r) - 2.0 * r * series) / one_less / n**2
+    gap = blocks.start_s[None, :] - blocks.end_s[:, None]
+    mean = series / n
+    across = np.exp(-rate * np.maximum(gap, 0.0)) * mean[:, None] * mean
+    upper = np.triu(across, 1)
+    return np.asarray(covariance + correlated * (upper + upper.T + np.diag(own)))
+
+
+def _features(logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]) -> tuple[FloatArray, list[_Row]]:
+    """A value of each block by place and contrast, shape (logs, features), and how they are grouped."""
+    keys = sorted(
+        {
+            key
+            for one in logs
+            for key in zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
+        }
+    )
+    at = {key: k for k, key in enumerate(keys)}
+    table = np.zeros((len(logs), len(keys)))
+    present = np.zeros_like(table, dtype=bool)
+    for i, (one, value) in enumerate(zip(logs, values, strict=True)):
+        found = zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
+        columns = [at[key] for key in found]
+        table[i, columns] = value
+        present[i, columns] = True
+    speed = np.log(np.maximum([one.speed_mm_s for one in logs], 1e-12))
+    depth = np.array([one.depth_mm for one in logs])
+    held = np.array([key[0] for key in keys], dtype=bool)
+    features: list[FloatArray] = []
+    rows: list[_Row] = []
+    for kind, what in ((True, "holds"), (False, "ramps")):
+        chosen = np.flatnonzero((held == kind) & (present.sum(axis=0) > 1))
+        for contrast, words in (
+            (np.ones(len(logs)), f"{what} of all logs"),
+            (speed, f"{what}, growing or falling with speed"),
+            (depth, f"{what}, growing or falling with depth"),
+        ):
+            block = table[:, chosen]
+            if not words.endswith("all logs"):
+                there = present[:, chosen]
+                mean = (contrast[:, None] * there).sum(axis=0) / there.sum(axis=0)
+                block = block * (contrast[:, None] - mean) * there
+            block = block[:, (block**2).sum(axis=0) > 0.0]
+            if block.shape[1]:
+                start = sum(one.shape[1] for one in features)
+                rows.append(_Row(words, np.arange(start, start + block.shape[1])))
+                features.append(block)
+    return (np.concatenate(features, axis=1) if features else np.zeros((len(logs), 0))), rows
+
+
+def shared_structure(
+    logs: Sequence[ResidualBlocks], noise: NoiseFit, *, rng: np.random.Generator
+) -> tuple[float, float, str] | None:
+    """Structure that repeats from log to log, against exchanged signs.
+
+    By place of the program the squared sum over logs of the block means, over the sum of their squares,
+    after what the fit could take out; summed over holds and ramps, weighted with speed and depth, plain
+    and whitened. The smallest p-value is judged against its own distribution. Returns statistic, p-value
+    and group in words; ``None`` with too few logs.
+    """
+    if len(logs) < FEWEST_LOGS:
+        return None
+    projected = _project(logs, noise)
+    white = np.split(projected.residual, np.cumsum([one.count.size for one in logs])[:-1])
+    plain = [
+        (root @ value) / np.sqrt((root**2).sum(axis=1))
+        for root, value in zip(projected.roots, white, strict=True)
+    ]
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS + 1, len(logs)))
+    signs[0] = 1.0
+    rows: list[_Row] = []
+    columns: list[FloatArray] = []
+    largest: list[FloatArray] = []
+    for values in (plain, white):
+        table, groups = _features(logs, values)
+        if not groups:
+            return None
+        squares = (signs @ table) ** 2 / (table**2).sum(axis=0)
+        rows += groups
+        columns += [squares[:, group.columns].sum(axis=1) for group in groups]
+        largest.append(squares.max(axis=1))
+    sums = np.column_stack(columns + largest)
+    p_values = (sums.shape[0] - _ranks(sums)) / sums.shape[0]
+    smallest = p_values.min(axis=1)
+    strongest = int(np.argmin(p_values[0, : len(rows)]))
+    strength = float(sums[0, strongest] / rows[strongest].columns.size)
+    return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Values of the same column that are smaller; shape as given."""
+    out = np.empty_like(values)
+    for k in range(values.shape[1]):
+        # equal values (the same exchange drawn twice) share the worst place
+        column = np.round(values[:, k], 9)
+        out[:, k] = np.searchsorted(np.sort(column), column, side="left")
+    return np.asarray(out)
+
+
+class _Projected(NamedTuple):
+    """Whitened block means of all logs after the fit is projected away."""
+
+    residual: FloatArray
+    basis: FloatArray
+    freedom: int
+    roots: list[FloatArray]
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of the columns' span; columns of any scale."""
+    norm = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns[:, norm > 0.0] / norm[norm > 0.0]
+    if scaled.shape[1] == 0:
+        return np.zeros((columns.shape[0], 0))
+    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]])
+
+
+def _project(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> _Projected:
+    roots = [np.asarray(np.linalg.cholesky(block_covariance(one, noise)), dtype=np.float64) for one in logs]
+    size = sum(one.count.size for one in logs)
+    own = np.zeros((size, sum(one.own.shape[1] for one in logs)))
+    shared, values = [], []
+    row = column = 0
+    for one, root in zip(logs, roots, strict=True):
+        k, q = one.own.shape
+        own[row : row + k, column : column + q] = solve_triangular(root, one.own, lower=True)
+        shared.append(solve_triangular(root, one.shared, lower=True))
+        values.append(solve_triangular(root, one.mean_N, lower=True))
+        row, column = row + k, column + q
+    basis = _orthonormal(np.concatenate([own, np.concatenate(shared)], axis=1))
+    value = np.concatenate(values)
+    residual = value - basis @ (basis.T @ value)
+    return _Projected(residual, basis, size - basis.shape[1], roots)
+
+
+def _effective(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> float:
+    """Degrees of freedom of the noise's strength at long lags: half the effective samples under AR(1)."""
+    total = 0.0
+    for one in logs:
+        n = float(one.count.sum())
+        if _parts(noise)[1] > 0.0:
+            n *= 0.5 * np.tanh(0.5 * _rate(noise) * one.step_s)
+        total += n
+    return max(total, 1.0)
+
+
+def _within(projected: _Projected, effective: float) -> MisfitCheck:
+    name = "within logs"
+    if projected.freedom < 1:
+        return MisfitCheck(name, 0.0, 1.0, "too few samples for a look at the residual within a log", False)
+    ratio = float(projected.residual @ projected.residual) / projected.freedom
+    p = float(stats.f.sf(ratio / SPECTRUM_TOLERANCE, projected.freedom, effective))
+    raised = p < LEVELS[name]
+    message = (
+        f"block means of the residual scatter {np.sqrt(ratio):.2f} times as much as the noise model explains"
+    )
+    return MisfitCheck(name, ratio, p, message, raised)
+
+
+def _directed(
+    name: str,
+    words: str,
+    logs: Sequence[ResidualBlocks],
+    projected: _Projected,
+    masks: Sequence[NDArray[np.bool_]],
+    effective: float,
+) -> MisfitCheck:
+    """Test the residual for one sign over the chosen blocks of all logs."""
+    parts = [
+        solve_triangular(root, mask.astype(np.float64), lower=True)
+        for root, mask in zip(projected.roots, masks, strict=True)
+    ]
+    direction = np.concatenate(parts)
+    direction -= projected.basis @ (projected.basis.T @ direction)
+    norm = float(np.sqrt(direction @ direction))
+    before = float(np.sqrt(sum(float(one @ one) for one in parts)))
+    if not norm > 1e-6 * max(before, 1e-300):
+        return MisfitCheck(name, 0.0, 1.0, f"nothing to see {words}", False)
+    statistic = float(direction @ projected.residual) / norm
+    p = float(2.0 * stats.t.sf(abs(statistic) / np.sqrt(SPECTRUM_TOLERANCE), effective))
+    count = sum(int(one.count[mask].sum()) for one, mask in zip(logs, masks, strict=True))
+    total = sum(float(one.count[mask] @ one.mean_N[mask]) for one, mask in zip(logs, masks, strict=True))
+    message = (
+        f"{words} the force is {abs(total) / max(count, 1):.2g} N "
+        f"{'above' if total > 0.0 else 'below'} the model on average ({abs(statistic):.1f} standard errors)"
+    )
+    return MisfitCheck(name, statistic, p, message, p < LEVELS[name])
+
+
+def _early(one: ResidualBlocks) -> NDArray[np.bool_]:
+    """Blocks of the first tenth of each hold's time, at least the first one."""
+    mask = np.zeros(one.count.size, dtype=bool)
+    for phase in np.unique(one.phase[one.hold]):
+        inside = np.flatnonzero(one.hold & (one.phase == phase))
+        start = one.start_s[inside[0]]
+        early = one.end_s[inside] - start <= EARLY_SHARE * (one.end_s[inside[-1]] - start)
+        early[0] = True
+        mask[inside[early]] = True
+    return mask
+
+
+def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm:
+    """Look for structure in the residuals of a specimen at its optimum."""
+    logs = [one for one in logs if one.count.size]
+    if not logs or not noise.sigma_N > 0.0:
+        return MisfitAlarm(raised=False)
+    checks = []
+    found = shared_structure(logs, noise, rng=np.random.default_rng(SEED))
+    if found is not None:
+        statistic, p, words = found
+        name = "shared structure"
+        message = (
+            f"the residual repeats from log to log, most in the {words}: mean squares are {statistic:.1f} "
+            "times those of independent logs"
+        )
+        checks.append(MisfitCheck(name, statistic, p, message, p < LEVELS[name]))
+    if noise.discrepant:
+        # misses within a log are in the intervals already
+        return MisfitAlarm(raised=any(check.raised for check in checks), checks=tuple(checks))
+    projected = _project(logs, noise)
+    # what the fit has taken out is lost to the estimate of the noise as well
+    effective = max(_effective(logs, noise) - projected.basis.shape[1], 1.0)
+    checks.append(_within(projected, effective))
+    early = [_early(one) for one in logs]
+    start = [~one.hold & (one.place < START_PLACES) for one in logs]
+    checks.append(_directed("early hold", "early in the holds", logs, projected, early, effective))
+    checks.append(_directed("ramp start", "where ramps start", logs, projected, start, effective))
+    return MisfitAlarm(raised=any(check.raised for check in checks), checks=tuple(checks))

@@ -1,9 +1,7 @@
 """Fit on the path of the surface, follow the surface under the fit, until the two agree.
 
-The rounds are a fixed-point iteration: at its end the residual is orthogonal to the columns on the path
-that those very parameters give, an unbiased estimating equation; the dependence of the path itself on the
-parameters is not differentiated.  Whether the rounds settled is said, and the result is checked against a
-direct simulation of every log.
+A fixed-point iteration: the path's dependence on the parameters is not differentiated.  Whether it settled is
+said, and the result is checked against a direct simulation of every log.
 """
 
 from __future__ import annotations
@@ -18,9 +16,8 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import TissueEstimate
-from tissueid.inference.logs import LogHandle
+from tissueid.inference.logs import FreeSurface, LogHandle, air_limit
 from tissueid.inference.trials import Adjustment
-from tissueid.inference.unloading import FreeSurface, air_limit
 from tissueid.inference.window import FittedLog
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.
@@ -91,10 +88,7 @@ def _moved(before: Identified, now: Identified) -> float:
 def follow_surfaces(
     handles: Sequence[LogHandle], identify: Identify, tick: Callable[[str], None]
 ) -> Followed:
-    """Fit logs with their unloading.
-
-    ``handles``: from :func:`unloading_handles`; ``identify``: chooses and fits a law for logs.
-    """
+    """Fit logs from :func:`unloading_handles` on the paths of their own surfaces."""
     current = list(handles)
     found, facts = identify(current)
     change, count = float("inf"), 0
@@ -132,11 +126,7 @@ def _residuals(
 def unloading_verdict(
     followed: Followed, tissue: TissueEstimate, adjustments: Sequence[Adjustment], *, sigma_N: float
 ) -> tuple[dict[str, Any], list[Flag]]:
-    """Report of the rounds and of a direct simulation, with their flags.
-
-    ``adjustments``: one a log; ``sigma_N``: noise standard deviation of the fit.  Returns ``report``: the
-    ``unloading`` object of ``schemas/identification.schema.json``; ``flags``.
-    """
+    """Report (``unloading`` of identification.json) of the rounds and of a direct simulation, with flags."""
     parts = [
         _residuals(handle, tissue, one) for handle, one in zip(followed.handles, adjustments, strict=True)
     ]
@@ -167,18 +157,20 @@ def unloading_verdict(
             if not followed.settled
             else "the free surface has several positions"
         )
+        words = f"unloading did not converge in {followed.rounds} rounds: {why}"
         flags.append(
             Flag(
                 "unloading_not_settled",
-                f"unloading did not converge in {followed.rounds} rounds: {why}",
+                words,
                 {"rounds": followed.rounds, "change_sd": report["change_sd"], "surface_unique": unique},
             )
         )
     if rms_air is not None and rms_air > AIR_MISFIT * sigma_N:
+        words = f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)"
         flags.append(
             Flag(
                 "contact_loss_misfit",
-                f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)",
+                words,
                 {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled},
             )
         )

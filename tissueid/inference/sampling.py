@@ -1,10 +1,7 @@
 """Draws by emcee's ensemble: independent proposals at the optimum, differential evolution, and stretches.
 
-Walkers move in coordinates whitened at the optimum.  A chain is written beside the result while it grows, and
-a run that was killed goes on from there to the same draws.
-
-Pareto-smoothed importance sampling.
-Vehtari et al. 2024, JMLR 25: 72; the tail by Zhang & Stephens 2009, doi 10.1198/tech.2009.08017.
+Weights are smoothed by their Pareto tail (Vehtari et al. 2024, JMLR 25: 72; Zhang & Stephens 2009, doi
+10.1198/tech.2009.08017); a run that was killed goes on to the same draws.
 """
 
 from __future__ import annotations
@@ -27,8 +24,7 @@ from scipy.stats.qmc import Sobol
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.diagnostics import diagnose
-from tissueid.inference.mixture import learn_mixture, tempered
-from tissueid.inference.proposal import cut_normal
+from tissueid.inference.proposal import cut_normal, learn_mixture, tempered
 from tissueid.inference.target import Target
 from tissueid.store.files import write_file
 
@@ -37,11 +33,7 @@ EVERY_S = 1.0
 
 
 class Checkpoint:
-    """Points and weights so far in one file, written apart and renamed.
-
-    ``path``: ``None`` keeps nothing; ``key``: of everything the draws depend on; a file with another key is
-    not used.
-    """
+    """Points and weights so far in one file, written apart and renamed; another ``key`` is not used."""
 
     def __init__(self, path: Path | None, key: str) -> None:
         self.path, self.key = path, key
@@ -117,10 +109,7 @@ def _pareto(tail: FloatArray) -> tuple[float, float]:
 
 
 def smoothed(log_weight: FloatArray) -> Weighed:
-    """Smooth the largest weights by the Pareto distribution that they follow.
-
-    ``log_weight`` (n,): log density over log proposal; minus infinity where the density is none.
-    """
+    """Smooth the largest weights (n,), given by their logarithms, by the Pareto distribution they follow."""
     inside = np.flatnonzero(np.isfinite(log_weight))
     weights = np.zeros(log_weight.size)
     if inside.size < FEWEST:
@@ -248,12 +237,7 @@ def sample(
     key: str = "",
     progress: Callable[[int, float], None] | None = None,
 ) -> Sampled:
-    """Sample a specimen's posterior.
-
-    ``draws``: effective draws that are asked for; ``checkpoint``: file that a killed run goes on from;
-    ``key``: of everything the chain depends on; ``progress``: told steps so far and the share of what was
-    asked.
-    """
+    """Sample a specimen's posterior; ``draws``: effective ones that are asked for."""
     began = time.perf_counter()
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)

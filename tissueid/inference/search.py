@@ -82,10 +82,7 @@ def _generators(law: ChannelLaw) -> FloatArray:
 
 
 def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener) -> list[Point]:
-    """Points to start from, the best first.
-
-    ``at``: machine and own parameters of the logs are those of this point; ``white``: weights.
-    """
+    """Points to start from, the best first; machine and what is the logs' own are those of ``at``."""
     if law.inside or law.times == 0 or law.fixed_s.size or not law.relaxation.branches:
         return _of_grid(system, law, at, white)
     low, high = time_bounds(system)

@@ -15,15 +15,13 @@ from tissueid.documents.identification import NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
-from tissueid.inference.evidence import LogEvidence, log_evidence
+from tissueid.inference.evidence import log_evidence
 from tissueid.inference.frame_effect import machine_flag
-from tissueid.inference.lm import both_optimisers
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
-from tissueid.inference.material import depth_test, with_moduli
-from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers, with_form
-from tissueid.inference.relaxation_window import relaxation_window
+from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
 from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
+from tissueid.inference.second_looks import both_optimisers, relaxation_window
 from tissueid.inference.summaries import Summaries, second_pass
 from tissueid.inference.system import Point, System
 from tissueid.inference.target import SpecimenTarget
@@ -33,7 +31,7 @@ from tissueid.inference.window import FittedLog
 from tissueid.inference.yardstick_law import YardstickLaw
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
-from tissueid.model.damped import DampedModel
+from tissueid.model.channels import DampedModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, parsed
 from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
@@ -127,10 +125,7 @@ def fit_specimen(
     options: FitOptions | None = None,
     tick: Callable[[str], None] | None = None,
 ) -> SpecimenFit:
-    """Identify the contact model of one specimen from its logs.
-
-    ``handles``: at least one; ``tick``: told what is being done.
-    """
+    """Identify the contact model of one specimen from its logs, at least one."""
     return fit_with_state(specimen, handles, options=options, tick=tick).fit
 
 
@@ -143,11 +138,7 @@ def fit_with_state(
     machine: bool = True,
     tick: Callable[[str], None] | None = None,
 ) -> FittedSpecimen:
-    """Fit a specimen, and keep what a posterior is built from.
-
-    ``priors``: of tissue and machine; ``machine``: leave frame, skew and filter open; normalised recordings
-    have no machine to ask about.
-    """
+    """Fit a specimen, and keep what a posterior is built from; ``machine``: it is left open."""
     options = options or FitOptions()
     tick = tick or (lambda _: None)
     # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
@@ -168,11 +159,7 @@ def identify_handles(
         blocks.append(blocks_of(handle, log))
         facts.append(log.without_samples())
         seen.append(log_evidence(trial, handle.segmentation, log))
-
-    def evidence(*_: object) -> Sequence[LogEvidence]:
-        return seen
-
-    return identify_logs(blocks, facts, evidence, request, tick), facts
+    return identify_logs(blocks, facts, seen, request, tick), facts
 
 
 def force_along(
@@ -492,12 +479,6 @@ def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
     if not others:
         return ()
-    words = ", ".join(f"{b} and {d}" for b, d in others[:3])
-    return (
-        Flag(
-            "model_undecided",
-            f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
-            f"{words}",
-            {"orders": [f"{b}x{d}" for b, d in others]},
-        ),
-    )
+    listed = ", ".join(f"{b} and {d}" for b, d in others[:3])
+    words = f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
+    return (Flag("model_undecided", words + listed, {"orders": [f"{b}x{d}" for b, d in others]}),)

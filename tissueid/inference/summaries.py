@@ -1,10 +1,4 @@
-"""The second pass over the logs of a specimen: everything that needs samples and the fitted tissue.
-
-Viscosity for which a fitted tissue has the measured area of a loop, its relaxation times kept.
-The closed form of :mod:`tissueid.measured.cycles` holds where the path is slow against the relaxation times.
-Here the model itself walks the measured path, contact loss and all, with every K times the same factor;
-the factor that gives the measured area, found on a grid, scales the viscosity of all branches together.
-"""
+"""The second pass over the logs of a specimen: everything that needs samples and the fitted tissue."""
 
 from __future__ import annotations
 
@@ -60,11 +54,7 @@ def with_model_viscosity(
     theta: FloatArray,
     adjustment: Adjustment,
 ) -> tuple[Cycle, ...]:
-    """Loops of one trial with ``viscosity_model_N_s_per_mm`` filled where the model reaches their area.
-
-    ``trial``, ``segmentation``: the recording; has a contact; ``rows``: its loops; ``model``, ``theta``: the
-    specimen's tissue; passive; ``adjustment``: gain and contact offset of this log.
-    """
+    """Loops of one trial with ``viscosity_model_N_s_per_mm`` filled where the model reaches their area."""
     if not rows or not (model.viscous and model.static.polynomial) or model.branches == 0:
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
@@ -124,11 +114,7 @@ def _correlation(residual: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
 def residual_summary(
     log: FittedLog, fitted: FloatArray, blocks: ResidualBlocks, *, sigma_N: float
 ) -> ResidualSummary:
-    """Summarise what the model leaves of one log.
-
-    ``fitted`` (n,): force of the specimen's model along it [N]; ``blocks``: of the same log; ``sigma_N``:
-    standard deviation of the specimen's noise: the scale of the histogram [N].
-    """
+    """Summarise what the model leaves of one log; ``sigma_N``: scale of the histogram."""
     data = log.data
     residual = (data.force_N - fitted)[data.include]
     # a fit without noise has no scale but the residual's own
@@ -198,12 +184,7 @@ def second_pass(
     depths_mm: Sequence[float] = (),
     tip: TipOf = NO_TIP,
 ) -> Summaries:
-    """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
-
-    ``adjustments``: one a log; ``tick``: told what is being read; ``force_of``: modelled force at the samples
-    of a log, by its place among the handles; ``depths_mm``: depths at which the stiffness of each loop is
-    wanted; ``tip``: for the moduli of what is measured.
-    """
+    """Load every log once more and keep what a report needs of it; the logs are looked at in threads."""
     known = _Known(tissue, noise, depths_mm, tip)
     workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()

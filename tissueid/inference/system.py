@@ -1,9 +1,7 @@
 """All logs of a specimen under one law: predicted forces of their blocks, and derivatives of them.
 
-A point has relaxation times, a machine (frame, skew, filter), linear coefficients, and each log's own gain,
-contact and shape: a curve of depth that multiplies the whole force of the specimen, so that static force and
-K of a log are in proportion and its relaxation is the specimen's.  The frame acts by the predicted force,
-found by iterating from the measured one; the filter is one pole; force lags displacement by the skew.
+Each log has its own gain, contact and shape, a curve of depth that multiplies the whole force; the frame acts
+by the predicted force; the filter is one pole; force lags displacement by the skew.
 """
 
 from __future__ import annotations
@@ -15,7 +13,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.law import TINY, Law, Path, Slopes, driven, weighted
+from tissueid.inference.channel_law import ChannelLaw
+from tissueid.inference.law import TINY, Path, Slopes, driven, weighted
 
 #: Coordinates of the machine, in their order in a point.
 MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
@@ -105,15 +104,12 @@ def _bend(u: FloatArray) -> FloatArray:
 
 
 class System:
-    """Blocks of all logs, laid one behind the other.
-
-    ``depth_mm``: largest fitted depth; ``give``: deflection [mm] of a known frame under forces [N].
-    """
+    """Blocks of all logs, one behind the other; ``give``: deflection [mm] of a known frame under forces."""
 
     def __init__(
         self,
         logs: Sequence[Blocks],
-        law: Law,
+        law: ChannelLaw,
         depth_mm: float,
         effects: Effects,
         *,
@@ -145,13 +141,12 @@ class System:
         self.within_N2 = sum(one.within_N2 for one in logs)
         self.within_freedom = sum(one.within_freedom for one in logs)
         self.samples = int(self.count.sum())
-        self.peaks = np.array([float(np.abs(one.force_N).max()) for one in logs])
         # force at all points, from which the frame's deflection is iterated: measured, then predicted
         self.guess = np.concatenate([np.interp(one.time_s, one.mid_s, one.force_N) for one in logs])
         self.soft = np.ones(self.guess.size)
         self.onset = np.array([_onset(one) for one in logs]) / depth_mm
 
-    def under(self, law: Law) -> System:
+    def under(self, law: ChannelLaw) -> System:
         """The same logs under another law."""
         new = object.__new__(System)
         new.__dict__.update(self.__dict__)
@@ -217,10 +212,7 @@ class System:
         return np.asarray(out)
 
     def offsets(self, point: Point) -> FloatArray:
-        """Contact offset of each log over the largest depth, (logs,) or (n, logs).
-
-        A contact that was found in the force was found as late as the force was recorded.
-        """
+        """Contact offset of each log over the largest depth, late as force is recorded; (n, logs)."""
         late = -self.onset * (point.machine[..., 1] + point.machine[..., 2])[..., None]
         return np.asarray(late + point.own[..., int(self.effects.gain)])
 
@@ -258,10 +250,7 @@ class System:
         return bool((point.machine[..., 0] != 0.0).any()) or self.give is not None
 
     def tip_force(self, point: Point, rounds: int = FRAME_ROUNDS) -> tuple[FloatArray, FloatArray]:
-        """Force at the tip at all points, and the columns that it is made of, gains in them.
-
-        ``rounds``: iterations of the frame's deflection beyond the first.
-        """
+        """Force at the tip at all points, and its columns; ``rounds``: of the frame beyond the first."""
         yields, force = self._yields(point), self.guess
         for _ in range(1 + rounds * yields):
             path = self.path(self._behind(point, force))
@@ -335,10 +324,9 @@ class System:
         return self.means(self.recorded(base, point.machine))
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
-        """Forces with their derivatives.
+        """Forces with their derivatives; those by a machine that is not asked about are zero.
 
-        ``machine``: differentiate by the machine too; otherwise these columns are zero; ``follow``: iterate
-        the frame's deflection from this point's force from now on.
+        ``follow``: iterate the frame's deflection from this point's force from now on.
         """
         if follow:
             self.follow(point)

@@ -1,13 +1,7 @@
 """The posterior of one specimen: tissue, machine, noise and scatter between logs in one density.
 
-Shared parameters are coordinates; so is the contact of a single log.  Of several logs, gains, contacts and
-shapes are integrated, linearised about the optimum and re-evaluated at every point.  The scale of the
-noise, its memory and the scatter between logs are coordinates too.  A branch's stiffness is sampled times its
-largest state, and polynomials of a single log about the contact of the optimum: relaxation times and contact
-then move alone.
-
-Where the law misses more than the noise, the generalised posterior is normal about the optimum within the
-passive set, its precision that of the clustered sandwich (:mod:`tissueid.inference.residual_blocks`).
+What logs have for themselves is integrated, linearised about the optimum; of a single log the contact is a
+coordinate.  A branch's stiffness is sampled times its largest state, so that its time moves alone.
 """
 
 from __future__ import annotations
@@ -70,10 +64,7 @@ class Target(Protocol):
 
 
 class SpecimenTarget:
-    """Log posterior density of a specimen about the optimum of its law.
-
-    ``machine``: the machine is open.
-    """
+    """Log posterior density of a specimen about the optimum of its law."""
 
     def __init__(self, identified: Identified, *, machine: bool = True) -> None:
         self.identified = identified
@@ -213,7 +204,7 @@ class SpecimenTarget:
         )
 
     def _straight(self, z: FloatArray) -> FloatArray:
-        """Points whose machine is given by quantiles of its prior -> whitened points, (..., d) -> (..., d).
+        """Points with the machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
 
         The machine comes first in whitened coordinates, and what follows it linearly goes with it.
         """
@@ -419,10 +410,7 @@ class SpecimenTarget:
         return np.asarray(value + 0.5 * np.log(precision).sum(axis=(1, 2)))
 
     def by_own(self, force: FloatArray) -> FloatArray:
-        """Derivatives of the observations by the logs' own parameters, (n, k) -> (q, n, k).
-
-        Those at the optimum, in proportion to the force where they are changes of ln gain.
-        """
+        """Derivatives by what is the logs' own, as at the optimum, (n, k) -> (q, n, k)."""
         out, then = self._own_at_optimum[:, None], self._force_at_optimum
         found = np.repeat(out, len(force), axis=1)
         share = np.divide(force, then, out=np.ones(force.shape), where=np.abs(then) > SLIGHT * self.force)
@@ -442,14 +430,10 @@ class SpecimenTarget:
 
 
 class NormalTarget:
-    """The generalised posterior about an optimum: a normal of given covariance, brought into the passive set.
+    """The generalised posterior: a normal about an optimum, brought into the passive set.
 
-    Draws are of the normal about the unbounded minimum; each is moved to the nearest passive point in its
-    metric. So is the estimate itself, and their distribution is that of estimates at active bounds (Andrews
-    1999, doi 10.1111/1468-0262.00082): an interval may include the bound, and its middle is the optimum.
-
-    ``base``: whose coordinates and walls are used; its root is replaced; ``covariance`` (d, d): of its free
-    coordinates.
+    Each draw is moved to the nearest passive point in its metric: the distribution of estimates at active
+    bounds (Andrews 1999, doi 10.1111/1468-0262.00082). The root of ``base`` is replaced.
     """
 
     def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:

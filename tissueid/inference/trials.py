@@ -1,8 +1,6 @@
-"""The second pass over a log: its residuals in numbers, and the curve to be drawn; then it is not needed.
+"""The second pass over a log: its residuals in numbers, and the curve to be drawn.
 
-Distances of a model from a recording: NRMSD three ways, largest residual, correlation in time.
-Range (default): RMSD over (max - min) of the measured force.  Mean: RMSD over its mean, which on a
-ramp is about twice as large.  Papers seldom say which one they print.
+NRMSD is RMSD over the range of the force (default), or over its mean, on a ramp about twice as large.
 """
 
 from __future__ import annotations
@@ -22,11 +20,7 @@ from tissueid.trial import Segmentation, Trial
 
 
 def nrmsd(force_N: FloatArray, model_N: FloatArray) -> Nrmsd:
-    """NRMSD by range and by mean, and RMSE [N], as fractions.
-
-    The mean is that of the absolute force, which is the mean of a compressive one.  A constant force has
-    no range: the fraction is then ``inf`` unless the model is exact.
-    """
+    """NRMSD by range and by mean absolute force, and RMSE [N]; infinite over no range unless exact."""
     force = np.asarray(force_N)
     rmse = float(np.sqrt(np.mean((force - model_N) ** 2)))
     spread = float(np.ptp(force))
@@ -95,10 +89,7 @@ class ResidualTotals:
 
 
 def _after_corners(corners: Sequence[tuple[int, int]], most: int) -> set[int]:
-    """Samples at geometric distances behind each corner: relaxation is fastest there.
-
-    ``corners``: first sample of a hold, and the one after its last; ``most``: points of the whole curve.
-    """
+    """Samples at geometric distances behind each corner: relaxation is fastest there."""
     keep: set[int] = set()
     for start, stop in corners[: most // (3 * CORNER_POINTS)]:
         behind = np.geomspace(1.0, max(stop - start - 1, 1), CORNER_POINTS - 1).round().astype(np.int64)
@@ -113,11 +104,7 @@ def kept_samples(
     *,
     most: int = CURVE_POINTS,
 ) -> NDArray[np.int64]:
-    """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners.
-
-    ``force``, ``depth`` (n,); ``corners``: first sample of each hold, and the one after its last; ``most``:
-    all are kept up to so many.  Returns ascending.
-    """
+    """Samples to keep, ascending: ends, extremes of force and depth in bins, and what follows corners."""
     n = force.size
     if n <= most:
         return np.arange(n)
@@ -161,21 +148,11 @@ def _trial_flags(
     left_out = _left_out(trial, segmentation, log)
     flags += [left_out] if left_out is not None else []
     if share > RESIDUAL_SHARE:
-        flags.append(
-            Flag(
-                "residual_large",
-                f"the largest residual is {100 * share:.1f} % of the force range",
-                {"max_residual_fraction": share},
-            )
-        )
+        words = f"the largest residual is {100 * share:.1f} % of the force range"
+        flags.append(Flag("residual_large", words, {"max_residual_fraction": share}))
     if acf > CORRELATED:
-        flags.append(
-            Flag(
-                "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f})",
-                {"residual_acf1": acf},
-            )
-        )
+        words = f"neighbouring residuals are correlated ({acf:.2f})"
+        flags.append(Flag("residual_correlated", words, {"residual_acf1": acf}))
     return tuple(flags)
 
 
@@ -188,11 +165,7 @@ def summarise_trial(
     adjustment: Adjustment,
     totals: ResidualTotals,
 ) -> TrialFit:
-    """Residuals of one trial under its specimen's model.
-
-    ``trial``, ``segmentation``, ``log``: the recording, its phases and its fitted part; ``fitted`` (n,):
-    force of the model along it [N]; ``totals``: updated.
-    """
+    """Residuals of one trial under its specimen's model; ``totals`` are updated."""
     data = log.data
     include = data.include
     force, predicted = data.force_N[include], fitted[include]

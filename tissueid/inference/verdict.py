@@ -1,15 +1,14 @@
-"""Flags of a fitted specimen: what its numbers can't carry, each with the number that says so.
-
-Only two rules make a parameter "not identified" (a profile interval wider than one in ln tau, or open
-at a bound; :mod:`tissueid.inference.profile`).  Everything here is a warning beside them.
-"""
+"""Flags of a fitted specimen: what its numbers can't carry, each with the number that says so."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
 from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
 from tissueid.flags import Flag
@@ -51,44 +50,24 @@ def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_
         value = float(tau[j])
         if interval.open_low or interval.open_high:
             side, end = ("shortest", interval.low) if interval.open_low else ("longest", interval.high)
-            flags.append(
-                Flag(
-                    "interval_open",
-                    f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
-                    {
-                        "branch": j + 1,
-                        "low_s": float(np.exp(interval.low)),
-                        "high_s": float(np.exp(interval.high)),
-                    },
-                )
-            )
+            words = f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here"
+            ends = {"low_s": float(np.exp(interval.low)), "high_s": float(np.exp(interval.high))}
+            flags.append(Flag("interval_open", words, {"branch": j + 1, **ends}))
         if value < 2.0 * h:
-            flags.append(
-                Flag(
-                    "tau_below_resolution",
-                    f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s",
-                    {"branch": j + 1, "tau_s": value, "step_s": h},
-                )
-            )
+            words = f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s"
+            flags.append(Flag("tau_below_resolution", words, {"branch": j + 1, "tau_s": value, "step_s": h}))
         amplitude = max(_relaxing_N(tissue, j, log) for log in facts)
         need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
         if amplitude < need:
+            words = f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N"
             flags.append(
-                Flag(
-                    "amplitude_small",
-                    f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N",
-                    {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need},
-                )
+                Flag("amplitude_small", words, {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need})
             )
     if (tau < INSTRUMENT_TAU_S).any():
-        flags.append(
-            Flag(
-                "compliance_unknown",
-                f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is "
-                "stated",
-                {"tau_s": float(tau.min())},
-            )
+        words = (
+            f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is stated"
         )
+        flags.append(Flag("compliance_unknown", words, {"tau_s": float(tau.min())}))
     return flags
 
 
@@ -99,41 +78,29 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
     depth = model.depth_mm
     stiffness = model.stiffness(tissue.theta, np.array([depth]))[:, 0]
     viscosity = float(stiffness @ model.times(tissue.theta))
-    return [
-        Flag(
-            "form_dependent",
-            f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K",
-            {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
-        )
-    ]
+    words = f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K"
+    return [Flag("form_dependent", words, {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity})]
 
 
 def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> list[Flag]:
     """Flags of the optimum itself: bounds, uniqueness after contact loss, the second optimiser."""
     flags: list[Flag] = []
     if tissue.bounded:
-        flags.append(
-            Flag(
-                "bound_active",
-                f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound",
-            )
-        )
+        words = f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound"
+        flags.append(Flag("bound_active", words))
     if not tissue.model.contact_loss_is_unique(tissue.theta):
-        flags.append(
-            Flag(
-                "contact_loss_ambiguous",
-                f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
-                "contact loss",
-            )
+        words = (
+            f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
+            "contact loss"
         )
+        flags.append(Flag("contact_loss_ambiguous", words))
     if optimisers["agree"] is False:
+        words = (
+            f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
+            "better was kept"
+        )
         flags.append(
-            Flag(
-                "optimisers_disagree",
-                f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
-                "better was kept",
-                {"relative_difference": optimisers["relative_difference"]},
-            )
+            Flag("optimisers_disagree", words, {"relative_difference": optimisers["relative_difference"]})
         )
     if not optimisers["lm_converged"] and not tissue.bounded:
         count = len(tissue.parameters)
@@ -148,11 +115,14 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     measured = noise.measured_N or 0.0
     ratio = noise.sigma_N / measured if measured > 0.0 else None
     times = "far above the" if ratio is None else f"{ratio:.2g} times the"
+    words = (
+        f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
+        f"range), {times} noise"
+    )
     return [
         Flag(
             "discrepancy",
-            f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
-            f"range), {times} noise",
+            words,
             {
                 "rms_N": noise.sigma_N,
                 "measured_N": measured,
@@ -182,39 +152,23 @@ def specimen_flags(
     optimisers: dict[str, object],
     noise: str | None = "white",
 ) -> tuple[Flag, ...]:
-    """Flags of a specimen.
-
-    ``facts``: their samples are not looked at; ``sigma_N``: noise standard deviation [N]; ``optimisers``:
-    outcome of Levenberg-Marquardt beside variable projection; ``noise``: model of the noise that the
-    intervals know; ``None`` where they know more than noise.
-    """
+    """Flags of a specimen; ``noise``: the intervals' model of it, ``None`` where they know more."""
     flags = unidentified(tissue.parameters)
     flags += _relaxation_flags(tissue, facts, sigma_N)
     speed = one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):
-        flags.append(
-            Flag(
-                "single_speed",
-                f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone",
-                {"speed_mm_s": speed},
-            )
-        )
+        words = f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone"
+        flags.append(Flag("single_speed", words, {"speed_mm_s": speed}))
     flags += _form_flag(tissue, facts)
     flags += _optimum_flags(tissue, optimisers)
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED and noise is not None:
-        flags.append(
-            Flag(
-                "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f}): "
-                + (
-                    "standard errors for white noise are too small"
-                    if noise == "white"
-                    else "noise with memory, or a lacking model"
-                ),
-                {"residual_acf1": acf},
-            )
+        words = f"neighbouring residuals are correlated ({acf:.2f}): " + (
+            "standard errors for white noise are too small"
+            if noise == "white"
+            else "noise with memory, or a lacking model"
         )
+        flags.append(Flag("residual_correlated", words, {"residual_acf1": acf}))
     return tuple(flags)
 
 
@@ -230,7 +184,6 @@ def outside(
 ) -> tuple[str, ...]:
     """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
 
-    ``found``: name -> intervals; a total interval that is missing where others have one counts as outside;
     ``margin``: share of an interval's width that the value must keep from its ends.
     """
     totals = any(one.ci95_total is not None for one in found.values())
@@ -250,10 +203,7 @@ def outside(
 def withheld(
     parameters: tuple[Estimate, ...], names: tuple[str, ...], why: str
 ) -> tuple[tuple[Estimate, ...], tuple[Flag, ...]]:
-    """Parameters without the intervals that can't be believed, which are then not identified.
-
-    ``names``: of those without; ``why``: ends the sentence.
-    """
+    """Parameters without the intervals that can't be believed, which are then not identified."""
     if not names:
         return parameters, ()
     held = [one.symbol for one in parameters if one.name in names]
@@ -262,19 +212,13 @@ def withheld(
         replace(one, identified=False, detail={**one.detail, "withheld": why}) if one.name in names else one
         for one in parameters
     )
-    flag = Flag(
-        "interval_withheld",
-        f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}",
-        {"names": list(names)},
-    )
+    words = f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}"
+    flag = Flag("interval_withheld", words, {"names": list(names)})
     return kept, (flag,)
 
 
 def unsampled(fit: SpecimenFit, why: str, flags: tuple[Flag, ...]) -> SpecimenFit:
-    """A fit without a posterior: its values stand without intervals, and none is called identified.
-
-    ``why``: ends the sentence "no interval is given"; ``flags``: what is said of it.
-    """
+    """A fit without a posterior: its values stand without intervals, and none is called identified."""
     names = tuple(one.name for one in fit.parameters if one.value is not None)
     parameters, _ = withheld(fit.parameters, names, why)
     return replace(fit, parameters=parameters, flags=(*fit.flags, *flags))
@@ -298,22 +242,12 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
     flags = _misfit(posterior.misfit)
     if not sampler.converged:
         reason = str(sampler.detail.get("reason", "its rule was not met"))
-        flags.append(
-            Flag(
-                "sampler_not_converged",
-                f"the sampler stopped after {sampler.draws:,} draws, before its rule was met",
-                {"reason": reason},
-            )
-        )
+        words = f"the sampler stopped after {sampler.draws:,} draws, before its rule was met"
+        flags.append(Flag("sampler_not_converged", words, {"reason": reason}))
     total = sampler.detail.get("total")
     if total is not None and not total["converged"]:
-        flags.append(
-            Flag(
-                "sampler_not_converged",
-                f"no total interval: its draws are worth {total['worth']:.0f} independent ones",
-                {"total_worth": total["worth"]},
-            )
-        )
+        words = f"no total interval: its draws are worth {total['worth']:.0f} independent ones"
+        flags.append(Flag("sampler_not_converged", words, {"total_worth": total["worth"]}))
     flags += _machine(posterior)
     return tuple(flags)
 
@@ -328,33 +262,17 @@ def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
     if alarm is None or not alarm.raised:
         return []
     raised = [check for check in alarm.checks if check.raised]
-    return [
-        Flag(
-            "misfit",
-            f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
-            "checks): no interval holds",
-            {"checks": [check.name for check in raised]},
-        )
-    ]
-
-
-def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
-    """Remark on a fit whose posterior lies nowhere near a point it can be linearised about."""
-    said = Flag(
-        "sampler_not_converged",
-        "no interval, standard errors only: nowhere near the optimum is the posterior like a normal one",
-        {"reason": str(error)},
+    words = (
+        f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
+        "checks): no interval holds"
     )
-    return (said, *_misfit(alarm))
+    return [Flag("misfit", words, {"checks": [check.name for check in raised]})]
 
 
 def without_posterior(error: Exception) -> Flag:
     """Remark on a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
-    return Flag(
-        "sampler_not_converged",
-        "no posterior could be sampled: standard errors only",
-        {"reason": str(error)},
-    )
+    words = "no posterior could be sampled: standard errors only"
+    return Flag("sampler_not_converged", words, {"reason": str(error)})
 
 
 def _machine(posterior: Posterior) -> list[Flag]:
@@ -368,10 +286,115 @@ def _machine(posterior: Posterior) -> list[Flag]:
     rows = [row for row in posterior.budget if row.parameter == VISCOSITY and row.share is not None]
     parts = [row for row in rows if row.source not in {"total", "noise"}]
     worst = max(parts, key=lambda row: row.sd or 0.0).source if parts else "the machine"
-    return [
-        Flag(
-            "calibration_dominates",
-            f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}",
-            {"ratio": total / statistical, "source": worst},
-        )
-    ]
+    words = f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}"
+    return [Flag("calibration_dominates", words, {"ratio": total / statistical, "source": worst})]
+
+
+#: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.
+MUCH_SPREAD = 0.10
+#: An order effect is said from so many logs, this chance of a slope that large without one, and this change.
+FEWEST_RUNS = 4
+CHANCE = 0.01
+LEAST_CHANGE = 0.02
+#: Least difference of a first test from the others.
+FIRST_CHANGE = 0.05
+
+
+def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
+    """``gain_spread`` where the logs of a specimen differ much in stiffness."""
+    gains = np.array([trial.gain for trial in trials])
+    if gains.size < 2 or (gains <= 0.0).any():
+        return []
+    spread = float(np.log(gains).std(ddof=1))
+    if spread <= MUCH_SPREAD:
+        return []
+    low, high = int(gains.argmin()), int(gains.argmax())
+    message = (
+        f"stiffness differs by {100 * spread:.0f} % (sd) between logs, from {gains[low]:.2f} "
+        f"({_name(trials[low])}) to {gains[high]:.2f} ({_name(trials[high])})"
+    )
+    values = {"sd_ln_gain": spread, "lowest": float(gains[low]), "highest": float(gains[high])}
+    return [Flag("gain_spread", message, values)]
+
+
+def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list[Flag]:
+    """``order_effect`` where stiffness follows the runs, else the files, or the first test differs."""
+    stated = any(run is not None for run in runs)
+    places = runs if stated else range(1, len(trials) + 1)
+    known = sorted(
+        (run, trial.gain)
+        for run, trial in zip(places, trials, strict=True)
+        if run is not None and trial.gain > 0.0
+    )
+    order = np.array([float(run) for run, _ in known])
+    log_gain = np.log([gain for _, gain in known])
+    if order.size < FEWEST_RUNS or np.ptp(order) == 0.0 or np.ptp(log_gain) == 0.0:
+        return []
+    what = "run" if stated else "file"
+    return _first_apart(log_gain, what) or _trend(order, log_gain, what)
+
+
+def _trend(order: NDArray[np.float64], log_gain: NDArray[np.float64], what: str) -> list[Flag]:
+    """The flag of a slope over the order."""
+    line = stats.linregress(order, log_gain)
+    change = float(np.expm1(line.slope * np.ptp(order)))
+    if line.pvalue >= CHANCE or abs(change) < LEAST_CHANGE:
+        return []
+    first, last = int(order.min()), int(order.max())
+    message = (
+        f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from {what} {first} "
+        f"to {what} {last} ({order.size} logs, p = {line.pvalue:.1g})"
+    )
+    values = {
+        "change": change,
+        "per_run": float(line.slope),
+        "p": float(line.pvalue),
+        "runs": int(order.size),
+    }
+    return [Flag("order_effect", message, values)]
+
+
+def _first_apart(log_gain: NDArray[np.float64], what: str) -> list[Flag]:
+    """The flag of a first test that differs from all others by far more than they do among each other."""
+    rest = log_gain[1:]
+    # the others may follow a line of their own
+    line = np.polynomial.Polynomial.fit(np.arange(1.0, log_gain.size), rest, 1)
+    spread = float(np.sqrt(((rest - rest.mean()) ** 2).sum() / max(rest.size - 1, 1)))
+    apart = float(log_gain[0] - rest.mean())
+    if abs(np.expm1(apart)) < FIRST_CHANGE or abs(log_gain[0] - float(line(0.0))) < np.log1p(FIRST_CHANGE):
+        return []
+    t = abs(apart) / max(spread * np.sqrt(1.0 + 1.0 / rest.size), 1e-12)
+    p = float(2.0 * stats.t.sf(t, rest.size - 1))
+    if p >= CHANCE:
+        return []
+    change = float(np.expm1(apart))
+    message = (
+        f"the first {what} is {100 * abs(change):.1f} % {'stiffer' if change > 0.0 else 'softer'} than the "
+        f"other {rest.size} (p = {p:.1g})"
+    )
+    return [Flag("order_effect", message, {"change": change, "first": True, "p": p, "runs": log_gain.size})]
+
+
+def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
+    """``repeated_site`` where one site of the specimen was tested more than once."""
+    tested: dict[str, list[float | None]] = {}
+    for _, row in zip(trials, rows, strict=True):
+        if row.get("site") is not None:
+            tested.setdefault(str(row["site"]), []).append(row.get("rest_s"))
+    again = {site: rests for site, rests in tested.items() if len(rests) > 1}
+    if not again:
+        return []
+    first, rests_of_first = next(iter(again.items()))
+    said = f"{first} was tested {len(rests_of_first)} times"
+    if len(again) > 1:
+        said += f", and {len(again) - 1} more site{'s' * (len(again) > 2)} repeatedly"
+    stated = [rest for rests in again.values() for rest in rests if rest is not None]
+    rest = f"rests from {min(stated):g} s" if stated else "rests not stated"
+    values: dict[str, Any] = {"sites": list(again), "times": [len(rests) for rests in again.values()]}
+    if stated:
+        values["shortest_rest_s"] = min(stated)
+    return [Flag("repeated_site", f"{said}; {rest}", values)]
+
+
+def _name(trial: TrialFit) -> str:
+    return trial.path if trial.sheet is None else f"{trial.path} [{trial.sheet}]"

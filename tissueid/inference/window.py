@@ -1,13 +1,8 @@
 """Fitted samples of a trial, in the contact frame.
 
-From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture:
-what follows is another specimen.  Preconditioning cycles before a test take no part; where tool and tissue
-stayed in contact the branch state is integrated through them, otherwise the test starts with its own contact
-point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).
-
-Near a contact point that was estimated within the record, samples shallower than three of its standard
-deviations carry the error of the branch state's start and stay out of the likelihood; the
-state is integrated through them.  A record that starts in contact starts at rest, and loses nothing.
+From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture.
+Cycles before a test take no part; where the tool stayed in contact, the state is carried through them.
+Samples within three standard deviations of a contact that was found stay out of the likelihood.
 """
 
 from __future__ import annotations
@@ -100,11 +95,7 @@ class FittedLog:
 
 
 def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
-    """Samples that start a new chain of noise.
-
-    ``time_s`` (n,): non-decreasing [s].  Returns (n,), true for the first sample, after a gap, at and after
-    an event row, and where a time is repeated.
-    """
+    """Samples that start a chain of noise: the first, at gaps, event rows and repeated times, (n,)."""
     breaks = np.zeros(time_s.size, dtype=np.bool_)
     breaks[:1] = True
     step = np.diff(time_s)
@@ -123,11 +114,6 @@ def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
 
 def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
     return np.asarray((step > factor * median) | (factor * step < median))
-
-
-def _first_phase(segmentation: Segmentation) -> int:
-    """The first sample that is in a phase."""
-    return segmentation.phases[0].start if segmentation.phases else 0
 
 
 def _first_of_test(segmentation: Segmentation) -> int:
@@ -160,9 +146,9 @@ def fitted_log(
 ) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
-    ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact: tool
-    and tissue may have met after its first sample, within the contact point's standard deviation; ``whole``:
-    to the end of the recording, unloading and all, and not to where the tool first turns back.
+    ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact,
+    which may have begun after its first sample; ``whole``: to the end of the recording, unloading and
+    all.
     """
     contact = segmentation.contact
     if contact is None:
@@ -221,34 +207,6 @@ def fitted_log(
     )
 
 
-def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, sd_mm: float) -> Segmentation:
-    """The same segmentation with its contact point moved deeper by ``shift_mm``, known to ``sd_mm``.
-
-    The record counts as starting in contact only where that is so beyond :data:`GUARD_SD` standard
-    deviations; otherwise contact is where the depth last rises through zero before its largest value.
-    """
-    contact = segmentation.contact
-    if contact is None:
-        return segmentation
-    moved = replace(
-        contact,
-        displacement_mm=contact.displacement_mm + segmentation.compression_sign * shift_mm,
-        sd_mm=sd_mm,
-    )
-    depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
-    turn = first_turn(segmentation, depth, contact.index)
-    # contact of a test after cycles lies within the test, that of a cut recording after the cut
-    begins = _first_of_test(segmentation)
-    low = max(begins if contact.index >= begins else 0, _first_phase(segmentation))
-    before = np.flatnonzero(depth[low : low + int(np.argmax(depth[low : max(turn, low + 1)]))] <= 0.0)
-    moved = replace(
-        moved,
-        index=low + int(before[-1]) + 1 if before.size else low,
-        in_record=bool(depth[low] < GUARD_SD * sd_mm),
-    )
-    return replace(segmentation, contact=moved)
-
-
 def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:
     """The same log with samples after the first ``share`` of each hold left out of the likelihood."""
     include = log.data.include.copy()
@@ -266,12 +224,7 @@ def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
 
 
 def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
-    """Divide the samples of a log into stretches.
-
-    A ramp is cut into stretches of equal depth, a hold into stretches of equal ln(time).
-
-    Returns the same samples with the number of their stretch in ``fold``.
-    """
+    """The samples with the number of their stretch: of equal depth in a ramp, equal ln(time) in a hold."""
     data = log.data
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm)))])
     progress = travelled / max(travelled[-1], 1e-300)
@@ -289,10 +242,7 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
 
 
 def one_program(facts: Sequence[FittedLog]) -> bool:
-    """Test for one speed of all ramps and one depth of all holds: only their form tells F_s from K(x) then.
-
-    ``facts``: their samples are not looked at.
-    """
+    """Test for one speed and one depth: only the form of ramps and holds tells F_s from K(x) then."""
     held = [log.depth_mm for log in facts if log.has_hold]
     steps = any(len(log.speeds_mm_s) > 1 for log in facts)
     same_depth = not held or max(held) < ONE_DEPTH * min(held)

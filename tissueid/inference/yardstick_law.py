@@ -111,10 +111,7 @@ def _law(depth_mm: float, inside_s: FloatArray, outside_s: FloatArray) -> Yardst
 
 
 def yardstick_law(system: System, at: Point, white: Whitener) -> YardstickLaw:
-    """The yardstick on the nodes that non-negative least squares uses, of a dense grid.
-
-    ``at``: machine and own parameters of the logs.
-    """
+    """The yardstick on the nodes that non-negative least squares uses, of a dense grid."""
     low, high = time_bounds(system)
     nodes = np.exp(np.linspace(low, high, int(PER_DECADE * (high - low) / np.log(10.0)) + 1))
     dense = _law(system.depth_mm, nodes, nodes)

@@ -1,9 +1,4 @@
-"""Contact models in common: parameters by name, and paths.
-
-A contact model is a law that turns the history of a tool's depth into a force.  The same object is
-fitted, sampled, simulated and felt; a contract test replays a recording through
-:class:`tissueid.model.servo_law.TissueStepper` and compares it with its force.
-"""
+"""Contact models in common: parameters by name, and paths."""
 
 from __future__ import annotations
 
@@ -43,11 +38,7 @@ class ContactPath:
 def scaled_theta(
     parameters: Sequence[ParameterSpec], theta: FloatArray, force: FloatArray, travel: FloatArray
 ) -> FloatArray:
-    """Theta of a tissue whose force and travel were read too large by gains.
-
-    ``parameters``: their units say how they scale: N with the force, 1/mm with the travel; ``theta`` (n, p);
-    ``force``, ``travel`` (n,): gains.
-    """
+    """Theta (n, p) of a tissue whose force and travel were read too large by gains (n,), by units."""
     out, names = theta.copy(), [spec.name for spec in parameters]
     for k, spec in enumerate(parameters):
         top, per, power = spec.unit.partition("/mm")

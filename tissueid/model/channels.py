@@ -1,19 +1,18 @@
-"""Contact model of a static law, a stiffness law and a relaxation law.
-
-::
+"""Contact model of a static law and a stiffness with a relaxation law, or a damping.
 
     F(t) = F_s(x) + sum_j K_j(x) s_j,             s_j = int R_j(t - t') dx(t')       (outside)
     F(t) = F_s(x) + sum_j g_j int R_j(t - t') dF_s(x(t'))                             (inside: tangent)
+    F(t) = F_s(x) (1 + chi r) >= 0,               r the speed over that at contact   (damped)
 
 theta = static coefficients, shapes of the static law, then of each branch its stiffness coefficients (or the
-ratio g) and the shapes of its relaxation.  A relaxation that is no exponential is a sum of exponentials at
-fixed nodes whose weights are linear in its values (:class:`Nodes`).
+ratio g) and the shapes of its relaxation, a sum of exponentials at fixed nodes (:class:`Nodes`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,19 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
 from tissueid.model.kernels import branch_sensitivity, branch_state, surface_path
-from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
-from tissueid.model.polynomial import minimum_on_unit
+from tissueid.model.law import DampingLaw, RelaxationLaw, Shape, StaticLaw, StiffnessLaw
+
+
+def minimum_on_unit(q: FloatArray) -> FloatArray:
+    """Smallest values on [0, 1] of polynomials of degree <= 2, (..., powers of u) -> (...)."""
+    ends = np.minimum(q[..., 0], q.sum(axis=-1))
+    if q.shape[-1] < 3:
+        return np.asarray(ends)
+    bent = q[..., 2] > 0.0
+    vertex = np.clip(-q[..., 1] / (2.0 * np.where(bent, q[..., 2], 1.0)), 0.0, 1.0)
+    turn = q[..., 0] + vertex * (q[..., 1] + vertex * q[..., 2])
+    return np.asarray(np.where(bent, np.minimum(ends, turn), ends))
+
 
 #: Nodes of a decade, reach of the nodes below the resolution and beyond the window, and a time that is none.
 PER_DECADE, BELOW, BEYOND, FOREVER = 4, 30.0, 30.0, 1e6
@@ -78,10 +88,7 @@ class Part:
 
 @dataclass(frozen=True)
 class ChannelModel:
-    """Contact model by its parts.
-
-    ``static``, ``stiffness``, ``relaxation``: laws.
-    """
+    """Contact model by its parts."""
 
     static: StaticLaw
     stiffness_law: StiffnessLaw
@@ -262,11 +269,10 @@ class ChannelModel:
         return np.array([theta[p.shapes][0] if p.tau_s is None else p.tau_s for p in self.parts])
 
     def contact_loss_is_unique(self, theta: FloatArray) -> bool:
-        """True where a tissue that was let go has one force-free surface at every state.
+        """True where a viscous tissue that was let go has one force-free surface at every state.
 
-        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (derived for
-        one branch); otherwise the surface may jump while it recovers, although it stays passive.  Other laws
-        than viscous ones: true, their surface is not followed.
+        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (derived for one
+        branch); otherwise the surface may jump while it recovers, although it stays passive.
         """
         if not self.viscous:
             return bool(np.isfinite(theta).all())
@@ -366,10 +372,7 @@ class ChannelModel:
     def follow(
         self, theta: FloatArray, time_s: FloatArray, tool_mm: FloatArray, *, relaxing: float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Depth of the surface [mm] and force [N] of exponentials that a tool may leave, (n,) each.
-
-        ``relaxing``: every K_j times this.
-        """
+        """Surface [mm] and force [N] of exponentials that a tool may leave, every K_j times ``relaxing``."""
         static, stiffness, tau = self.split(theta)
         return surface_path(
             np.concatenate([[0.0], static]),
@@ -458,3 +461,97 @@ def _ratio(branch: int) -> Shape:
         "relaxation_ratio", "g", "1", low, high, "relaxing over static force of a sudden push"
     )
     return Shape(_numbered(spec, branch), starts)
+
+
+#: Share of a bound within which a parameter lies on it.
+ROUNDING = 1e-9
+
+
+class DampedModel(ElasticModel):
+    """Contact model of a static and a damping law."""
+
+    @cached_property
+    def shape_specs(self) -> tuple[Shape, ...]:
+        """Shapes in the order of theta."""
+        return (*self.static.shapes, self.damping.shape)
+
+    @property
+    def damping(self) -> DampingLaw:
+        """Law of its damping, whose parameter is the last of theta."""
+        return cast("DampingLaw", self.relaxation)
+
+    @cached_property
+    def parameters(self) -> tuple[ParameterSpec, ...]:
+        """Parameters in the order of theta."""
+        return (*self.static.coefficients, *(one.spec for one in self.shape_specs))
+
+    def factor(self, theta: FloatArray) -> float:
+        """Damping factor chi."""
+        return float(self.damping.factor(theta[-1]))
+
+    def loading_stiffness(self, theta: FloatArray) -> float:
+        """First static coefficient times 1 + chi: all that records at one speed ratio determine."""
+        return float(theta[0]) * (1.0 + self.factor(theta))
+
+    def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:  # noqa: ARG002
+        """No stiffness relaxes, (0, n)."""
+        return np.zeros((0, np.size(depth_mm)))
+
+    def modes(
+        self,
+        theta: FloatArray,  # noqa: ARG002
+        depth_mm: float,  # noqa: ARG002
+        amplitude_mm: float = 0.0,  # noqa: ARG002
+    ) -> tuple[FloatArray, FloatArray]:
+        """One that is not a number: a cycle in lasting contact has no speed at which it began."""
+        return np.full(1, np.nan), np.ones(1)
+
+    def relaxing(
+        self,
+        theta: FloatArray,
+        depth_mm: float,
+        time_s: FloatArray,
+        speed_mm_s: float | None,
+    ) -> FloatArray:
+        """Damping force at the end of a ramp, none once the tool stands still, (n,) -> (n,) [N]."""
+        moving = self.loading(theta, np.array([depth_mm]), speed_mm_s or 1.0)[0]
+        return np.where(np.asarray(time_s) > 0.0, 0.0, moving)
+
+    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:  # noqa: ARG002
+        """Force beyond the static one at the speed of the contact, (n,) -> (n,) [N]."""
+        return np.asarray(self.factor(theta) * self.static_force(theta, depth_mm))
+
+    def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """Force [N] along a path, shape (n,)."""
+        damped = np.maximum(1.0 + self.factor(theta) * path_ratio(path), 0.0)
+        return np.asarray(self.static_force(theta, np.maximum(path.depth_mm, 0.0)) * damped)
+
+    def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """True of rows with F_s >= 0 and growing, chi >= 0: then no loop gives energy, (n, p) -> (n,)."""
+        spec, last = self.damping.shape.spec, theta[:, -1]
+        inside = (last >= spec.lower * (1.0 - ROUNDING)) & (last <= spec.upper * (1.0 + ROUNDING))
+        return np.asarray(inside & super().passive(theta))
+
+
+def path_ratio(path: ContactPath) -> FloatArray:
+    """Speed over the speed at which the contact of each sample began, within +-1; 0 in air, shape (n,)."""
+    if path.speed_ratio is not None:
+        return np.asarray(path.speed_ratio)
+    speed, touching = _piecewise_speed(path.time_s, path.depth_mm), path.depth_mm > 0.0
+    begins = np.flatnonzero(touching & ~np.append(False, touching[:-1]))
+    begun = np.searchsorted(begins, np.arange(speed.size), side="right") - 1
+    at_contact = np.append(speed[begins], 0.0)[begun]
+    inside = touching & (at_contact > 0.0)
+    ratio = np.divide(speed, at_contact, out=np.zeros(speed.size), where=inside)
+    return np.asarray(np.clip(ratio, -1.0, 1.0))
+
+
+def _piecewise_speed(time: FloatArray, depth: FloatArray) -> FloatArray:
+    """Speed of the straight piece that ends at each sample [mm/s]; the first has that of the second."""
+    step = np.diff(time)
+    moved = step > 0.0
+    rate = np.divide(np.diff(depth), step, out=np.zeros(step.size), where=moved)
+    # a step without time has the speed of the one before it
+    last = np.maximum.accumulate(np.where(moved, np.arange(step.size), -1))
+    rate = np.where(last >= 0, rate[np.maximum(last, 0)], 0.0)
+    return np.concatenate([rate[:1], rate])

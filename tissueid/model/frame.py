@@ -1,12 +1,7 @@
-"""Deflection of a compliant frame: ``x_tip = x - u(F)``.
+"""Deflection of a compliant frame: ``x_tip = x - u(F)``, u the integral of a compliance linear between knots.
 
-Machine, load cell and fixture are a spring in series with the tissue, stiffer as its joints close.  Its
-compliance c(F) = du/dF >= 0 is linear between knots of force, so
-
-    u(F) = int_0^F c = sum_k c_k A_k(F),      A_k the integral of the k-th hat function,
-
-is monotone, continuously differentiable and linear in c.  Beyond the last knot c is constant; below zero
-force (noise in air) it is c(0).
+``u(F) = sum_k c_k A_k(F)``, A_k the integral of the k-th hat function; c is constant beyond the last knot and
+below 0.
 """
 
 from __future__ import annotations
@@ -18,11 +13,7 @@ from tissueid.manifest import FrameCurve
 
 
 def deflection_basis(knots_N: FloatArray, force_N: FloatArray) -> FloatArray:
-    """A_k(F): the deflection by each knot's compliance.
-
-    ``knots_N`` (k,): strictly growing from 0, k >= 2; ``force_N`` (n,): compressive force.  Returns (n, k),
-    [N]; its product with compliances [mm/N] is the deflection [mm].
-    """
+    """A_k(F): deflection by the compliance at each knot, of forces (n,) [N], (n, k)."""
     width = np.diff(knots_N)
     piece = np.clip(np.searchsorted(knots_N, force_N, side="right") - 1, 0, width.size - 1)
     within = np.clip(force_N - knots_N[piece], 0.0, width[piece])
@@ -70,10 +61,7 @@ def tangent_stiffness_sd(frame: FrameCurve, force_N: float) -> float:
 
 
 def linear_frame(stiffness_N_per_mm: float, sd_N_per_mm: float = 0.0) -> FrameCurve:
-    """A frame of one stiffness, for all forces: u = F / k, sd(1/k) = sd(k) / k^2.
-
-    ``stiffness_N_per_mm``: > 0; ``sd_N_per_mm``: its standard deviation.
-    """
+    """A frame of one stiffness, for all forces: u = F / k, sd(1/k) = sd(k) / k^2."""
     compliance = 1.0 / stiffness_N_per_mm
     variance = (sd_N_per_mm * compliance**2) ** 2
     return FrameCurve(np.array([0.0, 1.0]), np.full(2, compliance), np.full((2, 2), variance))

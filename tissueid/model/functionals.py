@@ -1,17 +1,9 @@
-"""Response of a fitted tissue in tests that people quote: closed forms, and errors by the delta method.
-
-Relaxation times and stiffnesses of several branches move with the window and with their number; what
-they do together moves much less.  All functions are pure; depth in mm below contact,
-force in N, time in s, frequency in Hz.
-
-Closed forms (derived from F = F_s(x) + sum K_j(x) s_j, tau_j s_j' + s_j = tau_j x'):
+"""Closed forms of tests that people quote, derived from the law, and errors by the delta method.
 
 * ideal step to x from rest: s_j = x exp(-t/tau_j);
 * ramp at speed v to x, t from its end: s_j = v tau_j (1 - exp(-x/(v tau_j))) exp(-t/tau_j);
 * small oscillation about rest at x: K* = F_s'(x) + sum K_j(x) i w tau_j / (1 + i w tau_j);
-* sine of amplitude a about x, in contact throughout: the energy dissipated in a cycle is
-  pi a^2 sum (K_j(x) + K_j''(x) a^2 / 8) w tau_j / (1 + w^2 tau_j^2), exact for K of degree 2 (F_s returns
-  its work; the linear part of K gives nothing by symmetry).
+* sine of amplitude a about x: pi a^2 sum (K_j(x) + K_j''(x) a^2 / 8) w tau_j / (1 + w^2 tau_j^2) a cycle.
 """
 
 from __future__ import annotations
@@ -90,9 +82,8 @@ def delta_method(
 ) -> tuple[float, float]:
     """Value of a smooth function of theta and its standard error, to first order.
 
-    ``theta`` (p,); ``covariance`` (p, p); ``unknown`` (p,): parameters of infinite variance (their rows of
-    the covariance are not looked at).  Returns ``value, stderr``: the error is infinite where the value
-    depends on an unknown parameter, or has no slope there.
+    ``unknown`` (p,): parameters of infinite variance. The error is infinite where the value depends on
+    one of them, or has no slope there.
     """
     value = function(theta)
     if not np.isfinite(value):

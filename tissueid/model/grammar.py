@@ -1,8 +1,4 @@
-"""Names of contact models: ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``, and their laws.
-
-Laws are found in the folder :mod:`tissueid.model.laws`, a file each, and behind the entry point
-``tissueid.models`` of other packages.
-"""
+"""Names of contact models, and their laws: of the folder ``laws``, a file each, and of other packages."""
 
 from __future__ import annotations
 
@@ -16,8 +12,7 @@ from typing import Any
 
 from tissueid.model import laws
 from tissueid.model.base import ParameterSpec
-from tissueid.model.channels import ChannelModel
-from tissueid.model.damped import DampedModel
+from tissueid.model.channels import ChannelModel, DampedModel
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import About
 from tissueid.model.yardstick import YARDSTICK, yardstick_of
@@ -86,10 +81,7 @@ _OWN: dict[str, Any] = {}
 
 
 def register(law: Any) -> None:
-    """Make a law known to this process; one of the same key that was registered before gives way.
-
-    Raises ModelNameError: a law that is installed has this key.
-    """
+    """Make a law known to this process; ModelNameError where one that is installed has its key."""
     if law.about.key in _installed():
         msg = f"contact law {law.about.key!r} is registered already; choose another name"
         raise ModelNameError(msg)
@@ -142,10 +134,7 @@ def whole_names() -> tuple[About, ...]:
 
 
 def rebuilt(choice: ModelChoice, depth_mm: float) -> ChannelModel:
-    """The contact model of a fit, for its largest depth.
-
-    Raises ValueError: the name is of no law, or what it needs is missing.
-    """
+    """The contact model of a fit, for its largest depth; ValueError where what it needs is missing."""
     if choice.key == KELVIN_VOIGT:
         return kelvin_voigt(choice.branches, choice.stiffness_degree, depth_mm)
     if choice.key == YARDSTICK:
@@ -232,12 +221,7 @@ def _law(word: str, kind: str, name: str) -> Any:
 
 
 def parsed(name: str) -> Named:
-    """A contact model by its name.
-
-    ``name``: ``kelvin-voigt``, ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``; spaces are
-    free.  Raises ModelNameError: a word is not known, or stands in the wrong place; the message lists those
-    that are known.
-    """
+    """A contact model by its name; ModelNameError, with what is known, where a word is not."""
     known_laws()  # what is wrong with a plug-in is said whatever was asked for
     words = [word.strip() for word in name.split("*")]
     if words == [KELVIN_VOIGT]:
@@ -267,10 +251,7 @@ def parsed(name: str) -> Named:
 
 
 def candidates(name: str) -> Candidates:
-    """Laws that a fit is asked for: one, ``auto``, or several with ``|`` between them.
-
-    Raises ModelNameError: a name is not known, or there are two Kelvin-Voigt laws.
-    """
+    """Laws that a fit is asked for: one, ``auto``, or several with ``|`` between them."""
     names = [one.strip() for one in name.split("|")]
     if names == [AUTO]:
         beside = tuple(parsed(one) for one in (*HELD_AGAINST, YARDSTICK))

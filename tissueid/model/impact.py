@@ -1,23 +1,13 @@
 """Contact with a hard body: Hertz's law with the damping of Flores, compiled.
 
-Pires et al., Haptic Positioning Environment for the Hip Resurfacing Surgery, equation (1)::
+Pires et al., equation (1): ``F = k d^n (1 + chi d' / v0)``, ``chi = 8 (1 - e) / (5 e)`` (``flores``; Flores
+et al. 2011, doi 10.1007/s11044-010-9237-4, equation (27)).  Multiplying the motion of a free mass by d' and
+integrating over its contact gives, whatever k, n and the mass are, the e' that is reached (derived)::
 
-    F = k d^n (1 + chi d' / v0),    chi = 8 (1 - e) / (5 e)
+    ln(1 - e' chi) + e' chi = ln(1 + chi) - chi                                     (``exact``: e' = e)
 
-with penetration d, its speed d' (> 0 while compressing), and the speed v0 at which this contact began.  The
-factor is Flores et al. (2011), doi 10.1007/s11044-010-9237-4, equation (27).
-
-A free mass that meets this law does not return with e times its speed.  Multiplying the equation of motion
-by d' and integrating over the contact gives, whatever k, n and the mass are (derived here)::
-
-    ln(1 - e' chi) + e' chi = ln(1 + chi) - chi
-
-for the restitution e' that is reached.  ``flores`` takes chi from the equation above as printed; ``exact``
-solves the line for the chi that reaches e.
-
-Bounds: e is at least 0.05 (chi grows without bound below, and the first touch is a blow), v0 at least a
-given slowest speed (a touch at 1 mm/s and a push at 0.1 m/s after it would be felt 160-fold), d' / v0 within
-+-1, and F >= 0: nothing sticks.
+Bounds: e at least 0.05, v0 at least a given slowest speed (a touch at 1 mm/s and a push at 0.1 m/s after it
+would be felt 160-fold), d' / v0 within +-1, and F >= 0: nothing sticks.
 """
 
 from __future__ import annotations
@@ -56,11 +46,7 @@ STARTED = 3
 
 
 def damping_factor(restitution: float, law: Variant = "flores") -> float:
-    """The damping factor chi for a coefficient of restitution.
-
-    ``restitution``: e, 0.05 to 1; ``law`` {"flores", "exact"}: as printed, or such that a free mass returns
-    with e times its speed.  Raises ValueError: e is out of its range.
-    """
+    """The damping factor chi for a coefficient of restitution; ValueError where that is out of range."""
     if not LEAST_RESTITUTION <= restitution <= 1.0:
         msg = f"a coefficient of restitution lies within {LEAST_RESTITUTION} and 1, got {restitution}"
         raise ValueError(msg)
@@ -92,12 +78,7 @@ def pack_impact(
     filter_s: float = 0.0,
     hysteresis_mm: float = 0.0,
 ) -> None:
-    """Write the law's numbers.
-
-    ``stiffness``: k [N/mm^n]; ``block``: written from index ``at``, :data:`IMPACT_SIZE` numbers;
-    ``slowest_mm_s``: floor of v0 [mm/s]; ``filter_s``: time constant of the low-pass of the speed [s]; 0 for
-    none; ``hysteresis_mm``: a contact ends, and its v0 is forgotten, this far outside.
-    """
+    """Write the law's numbers from index ``at``: k [N/mm^n], n, chi, floor of v0, filter, hysteresis."""
     block[at : at + IMPACT_SIZE] = stiffness, exponent, chi, slowest_mm_s, filter_s, hysteresis_mm
 
 
@@ -108,8 +89,7 @@ def speed_ratio(
     """Speed over that at which this contact began, within +-1, after a step of linear motion; 0 outside.
 
     ``parameters``: from index ``at``: floor of v0 [mm/s], filter [s] and hysteresis [mm]; ``memory``:
-    :data:`IMPACT_STATE` numbers from index ``first``, all zero before the first step; updated in place;
-    ``depth``: penetration at the end of the step [mm], negative outside; ``dt``: [s].
+    :data:`IMPACT_STATE` numbers from index ``first``, zero at first; updated in place.
     """
     if memory[first + STARTED] > 0.0 and dt > 0.0:
         rate = (depth - memory[first + LAST_DEPTH]) / dt
@@ -132,12 +112,7 @@ def speed_ratio(
 def impact_step(
     parameters: FloatArray, at: int, memory: FloatArray, first: int, depth: float, dt: float
 ) -> float:
-    """Force after a step of linear motion.
-
-    ``parameters``: :func:`pack_impact` from index ``at``; ``memory``: :data:`IMPACT_STATE` numbers from index
-    ``first``, all zero before the first step; updated in place; ``depth``: penetration at the end of the step
-    [mm], negative outside; ``dt``: [s].  Returns force [N], never negative.
-    """
+    """Force [N], never negative, after ``dt`` seconds of linear motion to a penetration [mm]."""
     ratio = speed_ratio(parameters, at + SLOWEST, memory, first, depth, dt)
     if depth <= 0.0:
         return 0.0

@@ -1,16 +1,10 @@
 """Modified Kelvin-Voigt contact model with up to three relaxation branches.
 
-::
-
     F(t) = F_s(x) + sum_j K_j(x) s_j,      tau_j ds_j/dt + s_j = tau_j dx/dt
     F_s(x) = a1 x + a2 x^2 + a3 x^3,       K_j(x) = b_j0 + b_j1 x + b_j2 x^2
 
-The stiffness stands **outside** the convolution, K(x(t)) times the state; quasi-linear
-viscoelasticity has it inside, and the two differ as soon as K varies.  Equations (1) to (8) of
-Sadeghnejad et al. (endoscopic sinus surgery), reconstructed from their text because the typeset
-equations are lost; the model goes back to Mahvash & Dupont, doi 10.1109/ROBOT.2009.5152617.
-
-theta = (a1, a2, a3, then for each branch by ascending tau: b_j0 [, b_j1 [, b_j2]], tau_j).
+K stands **outside** the convolution.  Equations (1) to (8) of Sadeghnejad et al., reconstructed from their
+text; after Mahvash & Dupont, doi 10.1109/ROBOT.2009.5152617.  theta: see :mod:`tissueid.model.channels`.
 """
 
 from __future__ import annotations
@@ -29,10 +23,9 @@ STIFFNESS = (Constant(), Linear(), Quadratic())
 
 
 def kelvin_voigt(branches: int, stiffness_degree: int, depth_mm: float) -> ChannelModel:
-    """The model for a number of branches, 0 (elastic) to 3, a degree of K, 0 to 2, and a largest depth.
+    """The model for 0 (elastic) to 3 branches, a degree of K of 0 to 2, and a largest depth.
 
-    Passivity is demanded on [0, depth_mm]; the law is continued beyond it, F_s with its end slope, not below
-    0, K linearly where it grows, else constant.
+    Passivity is demanded on [0, depth_mm]; beyond it F_s goes on with its end slope, K where it grows.
     """
     if not 0 <= branches <= MAX_BRANCHES:
         msg = f"{branches} branches are not offered, 0 to {MAX_BRANCHES} are"

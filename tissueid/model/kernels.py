@@ -1,16 +1,11 @@
 """Compiled recursions of the branch state: exact for displacement that is linear between samples.
 
-The series branch of the modified Kelvin-Voigt model obeys ``tau ds/dt + s = tau dx/dt`` (reconstructed from
-Sadeghnejad et al., equations (3) and (6)).  With ``x`` linear over a step ``h``::
+``tau ds/dt + s = tau dx/dt`` (Sadeghnejad et al., equations (3) and (6)) over a step ``h``::
 
     s[n+1] = a s[n] + phi (x[n+1] - x[n]),   a = exp(-h/tau),   phi = (1 - a) tau / h
 
-which has no step-size error and is stable for any ``h``; ``h = 0`` is a jump (a = phi = 1).  Values
-below 1e-200 are set to zero, because denormal numbers slow the loop ninefold.
-
-A servo steps the tissue a thousand times a second, so the law and what it remembers also have a flat
-form, :func:`pack_law` and :func:`tissue_step_in`: no views, nothing allocated, and it can be part of a
-larger block.
+stable for any ``h``; ``h = 0`` is a jump.  Values below 1e-200 are zero: denormal numbers slow the loop
+ninefold.  For the servo the law and its memory are flat blocks, stepped without views or allocation.
 """
 
 from __future__ import annotations
@@ -40,12 +35,7 @@ def step_weights(h: float, tau: float) -> tuple[float, float]:
 
 @kernel(error_model="python")
 def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: float) -> FloatArray:
-    """State of one branch at every sample.
-
-    ``time_s``, ``depth_mm`` (n,): non-decreasing times [s] and depths [mm]; ``tau``: relaxation time [s];
-    ``initial``: state at the first sample [mm]; 0 for a tissue at rest.  Returns (n,), spring elongation of
-    the branch [mm].
-    """
+    """Spring elongation of one branch at every sample, (n,) [mm]; ``initial`` at the first."""
     n = time_s.size
     out = np.empty(n)
     s = initial
@@ -67,10 +57,7 @@ def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: 
 
 @kernel(error_model="python")
 def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
-    """State of one branch from rest and its derivative by the relaxation time.
-
-    Returns ``state, derivative`` (n,): [mm] and [mm/s].
-    """
+    """State of one branch from rest and its derivative by the relaxation time, (n,) [mm] and [mm/s]."""
     n = time_s.size
     state = np.zeros(n)
     derivative = np.zeros(n)
@@ -139,8 +126,7 @@ _DRIVERS = 37
 def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) -> tuple[float, float]:
     """Value and slope of a polynomial in x, continued beyond ``depth`` with its end slope, not below 0.
 
-    Its ``size`` coefficients stand in ``block`` from ``at``, constant term first.  Below 0 the value at 0
-    is kept, and the slope there is returned.
+    Its ``size`` coefficients stand in ``block`` from ``at``, constant term first.
     """
     inside = min(max(x, 0.0), depth)
     value = 0.0
@@ -207,8 +193,7 @@ def _following_force(
 def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int, target: float) -> float:
     """Position deeper than ``target`` at which a free surface ends this step: bracketed Newton.
 
-    The force at ``target`` is negative.  Where a fast branch still pushes while a slow one pulls, or
-    where the force falls with depth, the surface may even have to end deeper than it started.
+    Where a slow branch pulls on, or force falls with depth, that may be deeper than where it started.
     """
     depth = law[at + _DEPTH]
     low = target
@@ -250,17 +235,12 @@ def _damped_step(law: FloatArray, at: int, state: FloatArray, first: int, x: flo
 
 @tick_part
 def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
-    """Advance the tissue by one step under a tool that can push but not pull.
+    """Advance the tissue by ``h`` seconds under a tool at ``x`` [mm] that can push but not pull.
 
-    Unilateral contact (derived): force >= 0, surface >= tool, and one of the two is an
-    equality.  If following the tool would need tension, the surface detaches and recovers along the
-    force-free path, found as the root of the force in the surface position of this very step, so that
-    the step stays exact for a surface that moves linearly.
-
-    ``law``: holds what :func:`pack_law` wrote, from index ``at``; ``state``: holds :data:`STATE_SIZE` numbers
-    from index ``first``: the surface [mm], the branch states, room to work in, and what the branches follow
-    there; all zero at rest.  **Updated in place.**; ``x``: tool position at the end of the step [mm];
-    negative is in air; ``h``: measured step [s].  Returns force on the tool [N], never negative.
+    Unilateral contact (derived): force >= 0, surface >= tool, and one of the two is an equality. A
+    surface that would need tension detaches, and its position is the root of the force in this very step,
+    exact for linear motion. ``law``: by :func:`pack_law`; ``state``: :data:`STATE_SIZE` numbers, zero at
+    rest. **Updated in place.**  Returns the force [N].
     """
     if law[at + _FOLLOWED] > 2.0:
         return _damped_step(law, at, state, first, x, h)
@@ -293,10 +273,8 @@ def pack_law(
 ) -> None:
     """Write a law in its flat form.
 
-    ``static`` (4,): coefficients of F_s by powers of x, constant term first (0) [N/mm^k]; ``stiffness``
-    (branches, degree + 1): coefficients of K_j by powers of x [N/mm^(k+1)]; at most :data:`MOST_BRANCHES`,
-    degree at most 2; ``tau`` (branches,): relaxation times [s]; ``depth``: largest identified depth [mm]; the
-    law is continued beyond it; ``law``: written from index ``at``, :data:`LAW_SIZE` numbers.
+    ``static`` (4,) and ``stiffness`` (branches, degree + 1): by powers of x, constant term first, at most
+    :data:`MOST_BRANCHES` of degree 2; ``law``: written from index ``at``, :data:`LAW_SIZE` numbers.
     """
     for k in range(LAW_SIZE):
         law[at + k] = 0.0
@@ -314,11 +292,8 @@ def pack_law(
 def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, followed: int, own: FloatArray) -> None:
     """Write a static law by pieces over one that :func:`pack_law` wrote.
 
-    ``pieces`` (n, 4): cubic of each piece by powers of the distance from its beginning, at most
-    :data:`MOST_PIECES`; ``followed``: what the branches follow: 0 the depth, 1 the static force (their
-    stiffness is then a ratio to it), 2 a polynomial each; 3 of a damped law without branches; ``own``
-    (branches, OWN_SIZE): these polynomials by powers of x, constant term first (0); of a damped law chi,
-    floor of v0 [mm/s], filter of the speed [s] and hysteresis [mm], shape (1, 4); empty otherwise.
+    ``pieces`` (n, 4): cubics by powers of the distance from their beginning, at most :data:`MOST_PIECES`;
+    ``followed``: as :data:`_FOLLOWED` has it; ``own``: what stands at :data:`_OWN`.
     """
     law[at + _PIECES] = len(pieces)
     law[at + _FOLLOWED] = float(followed)
@@ -331,37 +306,6 @@ _pack_law = kernel(error_model="python")(pack_law)
 
 
 @kernel(error_model="python")
-def tissue_step(
-    static: FloatArray,
-    stiffness: FloatArray,
-    tau: FloatArray,
-    depth: float,
-    surface: float,
-    states: FloatArray,
-    x: float,
-    h: float,
-) -> tuple[float, float]:
-    """:func:`tissue_step_in` for a law in its parts.
-
-    ``static``, ``stiffness``, ``tau``, ``depth``: as in :func:`pack_law`; ``surface``: surface position at
-    the start of the step [mm]; ``states`` (branches,): branch states [mm]; **updated in place**; ``x``,
-    ``h``: as in :func:`tissue_step_in`.  Returns ``force, surface``: force on the tool [N], never negative,
-    and the new surface position [mm], never negative.
-    """
-    law = np.empty(LAW_SIZE)
-    _pack_law(static, stiffness, tau, depth, law, 0)
-    state = np.zeros(STATE_SIZE)
-    state[_SURFACE] = surface
-    for j in range(states.size):
-        state[_STATES + j] = states[j]
-        state[_DRIVERS + j] = surface
-    force = tissue_step_in(law, 0, state, 0, x, h)
-    for j in range(states.size):
-        states[j] = state[_STATES + j]
-    return force, state[_SURFACE]
-
-
-@kernel(error_model="python")
 def surface_path(
     static: FloatArray,
     stiffness: FloatArray,
@@ -370,12 +314,7 @@ def surface_path(
     time_s: FloatArray,
     tool_mm: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Surface of a tissue and force on a tool along a whole path, at rest at the first sample.
-
-    ``static``, ``stiffness``, ``tau``, ``depth``: as in :func:`pack_law`; ``time_s``, ``tool_mm`` (n,):
-    non-decreasing times [s] and tool position [mm], negative in air.  Returns ``surface, force`` (n,): [mm],
-    never negative and never above the tool; [N], never negative.
-    """
+    """Surface (n,) [mm] and force [N] on a tool along a whole path, at rest at the first sample."""
     n = time_s.size
     surface = np.empty(n)
     force = np.empty(n)

@@ -1,13 +1,11 @@
-"""Parts of a contact model: static, stiffness, and relaxation or damping law, each one file in ``laws``.
-
-A part names its parameters, and nobody else does.  Coefficients are linear in the force; shapes are not, are
-positive, and are sought in their logarithm.
-"""
+"""Parts of a contact model, each one file in ``laws``: linear coefficients, and positive shapes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
@@ -16,41 +14,22 @@ from tissueid.model.impact import Variant
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Description of a part, as ``tissueid models`` prints it.
+    """Description of a part, as ``tissueid models`` prints it."""
 
-    Attributes
-    ----------
-    key : str
-        Word of the grammar.
-    kind : str
-        ``static``, ``stiffness``, ``relaxation`` or ``damping``.
-    equation, purpose, refuses : str
-    source : str
-        DOI, or "reconstructed" with its derivation.
-    """
-
-    key: str
-    kind: str
+    key: str  # word of the grammar
+    kind: str  # ``static``, ``stiffness``, ``relaxation`` or ``damping``
     equation: str
-    source: str
+    source: str  # DOI, or "reconstructed" with its derivation
     purpose: str
     refuses: str
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A positive parameter that the force is not linear in.
+    """A positive parameter that the force is not linear in."""
 
-    Attributes
-    ----------
-    spec : ParameterSpec
-        Its bounds are those of the search; of a time they are 0 and infinity, and follow the recordings.
-    starts : tuple of float
-        Values that a search begins with; none for a time.
-    """
-
-    spec: ParameterSpec
-    starts: tuple[float, ...] = ()
+    spec: ParameterSpec  # with the bounds of the search; of a time they follow the recordings
+    starts: tuple[float, ...] = ()  # of a search; none for a time
 
     @property
     def is_time(self) -> bool:
@@ -88,6 +67,23 @@ class StaticLaw(Protocol):
     def slope(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """Their derivatives by depth, (...) -> (p, ...)."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPower:
+    """Static law of a tip whose shape is known: c times a power of depth."""
+
+    power: ClassVar[float]
+    polynomial: ClassVar[bool] = False
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+
+    def basis(self, depth_mm: FloatArray) -> FloatArray:
+        """The power of depth."""
+        return np.asarray(depth_mm**self.power)[None]
+
+    def slope(self, depth_mm: FloatArray) -> FloatArray:
+        """Its derivative."""
+        return np.asarray(self.power * depth_mm ** (self.power - 1.0))[None]
 
 
 class StiffnessLaw(Protocol):

@@ -6,7 +6,7 @@ F = E* G with E* = E / (1 - nu^2) and G [mm^2] of the tip alone, in frictionless
 hertz          sphere: 4/3 sqrt(R) d^1.5                                   doi 10.1515/crll.1882.92.156
 sneddon        flat: 2 a d; cone: 2/pi tan(alpha) d^2; sphere, exact in    doi 10.1016/0020-7225(65)90019-4
                a/R: (a^2+R^2)/2 L - a R, d = a/2 L, L = ln[(R+a)/(R-a)]
-hayes          layer on a rigid base, any of the three (:mod:`.layer`)      doi 10.1016/0021-9290(72)90010-3
+hayes          layer on a rigid base, any of the three (:func:`_solve`)     doi 10.1016/0021-9290(72)90010-3
 dimitriadis    sphere on a thin layer: a series in sqrt(R d)/h              doi 10.1016/S0006-3495(02)75620-8
 =============  ==========================================================  ================================
 
@@ -18,8 +18,118 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
-from tissueid.model.layer import MOST_A_OVER_H, flat_factor, layer_contact
+import numpy as np
+
+from tissueid.arrays import FloatArray
+
+#: Nodes in u, and in x up to where M - 1 ~ exp(-2x) is below rounding.
+NODES_U = 32
+NODES_X, END_X = 320, 24.0
+#: Largest a/h solved: beyond it the nodes no longer resolve the kernel.
+MOST_A_OVER_H = 6.0
+#: Halvings of the bracket of the contact radius.
+BISECTIONS = 60
+
+
+def compliance(x: FloatArray, poisson: float, *, bonded: bool) -> FloatArray:
+    """M(x) - 1 for x = k h, without cancellation at large x; M -> 1 is a half-space.
+
+    bonded      M(x) = [(3-4nu) sinh 2x - 2x] / [(3-4nu) cosh 2x + 2x^2 + 5 - 12nu + 8nu^2]
+    slipping    M(x) = (cosh 2x - 1) / (sinh 2x + 2x)
+    """
+    q = np.exp(-2.0 * x)
+    if bonded:
+        k = 3.0 - 4.0 * poisson
+        rest = 2.0 * x**2 + 5.0 - 12.0 * poisson + 8.0 * poisson**2
+        return np.asarray(-(k * q**2 + q * (2.0 * x + rest)) / (k * (1.0 + q**2) / 2.0 + rest * q))
+    # (cosh 2x - 1) / (sinh 2x + 2x) -> x/2 at 0: both vanish there, expm1 keeps the digits
+    above = np.expm1(-2.0 * x) ** 2 / 2.0
+    below = -np.expm1(-4.0 * x) / 2.0 + 2.0 * x * q
+    return np.asarray(above / below - 1.0)
+
+
+@lru_cache(maxsize=4)
+def _nodes() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights in u on (0, 1) and in x on (0, END_X)."""
+    u, wu = np.polynomial.legendre.leggauss(NODES_U)
+    x, wx = np.polynomial.legendre.leggauss(NODES_X)
+    return (u + 1.0) / 2.0, wu / 2.0, (x + 1.0) * END_X / 2.0, wx * END_X / 2.0
+
+
+def _solve(
+    a_over_h: float, poisson: float, *, bonded: bool, power: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Solutions for the right sides 1 and u^power: (integral over u, value at u = 1) of each.
+
+    A mode k goes down by 2/E* M(kh) times its pressure; the modes that carry none outside r = a, and Abel's
+    inversion of w(r) = d - profile(r), leave with u = t/a and e = a/h (solved for any nu, a/h, and a cone)
+
+        f(u) + int_0^1 f(s) N(u, s) ds = d - g(u),   N = 2e/pi int_0^inf [M(x) - 1] cos(xeu) cos(xes) dx,
+
+    g = 0 (flat punch), a^2 u^2 / R (sphere), (pi/2) a u cot(alpha) (cone); the force is 2 E* a int_0^1 f du,
+    and a smooth tip has f(1) = 0, which gives the contact radius.
+    """
+    u, wu, x, wx = _nodes()
+    kernel = wx * compliance(x, poisson, bonded=bonded) * 2.0 * a_over_h / np.pi
+    cosine = np.cos(a_over_h * np.outer(u, x))
+    edge = (np.cos(a_over_h * x) * kernel) @ cosine.T
+    matrix = np.eye(u.size) + (cosine * kernel) @ cosine.T * wu
+    solution = np.linalg.solve(matrix, np.column_stack([np.ones(u.size), u**power]))
+    ends = 1.0 - (edge * wu) @ solution
+    sums = wu @ solution
+    return (float(sums[0]), float(ends[0])), (float(sums[1]), float(ends[1]))
+
+
+def flat_factor(a_over_h: float, poisson: float, *, bonded: bool = True) -> float:
+    """Hayes' kappa: force on a flat punch over that on a half-space, 2 E* a d; ValueError out of range."""
+    _check(a_over_h)
+    return _solve(a_over_h, poisson, bonded=bonded, power=2)[0][0]
+
+
+def _check(a_over_h: float) -> None:
+    if not 0.0 <= a_over_h <= MOST_A_OVER_H:
+        msg = f"a/h = {a_over_h:.3g} is outside 0 to {MOST_A_OVER_H:g}, where the layer is solved"
+        raise ValueError(msg)
+
+
+def layer_contact(
+    depth_mm: float,
+    thickness_mm: float,
+    poisson: float,
+    *,
+    radius_mm: float | None = None,
+    half_angle_rad: float | None = None,
+    bonded: bool = True,
+) -> tuple[float, float]:
+    """Contact radius [mm] and force over E* [mm^2] of a sphere (a paraboloid) or a cone on a layer.
+
+    Raises ValueError: the contact would be wider than :data:`MOST_A_OVER_H` times the thickness.
+    """
+    power = 2 if radius_mm is not None else 1
+
+    def profile(a: float) -> float:
+        """Depth of the profile at the edge of contact, in the scale of the right side u^power."""
+        if radius_mm is not None:
+            return a * a / radius_mm
+        assert half_angle_rad is not None  # noqa: S101  (one of the two is given)
+        return np.pi / 2.0 * a / float(np.tan(half_angle_rad))
+
+    def depth_of(a: float) -> float:
+        one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
+        return profile(a) * curved[1] / one[1]
+
+    low, high = 0.0, MOST_A_OVER_H * thickness_mm
+    if depth_of(high) < depth_mm:
+        _check(float("inf"))
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if depth_of(middle) < depth_mm else (low, middle)
+    a = (low + high) / 2.0
+    one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
+    return a, 2.0 * a * (depth_mm * one[0] - profile(a) * curved[0])
+
 
 SHAPES = ("sphere", "flat", "cone")
 #: formula -> DOI.
@@ -46,10 +156,7 @@ DIFFUSIVITY_MM2_S = (1e-5, 1e-2)
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
-    """The tip of the tool.
-
-    Raises ValueError: the shape is not offered, or its size is missing or impossible.
-    """
+    """The tip of the tool; ValueError where its shape is not offered, or its size missing or impossible."""
 
     shape: str  # ``sphere``, ``flat`` or ``cone``
     radius_mm: float | None = None  # of a sphere or a flat punch
@@ -100,12 +207,7 @@ def contact_of(
     thickness_mm: float | None = None,
     bonded: bool = True,
 ) -> Contact | None:
-    """The contact a formula describes; ``None`` where it has no solution for these numbers.
-
-    ``formula``: one of :func:`formulas_for`; ``depth_mm``: positive; ``poisson``: 0 to 0.5; ``thickness_mm``:
-    of the layer; needed by ``hayes`` and ``dimitriadis``; ``bonded``: the layer sticks to its rigid base
-    (else it slips).
-    """
+    """The contact a formula describes; ``None`` where it has no solution for these numbers."""
     if not 0.0 <= poisson <= 0.5:
         msg = f"Poisson's ratio must be 0 to 0.5, is {poisson}"
         raise ValueError(msg)
@@ -173,10 +275,10 @@ def _hayes(
 def _dimitriadis(
     tip: Indenter, depth: float, thickness: float, poisson: float, *, bonded: bool
 ) -> tuple[float, float]:
-    """Contact radius (of Hertz) and G: the general equation of the paper, with its two sets of coefficients.
+    """Contact radius (of Hertz) and G: the paper's general equation with its sets of coefficients.
 
-    For nu = 0.5 the paper also prints the polynomial, its last term (0.0975 chi^4) with the other sign: 2e-3
-    of the force at the largest chi that is not flagged.
+    For nu = 0.5 its polynomial has the last term with the other sign: 2e-3 at the largest chi that is not
+    flagged.
     """
     if tip.shape != "sphere" or tip.radius_mm is None:
         msg = f"dimitriadis describes a sphere, not a {tip.shape}"
@@ -228,10 +330,6 @@ def _outside(formula: str, tip: Indenter, depth: float, a: float, thickness: flo
 
 
 def poroelastic_band(contact_mm: float) -> tuple[float, float]:
-    """Times in which fluid drains from under a contact of radius a: a^2 / D over the usual D [s].
-
-    Hu, Zhao, Vlassak & Suo, doi 10.1063/1.3370354: poroelastic relaxation under an indenter takes a^2 / D,
-    so that it grows with the square of the tip, while viscosity does not know the tip's size.
-    """
+    """Times in which fluid drains from under a contact: a^2 / D [s] (doi 10.1063/1.3370354)."""
     slow, fast = DIFFUSIVITY_MM2_S
     return contact_mm**2 / fast, contact_mm**2 / slow

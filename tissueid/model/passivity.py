@@ -1,20 +1,13 @@
 """Scaling of forces into the reach of a device, and the damping it needs to render them.
 
-Sampled-data passivity after Colgate & Schenkel (doi 10.1002/rob.4620140110): a law rendered at step
-T through a zero-order hold, its force arriving ``m`` whole ticks late, needs a device damping
+``F_device = s_F F(x_device / s_x)`` (derived).  Sampled-data passivity after Colgate & Schenkel (doi
+10.1002/rob.4620140110), force m whole ticks late:
 
     b > sup_w B(w),   B = (T / 2) Re{ (1 - exp(-i w T)) exp(-i w m T) H } / (1 - cos w T)
+    H(z) = k0 + sum_j K_j phi_j (z - 1) / (z - a_j),  z = exp(i w T)
 
-with ``0 < w <= pi / T`` and H the linearised law from sampled position to force; for the Kelvin-Voigt
-tissue ``H(z) = k0 + sum_j K_j phi_j (z - 1) / (z - a_j)``, ``z = exp(i w T)``.
-
-With a fraction f of a tick on top, the force changes inside a servo period: the delay in B becomes the
-mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion is uneven inside the period, which needs
-``b = (B + sqrt(B^2 + f (1 - f) T^2 |H|^2)) / 2`` (derived: least work over the two parts of a period).
-
-Scaling of a tissue's forces into the reach of a hand-held device (derived).
-``F_device = s_F F(x_device / s_x)``; time is not scaled.  One linear factor for force keeps every
-ratio of stiffness; a factor that depends on force would not.
+With a fraction f of a tick on top the delay is the mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion,
+uneven inside a period, needs ``b = (B + sqrt(B^2 + f (1 - f) T^2 |H|^2)) / 2`` (derived).
 """
 
 from __future__ import annotations
@@ -58,11 +51,9 @@ def scaling_for(
     fastest_mm_s: float,
     motion: float = DEFAULT_MOTION_SCALE,
 ) -> Scaling:
-    """The default scale: the force at full depth takes nine tenths of the device's clamp.
+    """The default scale: force at full depth, at the fastest speed, takes nine tenths of the clamp.
 
-    ``model``, ``theta``: the tissue; ``clamp_N``: the guard's force clamp in force at that moment [N];
-    ``fastest_mm_s``: fastest identified speed [mm/s of tissue depth]; ``motion``: motion scale s_x.  Raises
-    ValueError: the tissue gives no force at full depth, so that no scale can be computed.
+    Raises ValueError: the tissue gives no force at full depth, so that no scale can be computed.
     """
     peak = float(loading_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0])
     if not peak > 0.0:
@@ -95,12 +86,9 @@ def damping_bound(
     period_s: float,
     delay_ticks: float,
 ) -> float:
-    """Damping that makes one linearised law passive, or several.
+    """Damping that makes one linearised law passive, or several; in the unit of ``static_slope`` times s.
 
-    ``static_slope`` (n,): k0, slope of the force by depth at fixed branch states; ``stiffness`` (branches,)
-    and (branches, n): K_j, in the unit of ``static_slope``; ``tau`` (branches,): relaxation times [s];
-    ``period_s``: servo period [s]; ``delay_ticks``: delay in servo periods, fractions allowed.  Returns
-    smallest damping, in the unit of ``static_slope`` times seconds; never negative.
+    ``static_slope`` (n,): slope at fixed branch states; ``stiffness`` (branches,) and (branches, n).
     """
     angle = np.concatenate([np.geomspace(1e-6, np.pi, FREQUENCIES), np.linspace(1e-3, np.pi, FREQUENCIES)])
     # z - 1 by expm1, and below (1 - 1/z) / (1 - cos) as i exp(-i angle/2) / sin(angle/2): the plain
@@ -132,10 +120,7 @@ def required_damping(
     period_s: float,
     delay_ticks: float = DEFAULT_DELAY_TICKS,
 ) -> float:
-    """Device damping [N s/m] that renders the scaled tissue passively at every depth.
-
-    The tissue is linearised at rest at depths over [0, depth_mm]; the largest need counts.
-    """
+    """Device damping [N s/m] that renders the scaled tissue passively at every depth."""
     law, x = servo_law(model, theta), np.linspace(0.0, model.depth_mm, DEPTHS)
     slope, (stiffness, tau) = model.static_slope(theta, x), law.linearised(model, theta, x)
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M

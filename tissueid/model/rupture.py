@@ -1,20 +1,8 @@
-"""Measures of loading until a tissue ruptures: work, weighted force, stored energy, depth along a path.
+"""Measures of loading until a tissue ruptures: work, weighted force, stored energy, depth.
 
-Paper A's force law alone has no rupture, and at a fixed depth its force grows with speed. A criterion says
-which measure of the loading reaches a threshold (derived; the criteria themselves are
-readings)::
-
-    work            W = int F dx
-    weighted force  F_s + w F_d
-    stored energy   V = int F_s dx + sum_j int_0^{s_j} K_j(x - s_j + u) u du
-    depth           x
-
-For v tau << x under constant work, dF/dv = K tau (1 - x F_s'/F): the force at rupture falls with speed where
-the static tangent exceeds the secant (:func:`hardening_ratio` above 1), and rises elsewhere.
-
-Static force and stored energy of a tissue that is being rendered, for its criterion of rupture (compiled).
-The same measures as :func:`tissueid.model.rupture.rupture_measures`, of the law and the state that
-:func:`tissueid.model.kernels.tissue_step_in` works on, its continuation beyond the identified depth included.
+``W = int F dx``, ``F_s + w F_d``, ``V = int F_s dx + sum_j int_0^{s_j} K_j(x - s_j + u) u du`` (derived).
+For v tau << x under constant work dF/dv = K tau (1 - x F_s'/F): :func:`hardening_ratio`.  The compiled ones
+are of the state that :func:`tissueid.model.kernels.tissue_step_in` works on.
 """
 
 from __future__ import annotations
@@ -45,8 +33,8 @@ from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 
 #: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.
 RAMP_DEPTHS = 4001
-#: Two Gauss points integrate K_j(y) u exactly: degree 3 at the most.
-GAUSS_AT = ((1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0)
+#: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
+NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +51,7 @@ class RupturePoint:
 def rupture_measures(
     model: ChannelModel, theta: FloatArray, path: ContactPath, *, weight: float = DEFAULT_WEIGHT
 ) -> dict[str, FloatArray]:
-    """Measures of loading along a path in contact that starts at rest at depth 0.
-
-    ``theta`` (p,); ``path``: of n samples; ``weight``: w of the weighted force.  Returns (n,),
-    :data:`~tissueid.rupture_law.CRITERIA`, and ``force`` and ``dynamic``, the force and its relaxing part
-    [N].
-    """
+    """Measures along a path in contact from rest, (n,): criteria, ``force`` and ``dynamic`` part [N]."""
     x = path.depth_mm
     static, _, tau = model.split(theta)
     states = branch_states(path.time_s, path.depth_mm, tau)
@@ -77,7 +60,7 @@ def rupture_measures(
     force = elastic + dynamic
     steps = 0.5 * (force[1:] + force[:-1]) * np.diff(x)
     stored = x * x * (static[0] / 2.0 + x * (static[1] / 3.0 + x * static[2] / 4.0))
-    for share in GAUSS_AT:
+    for share in (NEAR, FAR):
         for branch, state in enumerate(states):
             stored = (
                 stored + 0.5 * share * state**2 * model.stiffness(theta, x - (1.0 - share) * state)[branch]
@@ -101,11 +84,9 @@ def rupture_at_speed(
     speed_mm_s: float,
     weight: float = DEFAULT_WEIGHT,
 ) -> RupturePoint | None:
-    """Point at which a ramp at constant speed from rest first reaches the threshold of a criterion.
+    """Point at which a ramp from rest first reaches a criterion's threshold; ``None`` within the depth.
 
-    ``theta`` (p,); ``criterion``: one of :data:`~tissueid.rupture_law.CRITERIA`; ``threshold``: [N mm], [N]
-    or [mm]; ``speed_mm_s``: above 0.  Returns ``None`` where the threshold is not reached within the model's
-    depth.  Raises ValueError: no such criterion.
+    Raises ValueError: no such criterion.
     """
     if criterion not in CRITERIA:
         msg = f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}"
@@ -135,11 +116,7 @@ def peak_force_against_speed(
     *,
     weight: float = DEFAULT_WEIGHT,
 ) -> FloatArray:
-    """Force at rupture over speed: Fig. 4 of paper A for a tissue and a criterion.
-
-    ``model``, ``theta``, ``criterion``, ``threshold``, ``weight``: as of :func:`rupture_at_speed`.  Returns
-    (n,), [N]; NaN where the tissue does not rupture within the model's depth.
-    """
+    """Force at rupture over speed, (n,) [N]: Fig. 4 of paper A; NaN without a rupture within the depth."""
     points = [
         rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=speed, weight=weight)
         for speed in speeds_mm_s
@@ -148,17 +125,10 @@ def peak_force_against_speed(
 
 
 def hardening_ratio(model: ChannelModel, theta: FloatArray, depth_mm: float, force_N: float) -> float:
-    """Static tangent over secant stiffness at a depth, x F_s'(x) / F [1].
-
-    Above 1 the force at rupture under constant work falls with speed, below 1 it rises.
-    """
+    """Static tangent over secant stiffness, x F_s'(x) / F: above 1 force at rupture falls with speed."""
     static, _, _ = model.split(theta)
     slope = static[0] + depth_mm * (2.0 * static[1] + 3.0 * static[2] * depth_mm)
     return float(depth_mm * slope / force_N)
-
-
-#: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
-NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 
 
 @tick_part

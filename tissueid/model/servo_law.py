@@ -1,9 +1,7 @@
 """A contact model as the servo steps it: cubic pieces of the static law, and at most twelve exponentials.
 
-Polynomials and exponentials are this exactly.  Of other laws the static curve is interpolated by cubics
-(Hermite) at depths that are dense at the surface, and a relaxation that is no exponential is projected on
-non-negative exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217) whose times are then fitted as
-well; they are passive by construction.
+Other relaxations are projected on non-negative exponentials (doi 10.1137/1.9781611971217), passive by
+construction, whose times are then fitted as well.
 """
 
 from __future__ import annotations
@@ -14,8 +12,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from tissueid.arrays import FloatArray
-from tissueid.model.channels import ChannelModel, Part
-from tissueid.model.damped import DampedModel
+from tissueid.model.channels import ChannelModel, DampedModel, Part
 from tissueid.model.kernels import (
     LAW_SIZE,
     MOST_BRANCHES,
@@ -96,8 +93,7 @@ class ServoLaw:
     ) -> tuple[FloatArray, FloatArray]:
         """Stiffness of every exponential for small moves about rest at depths, (branches, n), and times.
 
-        Damping behind a filter is one: ``c`` times the filtered speed is ``c / t`` that relaxes in t; in a
-        contact that began at the slowest speed it is the largest.
+        Damping behind a filter is one, largest in a contact that began at the slowest speed.
         """
         x = np.asarray(depth_mm, dtype=np.float64)
         if self.followed == SPEED:
@@ -114,10 +110,7 @@ class ServoLaw:
 
 
 def servo_law(model: ChannelModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
-    """The law that the servo steps for a tissue.
-
-    ``theta`` (p,); ``most``: exponentials that a relaxation is projected on.
-    """
+    """The law that the servo steps for a tissue, a relaxation projected on at most ``most`` exponentials."""
     if isinstance(model, Yardstick):
         return _of_yardstick(model, theta)
     if isinstance(model, DampedModel):
@@ -143,10 +136,7 @@ def servo_law(model: ChannelModel, theta: FloatArray, most: int = MOST_BRANCHES)
 
 
 class TissueStepper:
-    """The tissue under a moving tool: pushes, lets go, recovers, is pushed again.
-
-    ``theta`` (p,): must be passive.
-    """
+    """A passive tissue under a moving tool: pushes, lets go, recovers, is pushed again."""
 
     def __init__(self, model: ChannelModel, theta: FloatArray) -> None:
         if not model.is_passive(theta):
@@ -215,9 +205,8 @@ def projected(
 ) -> tuple[FloatArray, FloatArray]:
     """Weights and times of at most ``most`` decaying exponentials that are a relaxation, (n,) each.
 
-    ``wanted`` (t,): the relaxation at ``time_s``; ``span_s``: of their times, beside one that never
-    decays.  Non-negative least squares on a grid gives neighbours that stand for one time each; these, and
-    as many as there may be between the first and the last of them, are starts from which times are fitted.
+    Non-negative least squares on a grid gives neighbours that stand for one time each; these, and times
+    spread between the first and the last of them, are starts from which times are fitted.
     """
     best, forever = _Sum(np.zeros(0), np.zeros(0), np.inf), FOREVER * span_s[1]
     for count in GRIDS:

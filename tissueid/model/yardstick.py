@@ -1,12 +1,8 @@
 """The yardstick: what any passive law of depth and time could reach on a recording; no law to quote.
 
-Nonlinear superposition (Pipkin & Rogers 1968, doi 10.1016/0022-5096(68)90016-1) with non-negative weights::
-
-    F = G_0(x) + sum_j int exp(-(t - t') / tau_j) dG_j(x(t')) + sum_k K_k(x) s_k
-
-with increasing G_j (Bernstein integrals of degree 4) inside the convolution and K_k >= 0 (Bernstein, degree
-2) of the present depth outside it.  Passive: z' + z / tau = G(x)' with G increasing does work >= 0 on every
-cycle (docs/model.md), and K s outside as in the Kelvin-Voigt law.
+Nonlinear superposition (doi 10.1016/0022-5096(68)90016-1), ``F = G_0(x) + sum_j int exp(-(t - t') / tau_j)
+dG_j(x(t')) + sum_k K_k(x) s_k`` with increasing G_j (Bernstein integrals of degree 4) inside the convolution
+and K_k >= 0 (degree 2) outside it, both passive (docs/model.md).
 """
 
 from __future__ import annotations

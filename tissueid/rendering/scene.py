@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import UsageError, printable
-from tissueid.model.damped import DampedModel
+from tissueid.model.channels import DampedModel
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.store.bundle import load_bundle

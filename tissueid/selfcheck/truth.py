@@ -16,8 +16,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.model.base import ParameterSpec, branch_suffix
-from tissueid.model.channels import ChannelModel, loading_force
-from tissueid.model.polynomial import minimum_on_unit
+from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.

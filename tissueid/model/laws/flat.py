@@ -7,15 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
-from tissueid.model.law import About, Shape
-
-POWER = 1.0
+from tissueid.model.law import About, KnownPower
 
 
 @dataclass(frozen=True, slots=True)
-class Flat:
+class Flat(KnownPower):
     """F_s = c x."""
 
     about: ClassVar[About] = About(
@@ -26,19 +23,10 @@ class Flat:
         purpose="a flat punch on a thick specimen; with its radius in the study, Young's modulus",
         refuses="depths beyond half of the punch's radius",
     )
-    polynomial: ClassVar[bool] = False
-    shapes: ClassVar[tuple[Shape, ...]] = ()
+    power: ClassVar[float] = 1.0
     coefficients: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("static_N_per_mm", "c", "N/mm", 0.0, np.inf, "static force at a depth of 1 mm"),
     )
-
-    def basis(self, depth_mm: FloatArray) -> FloatArray:
-        """The power of depth."""
-        return np.asarray(depth_mm**POWER)[None]
-
-    def slope(self, depth_mm: FloatArray) -> FloatArray:
-        """Its derivative."""
-        return np.asarray(POWER * depth_mm ** (POWER - 1.0))[None]
 
 
 LAW = Flat

@@ -7,15 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
-from tissueid.model.law import About, Shape
-
-POWER = 2.0
+from tissueid.model.law import About, KnownPower
 
 
 @dataclass(frozen=True, slots=True)
-class Sneddon:
+class Sneddon(KnownPower):
     """F_s = c x^2."""
 
     about: ClassVar[About] = About(
@@ -26,19 +23,10 @@ class Sneddon:
         purpose="a cone in a thick specimen; with its angle in the study, Young's modulus",
         refuses="strains beyond 0.1",
     )
-    polynomial: ClassVar[bool] = False
-    shapes: ClassVar[tuple[Shape, ...]] = ()
+    power: ClassVar[float] = 2.0
     coefficients: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("static_N_per_mm2", "c", "N/mm^2", 0.0, np.inf, "static force at a depth of 1 mm"),
     )
-
-    def basis(self, depth_mm: FloatArray) -> FloatArray:
-        """The power of depth."""
-        return np.asarray(depth_mm**POWER)[None]
-
-    def slope(self, depth_mm: FloatArray) -> FloatArray:
-        """Its derivative."""
-        return np.asarray(POWER * depth_mm ** (POWER - 1.0))[None]
 
 
 LAW = Sneddon

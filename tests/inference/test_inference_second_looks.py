@@ -1,4 +1,4 @@
-"""The second optimiser beside the first, and both against lmfit and paper A's own method on raw samples."""
+"""Second looks: lmfit and paper A's method on raw samples, shorter holds, valleys of an open machine."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 from inference_cases import draw, handle_for, handles_for, identified, small_recipe
 
+from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.inference.estimates import estimate_tissue
-from tissueid.inference.lm import both_optimisers
+from tissueid.inference.second_looks import _slope, both_optimisers, relaxation_window
+from tissueid.inference.specimen import window_flags
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import branch_states
+from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import Priors
+from tissueid.synth import Branch, Hold, Log, Move
 from tissueid.trial import Contact, Phase, Segmentation, Trial
 
 N = 400
 STEP = 0.025
+CORNERS_S = [0.0, 0.5, 3.5, 4.5, 10.0]
 DEPTH = 5.0
 TAU = 0.8
 TRUTH = {0: np.array([20.0, -1.2, 0.35, 25.0, TAU]), 1: np.array([20.0, -1.2, 0.35, 20.0, 3.0, TAU])}
@@ -28,38 +33,24 @@ WEAK = 0.02
 
 def one_log(degree, sigma=0.05):
     """Two ramps with holds between and after: tau, K and the static curve are all well determined."""
-    rng = np.random.default_rng(11)
     time = np.arange(N) * STEP
-    depth = np.interp(time, [0.0, 0.5, 3.5, 4.5, 10.0], [0.0, 2.5, 2.5, DEPTH, DEPTH])
+    depth = np.interp(time, CORNERS_S, [0.0, 2.5, 2.5, DEPTH, DEPTH])
     model = kelvin_voigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH)
     path = ContactPath(time, depth)
-    return model, path, model.force(TRUTH[degree], path) + sigma * rng.normal(size=N)
+    return model, path, model.force(TRUTH[degree], path) + sigma * np.random.default_rng(11).normal(size=N)
 
 
 def found(degree):
     """The optimum of the engine, contact known."""
     model, path, force = one_log(degree)
-    corners = np.searchsorted(path.time_s, [0.0, 0.5, 3.5, 4.5, 10.0])
-    kinds = ("ramp", "hold", "ramp", "hold")
-    phases = tuple(
-        Phase(
-            kind,
-            int(a),
-            min(int(b) + 1, N),
-            path.time_s[a],
-            path.time_s[min(b, N - 1)],
-            5.0 * (kind == "ramp"),
-        )
-        for kind, a, b in zip(kinds, corners, corners[1:], strict=False)
-    )
+    phases, corners = [], np.searchsorted(path.time_s, CORNERS_S).tolist()
+    for kind, a, b in zip(("ramp", "hold") * 2, corners, corners[1:], strict=False):
+        speed, end = 5.0 * (kind == "ramp"), path.time_s[min(b, N - 1)]
+        phases.append(Phase(kind, a, min(b + 1, N), path.time_s[a], end, speed))
     trial = Trial("s", path.time_s, path.depth_mm, force)
-    handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-9), phases, 0.05))
-    return (
-        model,
-        path,
-        force,
-        identified([replace(handle, contact_sd_mm=1e-9)], degrees=(degree,), noise="white"),
-    )
+    handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-9), tuple(phases), 0.05))
+    ours = identified([replace(handle, contact_sd_mm=1e-9)], degrees=(degree,), noise="white")
+    return model, path, force, ours
 
 
 def raw_lmfit(model, path, force, start):
@@ -159,3 +150,89 @@ def test_at_an_active_bound_disagreement_is_no_verdict():
     assert said["bound_active"] is True
     assert said["agree"] is not False
     assert estimate_tissue(ours).bounded
+
+
+LOGS = tuple(Log(f"hold-{v:.0f}", (Move(4.0, v), Hold(16.0))) for v in (240.0, 480.0))
+BROAD = tuple(Branch((8.0,), tau) for tau in (0.1, 0.5, 2.5, 12.0))
+
+
+def window(tissue, logs=LOGS, seed=1, **asked):
+    handles = handles_for(draw(small_recipe(branches=tissue, logs=logs, sigma_N=0.05), seed))
+    ours = identified(handles, noise="white", **asked)
+    said = []
+    return relaxation_window(handles, ours, said.append), said
+
+
+def test_one_time_is_the_same_in_every_window():
+    found, said = window((Branch((30.0,), 0.8),))
+    assert said == ["relaxation time of shorter windows"]
+    assert found.cut_s == pytest.approx((16.0, 8.0, 4.0), rel=1e-3)
+    for tau, error in zip(found.tau_s, found.stderr_s, strict=True):
+        assert abs(tau - 0.8) <= 4.0 * error
+    assert abs(found.slope) <= 4.0 * found.slope_stderr
+    assert found.slope_stderr < 0.02
+    # a shorter window knows no more
+    assert found.stderr_s[2] >= found.stderr_s[0]
+    assert window_flags(None) == window_flags(found) == ()
+
+
+def test_a_broad_relaxation_follows_its_window_and_is_said_with_both():
+    found, _ = window(BROAD, branches=(2,))
+    assert found.tau_s[0] > 1.3 * found.tau_s[1] > 1.3 * 1.3 * found.tau_s[2]
+    assert 0.3 < found.slope < 1.2
+    assert found.slope > 10.0 * found.slope_stderr
+    (flag,) = window_flags(found)
+    assert flag.code == "form_dependent"
+    assert f"{found.tau_s[0]:.3g} s in 16 s" in flag.message
+
+
+def test_without_a_hold_or_with_a_short_one_there_is_none():
+    ramps = tuple(Log(f"ramp-{v:.0f}", (Move(4.0, v),)) for v in (60.0, 240.0))
+    assert window((Branch((30.0,), 0.2),), logs=ramps)[0] is None
+    short = tuple(Log(f"hold-{v:.0f}", (Move(4.0, v), Hold(0.1))) for v in (60.0, 240.0))
+    assert window((Branch((30.0,), 0.2),), logs=short)[0] is None
+
+
+def test_a_hold_that_bears_two_windows_gives_two():
+    logs = (Log("a", (Move(4.0, 240.0), Hold(0.24))), *small_recipe().logs[:2])
+    found, _ = window((Branch((30.0,), 0.05),), logs=logs)
+    assert len(found.cut_s) == 2
+
+
+def test_a_slope_is_that_of_the_line():
+    x = np.log([4.0, 2.0, 1.0])
+    slope, error = _slope(x, 0.7 * x + 3.0, np.array([0.1, 0.2, 0.3]))
+    assert slope == pytest.approx(0.7)
+    by = np.linalg.pinv(np.column_stack([x, np.ones(3)]))[0]
+    assert error == pytest.approx(float(np.sqrt(by**2 @ np.array([0.01, 0.04, 0.09]))))
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "share", "seed", "near"),
+    [
+        # a springpot: 5 ms of skew and a filter stand in for a faster one, and leave 1.7 times the noise
+        (
+            "sneddon * linear * fractional", [12.0, 30.0, 4.0, 0.41, 0.486], 2.5e-4, 70,
+            {"relaxation_exponent": (0.486, 0.06)},
+        ),
+        # branches inside the convolution begin with ratios of their own
+        (
+            "polynomial * tangent * prony:2", [8.529, 0.834, 0.386, 0.379, 0.061, 0.98, 9.199], 0.002, 0,
+            {"relaxation_time_s": (0.061, 0.4), "relaxation_time_s_b2": (9.2, 0.3)},
+        ),
+    ],
+)  # fmt: skip
+def test_an_open_machine_hides_no_valley_of_the_law(name, truth, share, seed, near) -> None:
+    """The noise of a push and hold without a stated machine is found, and its parameters."""
+    time = np.arange(0.0, 8.5, 0.01)
+    depth = np.interp(time, [0.5, 2.0], [0.0, 6.0])
+    force = parsed(name).model(6.0, 0.01, 8.0).force(np.array(truth), ContactPath(time, depth))
+    noise = share * float(force.max())
+    force = force + np.random.default_rng(seed).normal(0.0, noise, time.size)
+    travel = np.where(time < 0.5, 4.0 * (time - 0.5), depth)
+    asked = IdentifyOptions(fit=FitOptions(model=name))
+    (fit,) = identify([Trial("tissue", time, travel, force)], options=asked).specimens
+    assert fit.sigma_N < 1.15 * noise
+    found = dict(zip(fit.theta_names, fit.theta, strict=True))
+    for parameter, (value, rel) in near.items():
+        assert found[parameter] == pytest.approx(value, rel=rel)
