@@ -17,9 +17,8 @@ import tracemalloc
 
 import numpy as np
 
-from tissueid.population.design import Design
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.stage_one import StageOne
+from tissueid.population.stage_one import Design, StageOne
 
 SIZES = (100, 1000, 10_000)
 QUANTITIES, DRAWS = 7, 500

@@ -11,11 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of
-from tissueid.rupture.loading import LoadedTest
+from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of
 from tissueid.synth import Branch, Log, Move, Rupture, as_trials, recipe, simulate
-from tissueid.synth.failure import rupture_of
-from tissueid.synth.path import crosshead_path
+from tissueid.synth.response import crosshead_path, rupture_of
 from tissueid.trial import Trial
 
 #: Depth of rupture of the typical tissue at the middle speed, whatever the criterion [mm].

@@ -175,7 +175,7 @@ def warm(tell: Callable[[str], None]) -> None:
     from tissueid.inference.posterior import PosteriorOptions
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import IdentifyOptions, identify
-    from tissueid.synth.protocols import recipe
+    from tissueid.synth.recipe import recipe
     from tissueid.synth.simulate import as_trials, simulate
 
     tell("compiling what a fit needs")

@@ -14,8 +14,8 @@ from tissueid.errors import BundleError, UsageError
 from tissueid.rendering.scene import load_scene
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import read_session_log
-from tissueid.synth.contact_law import simulate_contact_law
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
+from tissueid.synth.simulate import simulate_contact_law
 
 RAMP = (Move(4.0, 100.0),)
 WHOLE = (*RAMP, Hold(2.0), Move(0.0, 100.0))

@@ -12,8 +12,7 @@ from command_line import QUICK, run, write_log
 
 from tissueid.ingest import RECIPES, forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, SyntheticLog, simulate
-from tissueid.synth.machines import mach1_text, shimadzu_text
-from tissueid.synth.workbooks import zwick_workbook
+from tissueid.synth.machines import mach1_text, shimadzu_text, zwick_workbook
 
 SMALL = Recipe(
     "small",

@@ -11,20 +11,17 @@ import numpy as np
 
 from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.arrays import FloatArray
-from tissueid.design.given import given_protocol
-from tissueid.design.information import Chain, Indentation, ramp_of
 from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
-from tissueid.design.precision import Asked, Ledger, Protocol
+from tissueid.design.precision import Asked, Chain, Indentation, Ledger, Protocol, given_protocol, ramp_of
 from tissueid.design.tissues import Tissues, Want, of_draws
 from tissueid.manifest import Study
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior, Priors
 from tissueid.selfcheck.protocol import Centre, in_air_first
 from tissueid.selfcheck.protocol import Protocol as Recorded
-from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.selfcheck.tissue import KNOWN_MACHINE, TissueCheck, tissue_check
-from tissueid.selfcheck.truth import Truth, Widths, numbers_of
+from tissueid.selfcheck.truth import ProtocolLog, Truth, Widths, numbers_of
 from tissueid.synth import recipe
 
 TAU, ETA = "relaxation_time_s", "viscosity_N_s_per_mm"

@@ -12,11 +12,21 @@ import pytest
 from design_cases import ETA, PAPER_A, TAU, asked_for, silent
 from law_cases import LAWS, law_bundle
 
-from tissueid.design.given import given_protocol, given_recipe, of_bundle, of_recipe_tissue, plain_guesses
+from tissueid.design.document import has_recipe, recipe_text, session_order, study_text, test_sheet
 from tissueid.design.machine import PRESETS, Setting, found_machine
 from tissueid.design.plan import planned
-from tissueid.design.sheets import has_recipe, recipe_text, session_order, study_text, test_sheet
-from tissueid.design.tissues import COARSEST_WANT, full_name, parsed_guess, parsed_want, usual_wants
+from tissueid.design.precision import given_protocol
+from tissueid.design.tissues import (
+    COARSEST_WANT,
+    full_name,
+    given_recipe,
+    of_bundle,
+    of_recipe_tissue,
+    parsed_guess,
+    parsed_want,
+    plain_guesses,
+    usual_wants,
+)
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
 from tissueid.store.bundle import write_bundle

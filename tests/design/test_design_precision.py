@@ -1,9 +1,9 @@
-"""The predicted precision, against the fit's own estimates of simulated recordings and a closed form."""
+"""The path of an indentation and its predicted precision, against fits of recordings and closed forms."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
@@ -22,10 +22,51 @@ from design_cases import (
 )
 from law_cases import LAWS, SPECTRUM, law_of
 
-from tissueid.design.information import Chain, Indentation, information
 from tissueid.design.machine import PRESETS, Setting
-from tissueid.design.precision import relative_sd
-from tissueid.selfcheck.recording import ProtocolLog, low_pass, recorded_force
+from tissueid.design.precision import Chain, Indentation, information, ramp_of, relative_sd, seconds_of
+from tissueid.selfcheck.truth import ProtocolLog, low_pass, recorded_force
+
+MACHINE = PRESETS["paper-a"]
+
+
+@pytest.mark.parametrize("acceleration", [20.0, 200.0, 5e4])
+@pytest.mark.parametrize("speed", [10.0, 250.0, 500.0])
+@pytest.mark.parametrize("depth", [0.05, 2.0, 8.0])
+def test_the_ramp_keeps_speed_and_acceleration_and_ends_at_the_depth(
+    acceleration: float, speed: float, depth: float
+) -> None:
+    machine = replace(MACHINE, acceleration_mm_s2=acceleration)
+    ramp = ramp_of(Indentation(speed, depth), machine)
+    time = np.linspace(0.0, ramp.seconds, 20_001)
+    x = ramp.depth(time)
+    v = np.diff(x) / np.diff(time)
+    assert x[0] == 0.0
+    assert x[-1] == pytest.approx(depth, rel=1e-9)
+    assert ramp.depth(np.array([ramp.seconds + 5.0]))[0] == pytest.approx(depth, rel=1e-9)
+    # differences of a parabola carry rounding errors of 1e-16 over steps of microseconds
+    assert v.max() <= speed / 60.0 * (1.0 + 1e-6)
+    assert v.min() >= -1e-9
+    assert np.abs(np.diff(v)).max() <= acceleration * (time[1] - time[0]) * (1.0 + 1e-6) + 1e-7
+
+
+def test_a_machine_of_endless_acceleration_has_the_nominal_ramp() -> None:
+    ramp = ramp_of(Indentation(250.0, 4.0), replace(MACHINE, acceleration_mm_s2=1e9))
+    assert ramp.seconds == pytest.approx(4.0 / (250.0 / 60.0), rel=1e-6)
+
+
+def test_a_short_way_does_not_reach_the_speed() -> None:
+    machine = replace(MACHINE, acceleration_mm_s2=10.0, standoff_mm=0.1)
+    ramp = ramp_of(Indentation(500.0, 1.0), machine)
+    # from rest over 1.1 mm and to rest again: the way is halved between them
+    assert ramp.top_mm_s == pytest.approx(np.sqrt(10.0 * 1.1), rel=1e-9)
+
+
+def test_machine_time_counts_approach_ramp_hold_and_return() -> None:
+    machine = replace(MACHINE, acceleration_mm_s2=1e9, standoff_mm=2.0, return_speed_mm_min=300.0)
+    seconds = seconds_of(Indentation(120.0, 4.0, 30.0), machine)
+    # 2 mm and 4 mm at 2 mm/s, 30 s, 6 mm at 5 mm/s
+    assert seconds == pytest.approx(1.0 + 2.0 + 30.0 + 1.2, rel=1e-6)
+
 
 pytestmark = pytest.mark.needs_jit
 
@@ -120,34 +161,32 @@ def curves_moved(log: ProtocolLog, filter_s: float) -> np.ndarray:
     return -low_pass(log.time_s, slope, filter_s)
 
 
+def slopes(
+    force: Callable[[np.ndarray], np.ndarray], theta: np.ndarray, logarithms: Collection[int]
+) -> list[np.ndarray]:
+    """Central differences of a force by theta, of some by their logarithm."""
+    columns = []
+    for k, value in enumerate(theta):
+        step = 1e-4 * value * np.eye(theta.size)[k]
+        by_logarithm = (force(theta + step) - force(theta - step)) / 2e-4
+        columns.append(by_logarithm if k in logarithms else by_logarithm / value)
+    return columns
+
+
 def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) -> np.ndarray:
     """Information by differences of the simulated force, and the inverse of its covariance matrix."""
     test, machine = Indentation(250.0, 2.0, hold_s), PRESETS["paper-a"]
     (log,) = recorded_logs(test, machine, setting, 1, "log")
     model, theta = PAPER_A.model, PAPER_A.theta[0]
-    tau_at = len(theta) - 1
     calibration = {"force_filter_s": setting.filter_s}
-
     fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
 
-    def force(v: np.ndarray, gamma: float) -> np.ndarray:
-        moved = v.copy()
-        moved[tau_at] = np.exp(v[tau_at])
-        made = recorded_force(
-            model, moved, log, gain=float(np.exp(gamma)), offset_mm=0.0, calibration=calibration
-        )
+    def force(moved: np.ndarray) -> np.ndarray:
+        made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration=calibration)
         return np.asarray(made[fitted])
 
-    point = theta.copy()
-    point[tau_at] = np.log(theta[tau_at])
-    step = 1e-4
-    columns = []
-    for k in range(point.size):
-        change = np.zeros(point.size)
-        change[k] = step
-        columns.append((force(point + change, 0) - force(point - change, 0)) / (2.0 * step))
-    z = np.column_stack(columns)
-    gain = (force(point, step) - force(point, -step)) / (2.0 * step)
+    z = np.column_stack(slopes(force, theta, model.shape_places))
+    gain = force(theta)
     offset = curves_moved(log, setting.filter_s)[fitted]
     apart = np.abs(np.subtract.outer(np.arange(gain.size), np.arange(gain.size)))
     covariance = setting.noise_N**2 * setting.phi**apart
@@ -191,13 +230,7 @@ def test_information_of_any_law_is_that_of_its_simulated_forces(name: str, tissu
         made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration={})
         return np.asarray(made[fitted])
 
-    columns = []
-    for k, value in enumerate(theta):
-        up, down = theta.copy(), theta.copy()
-        up[k], down[k] = value * (1.0 + 1e-4), value * (1.0 - 1e-4)
-        by_logarithm = (force(up) - force(down)) / 2e-4
-        columns.append(by_logarithm if k in model.shape_places else by_logarithm / value)
-    z = np.column_stack(columns)
+    z = np.column_stack(slopes(force, theta, model.shape_places))
 
     found = information(model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
 
@@ -238,17 +271,13 @@ def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
         (log,) = recorded_logs(test, machine, setting, 1, "log")
         fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
 
-        def force(moved: np.ndarray, calibration: dict[str, float], log=log, fitted=fitted) -> np.ndarray:
+        def force(
+            moved: np.ndarray, calibration: dict[str, float] = centre, log=log, fitted=fitted
+        ) -> np.ndarray:
             made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration=calibration)
             return np.asarray(made[fitted])
 
-        columns = []
-        for k in range(theta.size):
-            up, down = theta.copy(), theta.copy()
-            # the last is the relaxation time, by its logarithm
-            step = 1e-4 * theta[k] if k == theta.size - 1 else 1e-4
-            up[k], down[k] = theta[k] + step, theta[k] - step
-            columns.append((force(up, centre) - force(down, centre)) / 2e-4)
+        columns = slopes(force, theta, model.shape_places)
         for name, (value, step) in NUISANCES.items():
             up_to, down_to = ({**centre, name: value + sign * step} for sign in (1.0, -1.0))
             columns.append((force(theta, up_to) - force(theta, down_to)) / (2.0 * step))

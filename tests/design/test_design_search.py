@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from design_cases import ETA, PAPER_A, TAU, asked_for, better_than_paper_a, paper_a, silent
 
-from tissueid.design.information import Chain
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.plan import Plan, against, planned
-from tissueid.design.precision import Ledger
+from tissueid.design.precision import Chain, Ledger
 from tissueid.design.search import enumerated, learned_candidates, rounded
 from tissueid.design.tissues import Tissues, of_draws
 from tissueid.errors import UsageError

@@ -19,9 +19,8 @@ from tissueid.model.grammar import candidates
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.segment import segment
-from tissueid.synth.contact_law import simulate_contact_law
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-from tissueid.synth.simulate import as_trials
+from tissueid.synth.simulate import as_trials, simulate_contact_law
 
 LAW = "power * impact"
 TRUTH = {"c": 4.0, "n": 1.5, "e": 0.7}

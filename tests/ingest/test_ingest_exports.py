@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_files import put, read, refusal
+from tissueid.synth.workbooks import xlsx, zwick_workbook
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
 from tissueid.synth import DIALECTS, EXPORTS, Dialect, SyntheticLog, bluehill_csv
-from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text
-from tissueid.synth.workbooks import xlsx, zwick_workbook
+from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
 from tissueid.trial import Trial
 
 SPEED_MM_S, DEPTH_MM, HOLD_S = 0.5, 8.25, 60.0

@@ -11,7 +11,7 @@ import pytest
 from tissueid.errors import InputError
 from tissueid.ingest import read_each
 from tissueid.synth import Dialect, SyntheticLog, bluehill_csv
-from tissueid.synth.languages import LANGUAGES
+from tissueid.synth.bluehill import LANGUAGES
 
 _UNICODE = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")
 #: Code pages that hold the letters of a language.

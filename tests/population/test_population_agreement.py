@@ -1,3 +1,5 @@
+"""Repeatability, order and speed of logs, against closed forms."""
+
 from __future__ import annotations
 
 import math
@@ -7,7 +9,13 @@ import numpy as np
 import pytest
 from cohort_factory import members
 
-from tissueid.population.agreement import agreement, order_effect, repeatability
+from tissueid.population.agreement import (
+    agreement,
+    confounding_flags,
+    order_effect,
+    repeatability,
+    speed_confounding,
+)
 from tissueid.population.cohort import specimens_for_mean, specimens_for_sd
 from tissueid.population.members import Member
 
@@ -56,7 +64,7 @@ def test_limits_of_agreement_are_those_of_bland_and_altman() -> None:
     assert found.bias_ci95 == pytest.approx((changes.mean() - error, changes.mean() + error), abs=1e-6)
     assert found.upper == pytest.approx(changes.mean() + 1.959964 * sd, abs=1e-6)
     assert found.upper_ci95 == pytest.approx((found.upper - limit, found.upper + limit), abs=1e-6)
-    assert [pair[1] for pair in found.pairs] == pytest.approx([100.0] * 8)
+    assert [pair.force_N for pair in found.pairs] == pytest.approx([100.0] * 8)
 
 
 def test_a_slope_common_to_all_specimens_is_the_order_effect() -> None:
@@ -108,3 +116,43 @@ def test_cohort_size_gives_the_interval_it_promises() -> None:
     assert ((means > 1 / 1.05) & (means < 1.05)).mean() == pytest.approx(0.95, abs=0.015)
     # large-sample formula of a spread: 95 % within 2 %
     assert ((spreads > 0.18) & (spreads < 0.22)).mean() == pytest.approx(0.95, abs=0.03)
+
+
+SLOW, MIDDLE, FAST = 10.0 / 60.0, 100.0 / 60.0, 500.0 / 60.0
+
+
+def at_speeds(*speeds: tuple[float, ...]) -> tuple[Member, ...]:
+    """Specimens, each with a log at each of its speeds."""
+    made = members(len(speeds), repeats=1, draws=100)
+    return tuple(
+        replace(one, trials=tuple(replace(one.trials[0], speed_mm_s=speed) for speed in own))
+        for one, own in zip(made, speeds, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("speeds", "kind", "says"),
+    [
+        (((SLOW, MIDDLE, FAST),) * 3, "none", "All 3 speeds meet in specimens"),
+        # along a chain of specimens
+        (((SLOW, MIDDLE), (MIDDLE, FAST), (FAST,)), "none", "All 3 speeds meet in specimens"),
+        (((SLOW,), (SLOW,), (MIDDLE,), (FAST,)), "confounded", "no effect of speed can be claimed"),
+        (((SLOW, MIDDLE), (SLOW, MIDDLE), (FAST,)), "partly", "different parts can't be compared"),
+        # settings that differ by a machine's error are one speed
+        (((SLOW,), (1.01 * SLOW,), (0.995 * SLOW,)), "single speed", "nothing is said of an effect of speed"),
+    ],
+)
+def test_speeds_that_share_no_specimen_are_confounded_with_them(
+    speeds: tuple[tuple[float, ...], ...], kind: str, says: str
+) -> None:
+    found = speed_confounding(at_speeds(*speeds))
+
+    assert found is not None
+    assert found.kind == kind
+    assert says in found.sentence
+    # two specimens at one speed are one part
+    assert "10, 10 " not in found.sentence
+    told = {"confounded", "partly"}
+    assert [flag.code for flag in confounding_flags(found)] == ["speed_confounded"] * (kind in told)
+    if kind == "partly":
+        assert found.parts == (pytest.approx((SLOW, MIDDLE)), pytest.approx((FAST,)))

@@ -10,7 +10,7 @@ from tissueid.population.coordinates import Coordinates
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design, StageOne
 from tissueid.priors import PopulationPriors, SpreadPrior
-from tissueid.selfcheck.ranks import binomial_interval
+from tissueid.selfcheck.verdicts import binomial_interval
 
 COHORTS, SPECIMENS, SIZE = 200, 17, 7
 #: Spread between specimens of some 15 %, as stated for these cohorts.

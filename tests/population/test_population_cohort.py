@@ -10,13 +10,10 @@ from cohort_factory import COORDINATES, TYPICAL, UNITS, members
 from tissueid.errors import UsageError
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
-from tissueid.population.cohort import CohortFit, CohortOptions, cohort
+from tissueid.population.cohort import CohortFit, CohortOptions, cohort, prediction_error, shared_instrument
 from tissueid.population.coordinates import Coordinates
-from tissueid.population.design import design_of
 from tissueid.population.document import as_document, population_bundle
-from tissueid.population.held_out import prediction_error
-from tissueid.population.members import Member, TrialRow, common_model, fit_for_cohort
-from tissueid.population.rows import shared_instrument
+from tissueid.population.members import Member, TrialRow, common_model, design_of, fit_for_cohort
 from tissueid.population.sampler import SamplerOptions
 from tissueid.result import Curve, ModelChoice
 from tissueid.store.bundle import load_bundle, write_bundle
@@ -32,24 +29,35 @@ def found() -> CohortFit:
 
 
 @pytest.mark.slow
-def test_the_document_keeps_its_schema(found: CohortFit) -> None:
+def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
     document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
-
     assert first_problem(document, "population") is None
     assert document["specimens_used"] == [f"head {k}" for k in range(1, 9)]
     assert [row["name"] for row in document["population"]["quantities"]] == list(COORDINATES.names)
 
-
-@pytest.mark.slow
-def test_the_typical_tissue_is_near_the_truth(found: CohortFit) -> None:
-    assert found.population is not None
-    rows = {row.name: row for row in found.population.quantities}
-    truth = dict(zip(COORDINATES.names, COORDINATES.quantities(TYPICAL)[0], strict=True))
-
+    population = found.population
+    assert population is not None
+    force = {row.name: row for row in population.quantities}["static_force_3_N"]
+    truth = dict(zip(COORDINATES.names, COORDINATES.quantities(TYPICAL)[0], strict=True))["static_force_3_N"]
     # eight specimens that differ by 15 %: three standard errors of 5.3 %
-    assert rows["static_force_3_N"].median == pytest.approx(truth["static_force_3_N"], rel=0.16)
-    assert rows["static_force_3_N"].ci95[0] < truth["static_force_3_N"] < rows["static_force_3_N"].ci95[1]
-    assert 0.05 < rows["static_force_3_N"].cv < 0.45
+    assert force.median == pytest.approx(truth, rel=0.16)
+    assert force.ci95[0] < truth < force.ci95[1]
+    assert 0.05 < force.cv < 0.45
+
+    # force is known to 1 % each, tau to 20 % where specimens differ by 15 %
+    shrinkage = np.array([row.shrinkage for row in population.specimens])
+    assert shrinkage[:, 2].max() < 0.2
+    assert np.median(shrinkage[:, 4]) > 0.2
+
+    rows = [row for row in population.effects if row.covariate == "sex"]
+    assert len(rows) == COORDINATES.size
+    assert all(row.ci95[0] < row.ratio < row.ci95[1] for row in rows)
+    assert all(0.0 <= row.probability <= 1.0 for row in rows)
+
+    held = population.held_out
+    assert held is not None
+    assert (held.folds, len(held.trials)) == (8, 24)
+    assert held.nrmsd_mean.median > held.nrmsd_range.median > 0.0
 
 
 @pytest.mark.slow
@@ -75,38 +83,6 @@ def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_pa
     # heavy tails widen the central 68 % a little, posteriors of spreads are skew
     expected = np.sqrt(row.sd_ln**2 + row.levels["donor"]["sd_ln"] ** 2 + mean**2)
     assert 0.5 * (high - low) == pytest.approx(expected, rel=0.3)
-
-
-@pytest.mark.slow
-def test_specimens_shrink_where_their_own_logs_say_little(found: CohortFit) -> None:
-    assert found.population is not None
-    shrinkage = np.array([row.shrinkage for row in found.population.specimens])
-
-    # force is known to 1 % each, tau to 20 % where specimens differ by 15 %
-    assert shrinkage[:, 2].max() < 0.2
-    assert np.median(shrinkage[:, 4]) > 0.2
-
-
-@pytest.mark.slow
-def test_groups_are_compared_as_ratios(found: CohortFit) -> None:
-    assert found.population is not None
-    rows = [row for row in found.population.effects if row.covariate == "sex"]
-
-    assert len(rows) == COORDINATES.size
-    assert all(row.ci95[0] < row.ratio < row.ci95[1] for row in rows)
-    assert all(0.0 <= row.probability <= 1.0 for row in rows)
-
-
-@pytest.mark.slow
-def test_held_out_specimens_are_predicted_from_the_others(found: CohortFit) -> None:
-    assert found.population is not None
-    held = found.population.held_out
-    assert held is not None
-
-    assert held.folds == 8
-    assert len(held.rows) == 24
-    document = held.as_json()
-    assert document["nrmsd_mean"]["median"] > document["nrmsd_range"]["median"] > 0.0
 
 
 def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
@@ -195,7 +171,7 @@ def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: s
     # seven specimens 10 % apart: their mean within 3.8 % standard error, five of it
     assert mean == pytest.approx(centre, abs=0.19)
     assert found.population.held_out is not None
-    errors = [row.nrmsd_range for row in found.population.held_out.rows]
+    errors = [row.nrmsd_range for row in found.population.held_out.trials]
     assert len(errors) == 7
     # quantities scatter by 10 %, so does the force of the typical tissue
     assert np.median(errors) < 0.15

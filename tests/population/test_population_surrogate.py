@@ -1,4 +1,4 @@
-"""A smooth likelihood stands for all draws of a specimen, not for one of them."""
+"""A smooth likelihood stands for all draws of a specimen, not for one of them; factors of small matrices."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL
 
+from tissueid.population.chain import log_mixture
+from tissueid.population.kernels import factor, inverse_factor, solved
 from tissueid.population.members import Member, stage_one
-from tissueid.population.moves import log_mixture
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.stage_one import Design
-from tissueid.population.surrogate import Mixture, mixture_of
+from tissueid.population.stage_one import Design, Mixture, mixture_of
 from tissueid.result import ModelChoice
 
 LINEAR = np.array([True, True, False])
@@ -142,3 +142,17 @@ def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
         fall = density(shift) - density(0.0)
         # 1,200 draws in the tails; one normal of all draws falls by 0.1 at a shift of 0.1, where 2.1 is right
         assert fall == pytest.approx(expected(shift) - expected(0.0), abs=0.4), shift
+
+
+def test_factors_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(3)
+    matrix, away = np.cov(rng.standard_normal((4, 20))), rng.standard_normal(4)
+    low = np.linalg.cholesky(matrix)
+    # condition numbers below a hundred: rounding only
+    assert factor(matrix) == pytest.approx(low, rel=1e-10)
+    assert inverse_factor(low) == pytest.approx(np.linalg.inv(low), rel=1e-10)
+    assert solved(low, away) == pytest.approx(np.linalg.solve(low, away), rel=1e-10)
+
+
+def test_a_matrix_that_is_not_positive_definite_has_no_factor() -> None:
+    assert np.isnan(np.diag(factor(np.array([[1.0, 2.0], [2.0, 1.0]])))).any()

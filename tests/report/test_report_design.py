@@ -12,11 +12,10 @@ import pytest
 from typed_call import typed_call
 
 from tissueid.design.document import design_document
-from tissueid.design.given import given_protocol, given_recipe, of_recipe_tissue
 from tissueid.design.machine import PRESETS
 from tissueid.design.plan import against, planned
-from tissueid.design.precision import Asked
-from tissueid.design.tissues import parsed_want
+from tissueid.design.precision import Asked, given_protocol
+from tissueid.design.tissues import given_recipe, of_recipe_tissue, parsed_want
 from tissueid.report.design_page import render_design
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem

@@ -13,9 +13,7 @@ from tissueid.report.reproduction_page import KINDS, render_reproduction
 from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.document import PAPER_WORDS, PLACES
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.items import rounded
-from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Ledger
-from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Ledger, Readings, rounded
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 from tissueid.store.files import plain_json
 from tissueid.store.schema import check

@@ -11,10 +11,10 @@ import pytest
 from typed_call import typed_call
 
 from tissueid.report.selfcheck_page import render_selfcheck
-from tissueid.selfcheck.document import Asked, check_document
 from tissueid.selfcheck.protocol import of_recipe
 from tissueid.selfcheck.records import Record
 from tissueid.selfcheck.tissue import tissue_check
+from tissueid.selfcheck.verdicts import Asked, check_document
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 from tissueid.synth import recipe

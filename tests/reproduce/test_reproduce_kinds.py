@@ -11,11 +11,22 @@ from tissueid.errors import UsageError
 from tissueid.reproduce import relaxation
 from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.hip import guidance_forces
-from tissueid.reproduce.identification import identified_table
-from tissueid.reproduce.items import Item, Kind, near, overlaps, rounded, within_interval
-from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
-from tissueid.reproduce.readings import READINGS, Readings, readings_from
-from tissueid.reproduce.recordings import Effort
+from tissueid.reproduce.published import (
+    PUBLISHED,
+    READINGS,
+    SADEGHNEJAD,
+    Item,
+    Kind,
+    Ledger,
+    Published,
+    Readings,
+    near,
+    overlaps,
+    readings_from,
+    rounded,
+    within_interval,
+)
+from tissueid.reproduce.recordings import Effort, identified_table
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
 QUICK = Effort(draws=0)

@@ -10,14 +10,17 @@ from scipy.optimize import brentq
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.document import reproduction
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.identification import identified_table
-from tissueid.reproduce.items import Item, Kind
-from tissueid.reproduce.published import SADEGHNEJAD, Ledger
-from tissueid.reproduce.readings import Readings
-from tissueid.reproduce.recordings import Effort
+from tissueid.reproduce.published import SADEGHNEJAD, Item, Kind, Ledger, Readings
+from tissueid.reproduce.recordings import Effort, identified_table
 from tissueid.reproduce.relaxation import hold_exponential, settling_force
-from tissueid.reproduce.speeds import force_displacement, peak_against_speed, rupture_force
-from tissueid.reproduce.tissue import Tissue, cubic_through_peaks, read_branch
+from tissueid.reproduce.speeds import (
+    Tissue,
+    cubic_through_peaks,
+    force_displacement,
+    peak_against_speed,
+    read_branch,
+    rupture_force,
+)
 from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 from tissueid.synth.recipe import Branch

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rupture.failures import SpecimenLaw, failures_of
-from tissueid.rupture.loading import loaded_test
+from tissueid.rupture.failures import SpecimenLaw, failures_of, loaded_test
 from tissueid.segment import SegmentOptions, segment
 from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
 from tissueid.synth.simulate import SyntheticLog
@@ -33,7 +32,9 @@ def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke() -> None:
         assert test.ruptured
         assert test.speed_mm_s == pytest.approx(log.truth["speed_mm_s"], rel=1e-6)
         # half a step to either side, and 0.02 mm of contact
-        assert test.end_mm == pytest.approx(log.truth["rupture_depth_mm"], abs=0.5 * test.step_mm + 0.03)
+        assert test.depth_mm[-1] == pytest.approx(
+            log.truth["rupture_depth_mm"], abs=0.5 * test.step_mm + 0.03
+        )
         slope = 60.0  # N/mm at the rupture, at the most
         assert test.force_N == pytest.approx(
             log.truth["rupture_force_N"], abs=0.5 * test.step_mm * slope + 1.0
@@ -45,7 +46,7 @@ def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke() -> None:
 
 def test_the_middle_of_the_step_is_not_early_or_late() -> None:
     plan = replace(PLAN, logs=(replace(PLAN.logs[2], repeats=24),), rate_Hz=250.0)
-    early = [test.end_mm - log.truth["rupture_depth_mm"] for log, test in up_to_end(plan)]
+    early = [test.depth_mm[-1] - log.truth["rupture_depth_mm"] for log, test in up_to_end(plan)]
     # uniform over 0.2 mm: sd 0.058 mm, of a mean of 24 0.012; the last sample itself is 0.1 mm early
     assert np.mean(early) == pytest.approx(0.0, abs=0.036)
 
@@ -55,7 +56,7 @@ def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample() -> None:
     ((log, test),) = up_to_end(replace(PLAN, logs=(held,)))
     assert test is not None
     assert (test.ruptured, test.step_mm, test.residual) == (False, 0.0, None)
-    assert test.end_mm == pytest.approx(4.0 - log.truth["contact_offset_mm"], abs=0.05)
+    assert test.depth_mm[-1] == pytest.approx(4.0 - log.truth["contact_offset_mm"], abs=0.05)
     assert test.work_N_mm == pytest.approx(log.truth["rupture_work_N_mm"], rel=0.05)
 
 
@@ -73,7 +74,7 @@ def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spr
     covariance = np.diag([0.0, 0.0, 0.0, (0.05 * 63.62) ** 2, 0.0])
     (sure,) = failures_of(SpecimenLaw("a", model, theta, np.zeros((5, 5))), [(test, 0.0)])
     (open_,) = failures_of(SpecimenLaw("a", model, theta, covariance), [(test, 0.0)])
-    x, v = test.end_mm, test.speed_mm_s
+    x, v = test.depth_mm[-1], test.speed_mm_s
     dynamic = 63.62 * v * 0.021
     share = dynamic / (6.0 * x + 0.4 * x**3 + dynamic)
     assert sure.dynamic_share == pytest.approx(share, rel=0.01)

@@ -12,8 +12,7 @@ from tissueid.errors import NotIdentifiedError
 from tissueid.rupture.document import sentences
 from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import Failure
-from tissueid.rupture.speeds import Hardening, change_with_speed, hardening_of
-from tissueid.rupture.study import decide, rupture_study
+from tissueid.rupture.study import change_with_speed, decide, direction, hardening_of, rupture_study
 from tissueid.rupture_law import CRITERIA
 
 
@@ -23,7 +22,7 @@ def cohort() -> list[Failure]:
 
 
 def threshold(criterion: str, ln_evidence: float, trend_p: float | None = 0.5) -> Threshold:
-    return Threshold(criterion, 1.0, (0.9, 1.1), 0.1, 0.1, ln_evidence, 1.0, 0.0, trend_p, {"a": 1.0})
+    return Threshold(criterion, "N", 1.0, (0.9, 1.1), 0.1, 0.1, ln_evidence, 1.0, 0.0, trend_p, {"a": 1.0})
 
 
 def thresholds(evidence: tuple[float, ...], trend_p: float | None = 0.5) -> list[Threshold]:
@@ -132,12 +131,12 @@ def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort: list[Fai
 
 
 @pytest.mark.parametrize(
-    ("ends", "direction"), [((1.1, 2.0), "falls"), ((0.5, 0.9), "rises"), ((0.9, 1.1), "undecided")]
+    ("ends", "said"), [((1.1, 2.0), "falls"), ((0.5, 0.9), "rises"), ((0.9, 1.1), "undecided")]
 )
 def test_the_sign_is_told_only_where_the_interval_leaves_out_one(
-    ends: tuple[float, float], direction: str
+    ends: tuple[float, float], said: str
 ) -> None:
-    assert Hardening(sum(ends) / 2.0, ends, 6).direction == direction
+    assert direction(ends, below="rises", above="falls") == said
 
 
 def test_too_few_ruptures_are_refused_with_their_number(cohort: list[Failure]) -> None:

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.selfcheck.ranks import DRAWS
-from tissueid.selfcheck.records import Checkpoint, Replicate
-from tissueid.selfcheck.run import run_simulations
+from tissueid.selfcheck.records import DRAWS, Checkpoint, Replicate, run_simulations
 
 PRIOR_SD = 2.0
 NOISE_SD = 1.0

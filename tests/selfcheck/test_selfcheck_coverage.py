@@ -9,8 +9,7 @@ import pytest
 from coverage_cases import CASES, FRAMES, Case
 from scipy.stats import beta, binom
 
-from tissueid.selfcheck.records import Checkpoint
-from tissueid.selfcheck.run import run_simulations
+from tissueid.selfcheck.records import Checkpoint, run_simulations
 from tissueid.selfcheck.verdicts import Verdict, verdict_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.needs_jit]

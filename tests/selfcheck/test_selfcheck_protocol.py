@@ -1,19 +1,38 @@
-"""What a recipe, a bundle and recordings become: protocols with their contact, depth and speeds."""
+"""A recipe, a bundle and recordings become protocols with their contact, depth and speeds."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
 
-from tissueid.errors import InputError
-from tissueid.selfcheck.protocol import CONTACT_SD_MM, of_bundle, of_program, of_recipe
-from tissueid.selfcheck.recorded import inputs_there
+from tissueid.documents.identification import NoiseFit
+from tissueid.errors import InputError, UsageError
+from tissueid.manifest import Calibration, Entry, Study
+from tissueid.model.frame import linear_frame
+from tissueid.selfcheck.protocol import (
+    CONTACT_SD_MM,
+    Centre,
+    Protocol,
+    Recordings,
+    inputs_there,
+    of_bundle,
+    of_bundle_inputs,
+    of_fit,
+    of_program,
+    of_recipe,
+    of_recordings,
+    white_share,
+)
 from tissueid.selfcheck.tissue import described, tissue_check
 from tissueid.store.bundle import Bundle, bundle_from_fit
 from tissueid.synth import Branch, Hold, Log, Move, recipe
+from tissueid.trial import Source, Trial
 
 
 def bundle() -> Bundle:
@@ -95,3 +114,147 @@ def test_two_checks_are_told_apart_by_everything_that_decides() -> None:
         tissue_check(of_recipe(replace(plan, logs=logs), rate_Hz=50.0)[0], centre),
     ]
     assert all(described(one) != base for one in others)
+
+
+TIME = np.arange(0.0, 6.0, 0.01)
+#: 1 s in air, 4 mm at 4 mm/s, held for 2 s, and back.
+DEPTH = np.interp(TIME, [0.0, 1.0, 2.0, 4.0, 5.0, 6.0], [-4.0, 0.0, 4.0, 4.0, -4.0, -4.0])
+
+
+def trial(path: str, specimen: str = "liver", *, stiffness: float = 30.0) -> Trial:
+    noise = 0.05 * np.random.default_rng(4).standard_normal(TIME.size)
+    force = stiffness * np.maximum(DEPTH, 0.0) + noise
+    return Trial(specimen, TIME, 10.0 + DEPTH, force, source=Source(path, sha256=path))
+
+
+def of_these(
+    trials: Sequence[Trial],
+    *,
+    study: Study | None = None,
+    specimen: str | None = None,
+    model: str | None = None,
+) -> tuple[str, Protocol, Centre]:
+    known = {one.source.path: one for one in trials}
+    given = Recordings(iter(trials), lambda source: known[source.path], "lab", study)
+    return of_recordings(given, specimen=specimen, model=model, progress=lambda *_: None)
+
+
+@pytest.fixture(autouse=True)
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What ``identify`` was asked for; it finds the fit of the factory, with its AR(1) noise."""
+    given: dict[str, Any] = {}
+
+    def identify(trials: Sequence[Trial], **options: Any) -> Any:
+        given.update(options, trials=trials)
+        return identification([sampled(specimen_fit(), total=False)])
+
+    monkeypatch.setattr("tissueid.selfcheck.protocol.identify", identify)
+    return given
+
+
+def test_the_law_that_is_asked_for_is_fitted(asked: dict[str, Any]) -> None:
+    of_these([trial("a.csv")], model="power * fung")
+
+    assert asked["options"].fit.model == "power * fung"
+
+
+def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked: dict[str, Any]) -> None:
+    name, protocol, centre = of_these([trial("a.csv"), trial("b.csv")])
+    assert name == "liver"
+    assert protocol.words == "the measured x(t) of 2 recordings"
+    (first, _) = protocol.logs
+    # contact is found to some hundredths of a mm; time is counted from its sample
+    assert first.depth_mm[0] == pytest.approx(-4.0, abs=0.05)
+    assert first.time_s[0] == pytest.approx(-1.0, abs=0.02)
+    assert first.time_s[-1] == pytest.approx(3.0, abs=0.05)
+    assert protocol.depth_mm == pytest.approx(4.0, abs=0.05)
+    assert protocol.speeds_mm_s == pytest.approx((4.0, 4.0), rel=0.02)
+    assert [one.source.path for one in asked["trials"]] == ["a.csv", "b.csv"]
+    assert centre.pooling == "partial"
+
+
+def test_the_tissue_and_the_noise_are_those_that_were_identified() -> None:
+    fit = sampled(specimen_fit(), total=False)
+    centre = of_fit(fit, logs=3)
+    assert (centre.sigma_N, centre.phi, centre.white_share) == (0.3, 0.6, 0.0)
+    np.testing.assert_array_equal(centre.theta, fit.theta)
+    assert centre.model.depth_mm == fit.depth_mm
+    # nobody told of the noise: white, as large as the residual
+    untold = of_fit(replace(fit, posterior=None), logs=1)
+    assert (untold.sigma_N, untold.phi, untold.pooling) == (fit.sigma_N, 0.0, "shared")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_the_share_of_white_noise_follows_from_its_moving_average(share: float) -> None:
+    # AR(1) of variance 1 - share and white noise of variance share: the root of the moving average of
+    # r_n - phi r_(n-1) = w_n + v_n - phi v_(n-1), whose autocovariances are (a, -phi share)
+    phi = 0.9
+    a = (1.0 - share) * (1.0 - phi**2) + share * (1.0 + phi**2)
+    b = phi * share
+    theta = (a - np.sqrt(a**2 - 4.0 * b**2)) / (2.0 * b)
+    noise = NoiseFit(model="white+ar1", sigma_N=1.0, phi=phi, reference_step_s=0.01, moving_average=theta)
+    assert white_share(noise) == pytest.approx(share, rel=1e-9)
+
+
+def test_of_several_specimens_one_is_named() -> None:
+    both = [trial("a.csv"), trial("b.csv", "heart")]
+    with pytest.raises(UsageError, match="holds 2 specimens: choose one with --specimen: liver, heart"):
+        of_these(both)
+    with pytest.raises(UsageError, match="holds no specimen 'lung'; there are liver, heart"):
+        of_these(both, specimen="lung")
+    name, protocol, _ = of_these(both, specimen="heart")
+    assert (name, [log.name for log in protocol.logs]) == ("heart", ["b.csv"])
+
+
+def test_what_a_study_says_of_recordings_counts(asked: dict[str, Any]) -> None:
+    def entry(file: str, **values: Any) -> Entry:
+        return Entry(values, (Study.real_path(file),), 1)
+
+    study = Study(
+        "study.toml",
+        about={"only_listed": True},
+        trials=(entry("a.csv", specimen="spleen"), entry("b.csv", specimen="spleen")),
+        exclusions=(entry("b.csv", because="slipped"),),
+    )
+    name, protocol, _ = of_these([trial("a.csv"), trial("b.csv"), trial("c.csv")], study=study)
+    assert name == "spleen"
+    assert [log.name for log in protocol.logs] == ["a.csv"]
+    assert asked["study"] is study
+
+
+def test_a_known_frame_is_taken_off_the_motion() -> None:
+    study = Study("study.toml", calibration=Calibration(frame=linear_frame(600.0)))
+    _, protocol, _ = of_these([trial("a.csv")], study=study)
+    # 120 N at 600 N/mm
+    assert protocol.depth_mm == pytest.approx(4.0 - 0.2, abs=0.05)
+
+
+def test_recordings_in_air_have_nothing_to_check() -> None:
+    with pytest.raises(InputError, match="no recording in which the tool meets a tissue"):
+        of_these([trial("a.csv", stiffness=0.0)])
+
+
+def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    empty = replace(identification([], refused=True), exit=replace(identification([]).exit, reasons=("why",)))
+    monkeypatch.setattr("tissueid.selfcheck.protocol.identify", lambda *_, **__: empty)
+    with pytest.raises(InputError, match="nothing that can be fitted; the first: why"):
+        of_these([trial("a.csv")])
+
+
+def test_a_bundle_s_own_recordings_are_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = replace(specimen_fit(trials=1), depth_mm=4.0)
+    path = fit.trials[0].path
+    provenance = {"inputs": [{"path": path, "sheet": None, "sha256": path, "specimen": fit.specimen}]}
+    bundle = bundle_from_fit(fit, provenance=provenance)
+    monkeypatch.setattr("tissueid.selfcheck.protocol.inputs_there", lambda one: one.provenance["inputs"])
+
+    def protocol(trials: Sequence[Trial], of: Any = bundle) -> Protocol | None:
+        return of_bundle_inputs(trials, of, study=None, progress=lambda *_: None)
+
+    found = protocol([trial("b.csv"), trial(path)])
+    assert found is not None
+    assert [log.name for log in found.logs] == [path]
+    # one of them is no longer there, or they are of other depths than the bundle's
+    assert protocol([trial("b.csv")]) is None
+    shallow = bundle_from_fit(replace(fit, depth_mm=3.0), provenance=provenance)
+    assert protocol([trial(path)], shallow) is None

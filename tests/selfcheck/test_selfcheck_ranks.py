@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tissueid.selfcheck.ranks import DRAWS, POINTS, binomial_interval, ecdf_band, ecdf_counts, rank_of
+from tissueid.selfcheck.records import DRAWS, rank_of
+from tissueid.selfcheck.verdicts import POINTS, binomial_interval, ecdf_band, ecdf_counts
 
 
 @pytest.mark.parametrize(("simulations", "level"), [(60, 0.95), (200, 0.95), (200, 0.99)])

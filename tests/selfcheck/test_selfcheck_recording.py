@@ -8,10 +8,9 @@ import pytest
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.selfcheck.recording import ProtocolLog, noise, recorded_force, simulated_trials
-from tissueid.selfcheck.truth import Truth
-from tissueid.synth.path import Path as SynthPath
+from tissueid.selfcheck.truth import ProtocolLog, Truth, noise, recorded_force, simulated_trials
 from tissueid.synth.recipe import Branch
+from tissueid.synth.response import Path as SynthPath
 from tissueid.synth.response import tissue_force
 
 MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=8.0)

@@ -14,8 +14,15 @@ import pytest
 from conjugate_check import NormalMean
 
 from tissueid.errors import NotIdentifiedError, UsageError
-from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of, thinned
-from tissueid.selfcheck.run import one_record, run_simulations
+from tissueid.selfcheck.records import (
+    Checkpoint,
+    Record,
+    Replicate,
+    one_record,
+    record_of,
+    run_simulations,
+    thinned,
+)
 from tissueid.selfcheck.verdicts import verdict_of
 
 
@@ -38,25 +45,23 @@ def test_a_right_posterior_is_calibrated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("check", "says"),
+    ("check", "says", "mean_z", "spread"),
     [
-        (NormalMean(width=0.7), "mean: the 95 % interval covers"),
-        (NormalMean(width=1.5), "mean: the 50 % interval covers"),
-        (NormalMean(shift=0.4), "mean: ranks leave the family-wise 99 % band"),
+        (NormalMean(width=0.7), "mean: the 95 % interval covers", 0.0, 1.0 / 0.7),
+        (NormalMean(width=1.5), "mean: the 50 % interval covers", 0.0, 1.0 / 1.5),
+        (NormalMean(shift=0.4), "mean: ranks leave the family-wise 99 % band", -0.4, np.hypot(1.0, 0.4)),
     ],
     ids=["too narrow", "too wide", "biased"],
 )
-def test_a_wrong_posterior_is_told_why(check: NormalMean, says: str) -> None:
+def test_a_wrong_posterior_is_told_why_and_by_how_much(
+    check: NormalMean, says: str, mean_z: float, spread: float
+) -> None:
     verdict = verdict_of(records_of(check, 400))
     assert not verdict.calibrated
     assert any(reason.startswith(says) for reason in verdict.reasons), verdict.reasons
-
-
-def test_bias_and_spread_have_the_right_size() -> None:
-    shifted = verdict_of(records_of(NormalMean(shift=0.4), 400)).parameters[0]
-    narrow = verdict_of(records_of(NormalMean(width=0.7), 400)).parameters[0]
-    assert shifted.mean_z == pytest.approx(-0.4, abs=3.5 / np.sqrt(400))
-    assert narrow.spread_ratio == pytest.approx(1 / 0.7, rel=3.5 / np.sqrt(2 * 400))
+    first = verdict.parameters[0]
+    assert first.mean_z == pytest.approx(mean_z, abs=3.5 * spread / np.sqrt(400))
+    assert first.spread_ratio == pytest.approx(spread, rel=3.5 / np.sqrt(2 * 400))
 
 
 def test_a_simulation_without_a_posterior_is_counted_and_told() -> None:
@@ -150,22 +155,27 @@ def test_workers_change_nothing_but_the_clock(tmp_path: Path) -> None:
     assert [(r.index, r.truth, r.rank) for r in one] == [(r.index, r.truth, r.rank) for r in two]
 
 
+def started(path: Path, simulations: int, workers: int, records: int) -> subprocess.Popen[bytes]:
+    """The check as a program of its own, once it has written so many records."""
+    script, root = Path(__file__).with_name("conjugate_check.py"), Path(__file__).resolve().parents[2]
+    arguments = [sys.executable, str(script), str(path), str(simulations), str(workers)]
+    running = subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": str(root)})
+    deadline = time.monotonic() + 120.0
+    while not (path.exists() and path.read_bytes().count(b"\n") > records):
+        assert time.monotonic() < deadline, "nothing was simulated"
+        time.sleep(0.01)
+    return running
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a kill that can't be caught is POSIX")
 def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
     path = tmp_path / "calibrate.jsonl"
-    script = Path(__file__).with_name("conjugate_check.py")
-    arguments = [sys.executable, str(script), str(path), "60", "1"]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    running = subprocess.Popen(arguments, env=environment)
-    deadline = time.monotonic() + 120.0
-    while not (path.exists() and path.read_bytes().count(b"\n") > 8):
-        assert time.monotonic() < deadline, "nothing was simulated"
-        time.sleep(0.01)
+    running = started(path, 60, 1, records=8)
     running.send_signal(signal.SIGKILL)
     running.wait()
     before = path.read_bytes()
     assert before.count(b"\n") < 61
-    subprocess.run(arguments, env=environment, check=True)
+    assert started(path, 60, 1, records=60).wait() == 0
     assert path.read_bytes().startswith(before[: before.rfind(b"\n") + 1])
     with Checkpoint(path, "killed") as checkpoint:
         found = [(r.truth, r.rank) for r in checkpoint.first(60)]
@@ -174,15 +184,8 @@ def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="children are looked up in /proc")
 def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
-    path = tmp_path / "calibrate.jsonl"
-    script = Path(__file__).with_name("conjugate_check.py")
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    running = subprocess.Popen([sys.executable, str(script), str(path), "100000", "2"], env=environment)
+    running = started(tmp_path / "calibrate.jsonl", 100_000, 2, records=4)
     children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-    deadline = time.monotonic() + 120.0
-    while not (path.exists() and path.read_bytes().count(b"\n") > 4):
-        assert time.monotonic() < deadline, "nothing was simulated"
-        time.sleep(0.05)
     workers = [Path(f"/proc/{number}/stat") for number in children.read_text().split()]
     assert len(workers) >= 2
     running.kill()
@@ -194,6 +197,7 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
         except (FileNotFoundError, ProcessLookupError):
             return False
 
+    deadline = time.monotonic() + 120.0
     while any(alive(worker) for worker in workers):
         assert time.monotonic() < deadline, "a worker lives on"
         time.sleep(0.05)

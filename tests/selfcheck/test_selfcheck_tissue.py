@@ -20,7 +20,7 @@ from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Identification
 from tissueid.segment import SegmentOptions, segment
 from tissueid.selfcheck.protocol import Centre, of_program
-from tissueid.selfcheck.run import one_record
+from tissueid.selfcheck.records import one_record
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
 from tissueid.selfcheck.truth import Widths
 from tissueid.selfcheck.verdicts import Verdict, verdict_of

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.synth import Branch, Log, Move, Rupture, dump_recipe, load_recipe, recipe, simulate
-from tissueid.synth.failure import rupture_of
-from tissueid.synth.path import crosshead_path
+from tissueid.synth.response import crosshead_path, rupture_of
 
 STATIC = (6.0, 0.0, 0.4)
 BRANCH = Branch((60.0, 5.0), 0.02)

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, simulate
-from tissueid.synth.path import contact_path, crosshead_path
-from tissueid.synth.response import branch_extension, low_pass, oversampled, tissue_force
+from tissueid.synth.response import (
+    branch_extension,
+    contact_path,
+    crosshead_path,
+    low_pass,
+    oversampled,
+    tissue_force,
+)
 
 TAU = 0.021
 K = 63.62

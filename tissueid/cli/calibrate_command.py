@@ -94,10 +94,9 @@ def command(flags: CalibrateFlags) -> int:
     where they leave these. A killed run goes on where it was.
     """
     from tissueid.report.selfcheck_page import render_selfcheck
-    from tissueid.selfcheck.document import Asked, check_document
-    from tissueid.selfcheck.records import Checkpoint, fingerprint
-    from tissueid.selfcheck.run import run_simulations
+    from tissueid.selfcheck.records import Checkpoint, fingerprint, run_simulations
     from tissueid.selfcheck.tissue import described, tissue_check
+    from tissueid.selfcheck.verdicts import Asked, check_document
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 

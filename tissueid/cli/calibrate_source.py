@@ -106,8 +106,7 @@ def bundle_file(path: Path) -> Path | None:
 def _bundle(path: Path, flags: CalibrateFlags, progress: _Progress) -> Found:
     from dataclasses import replace
 
-    from tissueid.selfcheck.protocol import of_bundle, pooled
-    from tissueid.selfcheck.recorded import inputs_there
+    from tissueid.selfcheck.protocol import inputs_there, of_bundle, pooled
     from tissueid.store.bundle import load_bundle
 
     bundle = load_bundle(path)
@@ -123,7 +122,7 @@ def _bundle(path: Path, flags: CalibrateFlags, progress: _Progress) -> Found:
 def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
     """The measured x(t) behind a bundle, read as it was read then."""
     from tissueid.errors import InputError
-    from tissueid.selfcheck.recorded import inputs_there, of_bundle_inputs
+    from tissueid.selfcheck.protocol import inputs_there, of_bundle_inputs
     from tissueid.study.recordings import locate_study
 
     reading = recorded_options(bundle.provenance.get("reading", {}))
@@ -144,7 +143,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
 
 
 def _recordings(named: str, flags: CalibrateFlags, progress: _Progress) -> Found:
-    from tissueid.selfcheck.recorded import Recordings, of_recordings
+    from tissueid.selfcheck.protocol import Recordings, of_recordings
     from tissueid.study.recordings import locate_study, read_decided_one
 
     reading = recorded_options({})

@@ -158,9 +158,10 @@ def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | No
     """Machine, tissues, wants and limits, and the protocol to compare with."""
     from dataclasses import replace
 
-    from tissueid.design.given import given_protocol, given_recipe
     from tissueid.design.machine import found_machine
     from tissueid.design.plan import against, matched_wants
+    from tissueid.design.precision import given_protocol
+    from tissueid.design.tissues import given_recipe
 
     tissues, recipe = _tissues(flags)
     machine = found_machine(flags.machine)
@@ -178,8 +179,7 @@ def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | No
 def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
     """Knowledge of the tissue, and the recipe it came from."""
     from tissueid.cli.calibrate_source import bundle_file
-    from tissueid.design.given import given_recipe, of_bundle, of_recipe_tissue, plain_guesses
-    from tissueid.design.tissues import parsed_guess
+    from tissueid.design.tissues import given_recipe, of_bundle, of_recipe_tissue, parsed_guess, plain_guesses
 
     source, guesses = flags.source, flags.guesses
     if (source is None) == (not guesses):
@@ -268,7 +268,7 @@ def _folder(name: str) -> Path:
 
 def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> None:
     """All files of the plan, design.json last."""
-    from tissueid.design.sheets import has_recipe, recipe_text, study_text, test_sheet
+    from tissueid.design.document import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
     from tissueid.store.files import json_bytes, write_file
 

@@ -59,7 +59,7 @@ def command(flags: ReproduceFlags) -> int:
 
     from tissueid.report.reproduction_page import render_reproduction
     from tissueid.reproduce.document import PAPERS, reproduction
-    from tissueid.reproduce.readings import readings_from
+    from tissueid.reproduce.published import readings_from
     from tissueid.reproduce.recordings import Effort
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema

@@ -1,15 +1,23 @@
-"""The document of ``tissueid design``: what was asked, found, ranked and remarked, as plain data."""
+"""A plan as a document, and its recommended protocol as files to work with: study, test sheet, recipe."""
 
 from __future__ import annotations
 
+import csv
+import io
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import tomlkit
 
 from tissueid.design.machine import Machine
 from tissueid.design.plan import Against, Judged, Plan
-from tissueid.design.precision import Asked
+from tissueid.design.precision import Asked, Indentation
 from tissueid.design.tissues import Tissues
+from tissueid.documents import plain
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
 
 #: Rest, in longest relaxation times, after which a tissue counts as recovered.
 RECOVERED = 5.0
@@ -55,18 +63,12 @@ def remarks_on(best: Judged, machine: Machine, tissues: Tissues, asked: Asked) -
     return out
 
 
-DESIGN_SCHEMA = "tissueid/design/1"
-
-
-def _setting(judged: Judged) -> dict[str, Any]:
-    setting = judged.setting
-    return {
-        "words": setting.words,
-        "rate_Hz": setting.rate_Hz,
-        "noise_N": setting.noise_N,
-        "noise_correlation_s": setting.noise_correlation_s,
-        "filter_s": setting.filter_s,
-    }
+#: What is said of a setting, and of the limits that were asked for.
+CHANNEL = ("words", "rate_Hz", "noise_N", "noise_correlation_s", "filter_s")
+LIMITS = (
+    "assurance", "max_depth_mm", "max_force_N", "budget_s", "recovery_s", "setup_s", "repeats", "max_logs",
+    "gain_sd",
+)  # fmt: skip
 
 
 def _protocol(one: Judged, asked: Asked, specimens: int) -> dict[str, Any]:
@@ -77,7 +79,7 @@ def _protocol(one: Judged, asked: Asked, specimens: int) -> dict[str, Any]:
         "seconds": one.seconds,
         "total_seconds": specimens * one.seconds,
         "logs": one.logs,
-        "setting": _setting(one),
+        "setting": {key: getattr(one.setting, key) for key in CHANNEL},
         "indentations": [
             {
                 "words": test.words,
@@ -98,17 +100,6 @@ def _protocol(one: Judged, asked: Asked, specimens: int) -> dict[str, Any]:
     }
 
 
-def _against(given: Against | None, asked: Asked, specimens: int) -> dict[str, Any] | None:
-    if given is None:
-        return None
-    found = given.judged
-    return {
-        "name": given.name,
-        "obstacle": given.obstacle or None,
-        "protocol": None if found is None else _protocol(found, asked, specimens),
-    }
-
-
 def _tissue(tissues: Tissues) -> dict[str, Any]:
     numbers = []
     for name, values in tissues.numbers().items():
@@ -126,18 +117,6 @@ def _tissue(tissues: Tissues) -> dict[str, Any]:
     }
 
 
-def _verdict(plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> dict[str, Any]:
-    limits = [
-        {"name": one.name, "words": one.words, "factor": one.factor, "enough": one.enough}
-        for one in plan.limits
-    ]
-    return {
-        "reached": plan.best.reached,
-        "limits": limits,
-        "remarks": remarks_on(plan.best, machine, tissues, asked),
-    }
-
-
 def design_document(
     plan: Plan,
     machine: Machine,
@@ -147,31 +126,161 @@ def design_document(
     given: Against | None = None,
     specimens: int = 1,
 ) -> dict[str, Any]:
-    """The document of ``schemas/design.schema.json``.
-
-    ``given``: a protocol to compare with; ``specimens``: how many will be tested.
-    """
+    """The document of ``schemas/design.schema.json``."""
     return {
-        "schema": DESIGN_SCHEMA,
+        "schema": "tissueid/design/1",
         "tissue": _tissue(tissues),
-        "machine": machine.as_json(),
+        "machine": asdict(machine),
         "asked": {
-            "wants": [{"name": want.name, "share": want.share} for want in asked.wants],
+            "wants": plain(asked.wants),
             "interval": "total" if asked.total else "statistical",
-            "assurance": asked.assurance,
-            "max_depth_mm": asked.max_depth_mm,
-            "max_force_N": asked.max_force_N,
-            "budget_s": asked.budget_s,
-            "recovery_s": asked.recovery_s,
-            "setup_s": asked.setup_s,
-            "repeats": asked.repeats,
-            "max_logs": asked.max_logs,
-            "gain_sd": asked.gain_sd,
+            **{key: getattr(asked, key) for key in LIMITS},
             "specimens": specimens,
         },
-        "verdict": _verdict(plan, machine, tissues, asked),
+        "verdict": {
+            "reached": plan.best.reached,
+            "limits": plain(plan.limits),
+            "remarks": remarks_on(plan.best, machine, tissues, asked),
+        },
         "protocols": [_protocol(one, asked, specimens) for one in plan.ranked],
-        "against": _against(given, asked, specimens),
+        "against": given
+        and {
+            "name": given.name,
+            "obstacle": given.obstacle or None,
+            "protocol": given.judged and _protocol(given.judged, asked, specimens),
+        },
         "front": [{"factor": factor, **_protocol(one, asked, specimens)} for factor, one in plan.front],
         "work": {"paths": plan.paths, "protocols": plan.protocols},
     }
+
+
+#: The study file's schema.
+STUDY_SCHEMA = "tissueid/study/1"
+COLUMNS = (
+    "number", "file", "protocol", "speed_mm_min", "depth_mm", "hold_s", "rate_Hz", "filter_s", "rest_after_s",
+)  # fmt: skip
+
+
+def session_order(best: Judged) -> list[tuple[Indentation, int]]:
+    """Every log of a specimen in the order of the session, with the number of its repeat."""
+    places = [
+        ((repeat - 0.5) / count, position, test, repeat)
+        for position, (test, count) in enumerate(best.protocol.items())
+        for repeat in range(1, count + 1)
+    ]
+    return [(test, repeat) for _, _, test, repeat in sorted(places, key=lambda place: place[:2])]
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML writes it."""
+    return str(tomlkit.item(text).as_string())
+
+
+def _file_name(test: Indentation, repeat: int) -> str:
+    kind = f"hold{test.hold_s:g}s" if test.hold_s > 0.0 else "ramp"
+    return f"{kind}-{test.depth_mm:g}mm-{test.speed_mm_min:g}mm-min-{repeat}.csv"
+
+
+def test_sheet(best: Judged, asked: Asked) -> str:
+    """The list of moves as CSV, one row a log."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    order = session_order(best)
+    for number, (test, repeat) in enumerate(order, start=1):
+        rest = asked.recovery_s if number < len(order) else 0.0
+        moves = [f"{value:g}" for value in (test.speed_mm_min, test.depth_mm, test.hold_s)]
+        channel = [f"{value:g}" for value in (best.setting.rate_Hz, best.setting.filter_s, rest)]
+        writer.writerow([number, _file_name(test, repeat), test.words, *moves, *channel])
+    return stream.getvalue()
+
+
+test_sheet.__test__ = False  # type: ignore[attr-defined]
+
+
+def study_text(best: Judged, machine: Machine, asked: Asked, *, title: str) -> str:
+    """A study file with the channels and protocols that are planned, to be completed with the recordings."""
+    setting = best.setting
+    calibration: dict[str, Any] = {
+        "load_cell_capacity_N": machine.max_force_N,
+        "sampling_Hz": setting.rate_Hz,
+        "force_filter_s": setting.filter_s,
+    }
+    if setting.filter_sd_s is not None:
+        calibration["force_filter_s_sd"] = setting.filter_sd_s
+    if machine.frame_stiffness_N_per_mm is not None:
+        calibration["frame_stiffness_N_per_mm"] = machine.frame_stiffness_N_per_mm
+        if machine.frame_stiffness_N_per_mm_sd is not None:
+            calibration["frame_stiffness_N_per_mm_sd"] = machine.frame_stiffness_N_per_mm_sd
+    lines = [
+        "# Study file of tissueid, planned by `tissueid design`: record test-sheet.csv, keep the recordings",
+        "# beside this file, and add a table [[trial]] for each, as at the end. Correct what was otherwise.",
+        f'schema = "{STUDY_SCHEMA}"',
+        "",
+        "[study]",
+        f"title = {_quoted(title)}",
+        f"machine = {_quoted(machine.name)}",
+        "",
+        "[calibration]",
+        *(f"{key} = {value:.10g}" for key, value in calibration.items()),
+        "",
+    ]
+    for test, count in best.protocol.items():
+        lines += [
+            "[[protocol]]",
+            f'name = "{test.words}"',
+            f'kind = "{"ramp-hold" if test.hold_s > 0.0 else "ramp"}"',
+            f"speed_mm_s = {test.speed_mm_s:.10g}",
+            f"depth_mm = {test.depth_mm:g}",
+            *([f"hold_s = {test.hold_s:g}"] if test.hold_s > 0.0 else []),
+            f'notes = "{count} repeats a specimen, {asked.recovery_s:g} s of rest between logs"',
+            "",
+        ]
+    test, repeat = session_order(best)[0]
+    lines += [
+        "# [[trial]]",
+        f'# file = "{_file_name(test, repeat)}"',
+        '# specimen = "specimen 1"',
+        f'# protocol = "{test.words}"',
+        "# run = 1",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def has_recipe(model: ChannelModel) -> bool:
+    """True of laws that a recipe can state: a static polynomial of degree 3 and exponentials beside it."""
+    return model.viscous and model.static.polynomial and len(model.static.coefficients) == STATIC_DEGREE
+
+
+def recipe_text(best: Judged, machine: Machine, tissues: Tissues, asked: Asked, *, name: str) -> str:
+    """A recipe of the protocol on the middle tissue: for `tissueid synth` and `tissueid calibrate`."""
+    model: ChannelModel = tissues.model
+    static, stiffness, tau = model.split(tissues.middle)
+    setting = best.setting
+    correlated = setting.noise_correlation_s > 0.0
+    logs = tuple(
+        Log(
+            f"log-{number}",
+            (Move(test.depth_mm, test.speed_mm_min), *([Hold(test.hold_s)] if test.hold_s > 0.0 else [])),
+            repeats=count,
+        )
+        for number, (test, count) in enumerate(best.protocol.items(), start=1)
+    )
+    recipe = Recipe(
+        name=name,
+        logs=logs,
+        rate_Hz=setting.rate_Hz,
+        static=tuple(float(a) for a in static),
+        branches=tuple(
+            Branch(tuple(float(k) for k in coefficients), float(time))
+            for coefficients, time in zip(stiffness, tau, strict=True)
+        ),
+        sigma_N=0.0 if correlated else setting.noise_N,
+        ar1_sigma_N=setting.noise_N if correlated else 0.0,
+        ar1_phi=setting.phi,
+        specimen="planned",
+        cv_both=asked.gain_sd,
+        force_filter_s=setting.filter_s,
+    )
+    heading = f"# The recommended protocol on the middle tissue, for machine {machine.name!r}.\n"
+    return heading + dump_recipe(recipe)

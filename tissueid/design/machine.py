@@ -21,14 +21,13 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from tissueid.errors import InputError, UsageError
 from tissueid.priors import CALIBRATION_DEFAULTS
 
-SECONDS_PER_MINUTE = 60.0
 #: Calibration nuisances of a total precision, in the order of their columns.
 CALIBRATION = tuple(CALIBRATION_DEFAULTS)
 #: Standard deviation of a stated filter or frame compliance whose own is not stated, as a share.
@@ -107,10 +106,6 @@ class Machine:
             give = share * self.compliance_mm_per_N
         values = (self.force_gain_sd, self.displacement_gain_sd, self.skew_sd_s, low_pass, give)
         return dict(zip(CALIBRATION, values, strict=True))
-
-    def as_json(self) -> dict[str, Any]:
-        """Everything that is known of it."""
-        return asdict(self)
 
 
 _ZERO_ALLOWED = {
@@ -226,11 +221,7 @@ PRESETS: Mapping[str, Machine] = {
 
 
 def found_machine(named: str | None) -> Machine:
-    """The machine of a preset or a file.
-
-    Raises UsageError: none was named, or there is no such preset or file; InputError: the file does not
-    describe one.
-    """
+    """The machine of a preset or a file."""
     names = ", ".join(PRESETS)
     if named is None:
         msg = f"which machine? give --machine machine.toml, or one of {names} (docs/design.md)"

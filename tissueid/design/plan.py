@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from tissueid.design.information import Chain
 from tissueid.design.machine import Machine, Setting
-from tissueid.design.precision import Asked, Ledger, Protocol
+from tissueid.design.precision import Asked, Chain, Ledger, Protocol
 from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
 from tissueid.design.tissues import Tissues, Want
 from tissueid.errors import UsageError
@@ -20,7 +20,8 @@ TIMES = 10.0
 #: A frame that does not give.
 RIGID_N_PER_MM = 1e9
 
-_Change = tuple[str, str, Machine, Setting, Asked]
+#: Name, words, and fields of machine, setting and request that become others.
+_Change = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,70 +34,57 @@ class Limit:
     enough: bool  # the wants would be reached
 
 
-def _channel(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Change]:
-    """Changes of the load channel."""
-    quiet, often = replace(now, noise_N=now.noise_N / TIMES), replace(now, rate_Hz=TIMES * now.rate_Hz)
-    yield "noise", f"a tenth of the noise ({quiet.noise_N:.3g} N)", machine, quiet, asked
-    words = f"ten times the sampling rate ({often.rate_Hz:.4g} Hz), noise a sample the same"
-    yield "rate", words, machine, often, asked
+def _of_machine(machine: Machine, now: Setting) -> Iterator[_Change]:
+    """Changes of the load channel, and of what moves."""
+    words = f"a tenth of the noise ({now.noise_N / TIMES:.3g} N)"
+    yield "noise", words, {}, {"noise_N": now.noise_N / TIMES}, {}
+    words = f"ten times the sampling rate ({TIMES * now.rate_Hz:.4g} Hz), noise a sample the same"
+    yield "rate", words, {}, {"rate_Hz": TIMES * now.rate_Hz}, {}
     if now.noise_correlation_s > 0.0:
-        white = replace(now, noise_correlation_s=0.0)
-        yield "correlation", "noise that is white", machine, white, asked
+        yield "correlation", "noise that is white", {}, {"noise_correlation_s": 0.0}, {}
     if now.filter_s > 0.0:
-        free = replace(now, filter_s=0.0, noise_correlation_s=0.0, filter_sd_s=0.0)
-        yield "filter", "no filter, white noise of the same size", machine, free, asked
+        free = {"filter_s": 0.0, "noise_correlation_s": 0.0, "filter_sd_s": 0.0}
+        yield "filter", "no filter, white noise of the same size", {}, free, {}
+    fast = {"max_speed_mm_min": TIMES * machine.max_speed_mm_min}
+    yield "speed", f"ten times the top speed ({fast['max_speed_mm_min']:.4g} mm/min)", fast, {}, {}
+    quick = {"acceleration_mm_s2": TIMES * machine.acceleration_mm_s2}
+    words = f"ten times the acceleration ({quick['acceleration_mm_s2']:.4g} mm/s²)"
+    yield "acceleration", words, quick, {}, {}
+    yield "speed and acceleration", "ten times the top speed and acceleration", fast | quick, {}, {}
+    sd = machine.contact_sd_mm / TIMES
+    yield "contact", f"a contact point known to {sd:.2g} mm", {"contact_sd_mm": sd}, {}, {}
 
 
-def _mechanics(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Change]:
-    """Changes of what moves."""
-    faster = replace(machine, max_speed_mm_min=TIMES * machine.max_speed_mm_min)
-    yield "speed", f"ten times the top speed ({faster.max_speed_mm_min:.4g} mm/min)", faster, now, asked
-    quicker = replace(machine, acceleration_mm_s2=TIMES * machine.acceleration_mm_s2)
-    words = f"ten times the acceleration ({quicker.acceleration_mm_s2:.4g} mm/s²)"
-    yield "acceleration", words, quicker, now, asked
-    both = replace(faster, acceleration_mm_s2=quicker.acceleration_mm_s2)
-    yield "speed and acceleration", "ten times the top speed and acceleration", both, now, asked
-    found = replace(machine, contact_sd_mm=machine.contact_sd_mm / TIMES)
-    yield "contact", f"a contact point known to {found.contact_sd_mm:.2g} mm", found, now, asked
+def _of_request(machine: Machine, asked: Asked) -> Iterator[_Change]:
+    """Changes of what is allowed, and a calibration that is known exactly, one nuisance at a time."""
     if asked.gain_sd > 0.0:
-        yield "gain", "logs without a scatter of their gain", machine, now, replace(asked, gain_sd=0.0)
-
-
-def _room(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Change]:
-    """Changes of what is allowed."""
-    force = replace(asked, max_force_N=TIMES * asked.max_force_N)
-    yield "force", f"{force.max_force_N:.3g} N allowed", machine, now, force
-    deep = replace(asked, max_depth_mm=2.0 * asked.max_depth_mm)
-    yield "depth", f"{deep.max_depth_mm:.3g} mm allowed", machine, now, deep
-    long = replace(asked, budget_s=TIMES * asked.budget_s, max_logs=int(TIMES) * asked.max_logs)
-    yield "time", "ten times the machine time and logs", machine, now, long
-
-
-def _instrument(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Change]:
-    """A calibration that is known exactly, one nuisance at a time."""
+        yield "gain", "logs without a scatter of their gain", {}, {}, {"gain_sd": 0.0}
+    force, deep = TIMES * asked.max_force_N, 2.0 * asked.max_depth_mm
+    yield "force", f"{force:.3g} N allowed", {}, {}, {"max_force_N": force}
+    yield "depth", f"{deep:.3g} mm allowed", {}, {}, {"max_depth_mm": deep}
+    long = {"budget_s": TIMES * asked.budget_s, "max_logs": int(TIMES) * asked.max_logs}
+    yield "time", "ten times the machine time and logs", {}, {}, long
     if not asked.total:
         return
     stiffness = machine.frame_stiffness_N_per_mm or RIGID_N_PER_MM
-    known = replace(machine, frame_stiffness_N_per_mm=stiffness, frame_stiffness_N_per_mm_sd=0.0)
-    yield "frame", "a frame whose give is known exactly", known, now, asked
-    exact = replace(now, filter_sd_s=0.0)
-    yield "filter knowledge", "a force filter that is known exactly", machine, exact, asked
-    gains = replace(machine, force_gain_sd=0.0, displacement_gain_sd=0.0)
-    yield "gains", "force and displacement without an error of their gain", gains, now, asked
-    together = replace(machine, skew_sd_s=0.0)
-    yield "skew", "force and displacement without a skew", together, now, asked
+    known = {"frame_stiffness_N_per_mm": stiffness, "frame_stiffness_N_per_mm_sd": 0.0}
+    yield "frame", "a frame whose give is known exactly", known, {}, {}
+    yield "filter knowledge", "a force filter that is known exactly", {}, {"filter_sd_s": 0.0}, {}
+    gains = {"force_gain_sd": 0.0, "displacement_gain_sd": 0.0}
+    yield "gains", "force and displacement without an error of their gain", gains, {}, {}
+    yield "skew", "force and displacement without a skew", {"skew_sd_s": 0.0}, {}, {}
 
 
 def limits_of(ledger: Ledger, progress: Callable[[str, int, int], None]) -> tuple[Limit, ...]:
     """Gains of the best protocol of a ledger from each change, the greatest gain first."""
     machine, now, asked = ledger.chain.machine, ledger.chain.setting, ledger.asked
     best = enumerated(ledger)[0][0].worst
-    changes = [
-        change for kind in (_channel, _mechanics, _room, _instrument) for change in kind(machine, now, asked)
-    ]
+    changes = [*_of_machine(machine, now), *_of_request(machine, asked)]
     out = []
-    for number, (name, words, other, setting, allowed) in enumerate(changes):
+    for number, (name, words, *fields) in enumerate(changes):
         progress("what limits it", number, len(changes))
+        other, setting = replace(machine, **fields[0]), replace(now, **fields[1])
+        allowed = replace(asked, **fields[2])
         chain = replace(ledger.chain, machine=other, setting=setting, gain_sd=allowed.gain_sd)
         found, _ = enumerated(Ledger(ledger.tissues, chain, allowed))
         if not found:
@@ -222,10 +210,7 @@ def _ledger(machine: Machine, setting: Setting, tissues: Tissues, asked: Asked) 
 
 
 def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> None:
-    """Something can be done at all.
-
-    Raises UsageError.
-    """
+    """Refuse what leaves nothing to do at all."""
     if not any(count_paths(ledger) for ledger in ledgers):
         deepest = ledgers[0].deepest(machine.max_speed_mm_min)
         force = (
@@ -240,11 +225,7 @@ def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> No
 
 
 def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress) -> Plan:
-    """Search all settings.
-
-    ``progress``: ``progress(message, done, total)``.  Raises UsageError: no indentation is possible, or none
-    fits the budget.
-    """
+    """Search all settings."""
     pilot = tissues.pilot(PILOT)
     ledgers = [_ledger(machine, setting, pilot, asked) for setting in machine.settings]
     _check_room(machine, ledgers, asked)

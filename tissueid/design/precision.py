@@ -1,15 +1,262 @@
-"""Information of every indentation that is looked at, kept; the precision of a protocol from their sum."""
+"""Path, time and Fisher information of an indentation, and the precision of a protocol from their sum.
+
+With z_n the derivatives of the logged force by (coefficients, ln of shapes), w_n those by the log's ln
+gain and contact offset, and noise of variance sigma^2, white or AR(1) with correlation phi between samples,
+
+    J = Z'Z - Z'W (W'W + diag(sigma^2 / sd^2))^-1 W'Z,    information = J / sigma^2,
+
+on rows whitened as the fit whitens them.  The force follows the whole path; samples within three standard
+deviations of the contact point are left out, as in the fit.  Calibration nuisances are columns of all logs.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.design.information import Chain, Indentation, information, peak_force, seconds_of
+from tissueid.design.machine import CALIBRATION, Machine, Setting
 from tissueid.design.tissues import Tissues, Want
+from tissueid.errors import UsageError
+from tissueid.inference.window import GUARD_SD
+from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel, loading_force
+from tissueid.selfcheck.truth import low_pass, tip_depth
+from tissueid.synth import Hold, Move, Recipe
+from tissueid.synth.recipe import SECONDS_PER_MINUTE
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Indentation:
+    """Request to the machine for one log."""
+
+    #: ``hold_s`` 0 is a ramp alone.
+    speed_mm_min: float
+    depth_mm: float
+    hold_s: float = 0.0
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Speed [mm/s]."""
+        return self.speed_mm_min / SECONDS_PER_MINUTE
+
+    @property
+    def words(self) -> str:
+        """As on a test sheet."""
+        hold = f", hold {self.hold_s:g} s" if self.hold_s > 0.0 else ""
+        return f"{self.depth_mm:g} mm at {self.speed_mm_min:g} mm/min{hold}"
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """Speed against time from contact to rest: linear up, constant, linear down."""
+
+    #: Speed at contact, and the greatest.
+    start_mm_s: float
+    top_mm_s: float
+    #: Lengths of the three parts.
+    up_s: float
+    flat_s: float
+    down_s: float
+
+    @property
+    def seconds(self) -> float:
+        """From contact to rest."""
+        return self.up_s + self.flat_s + self.down_s
+
+    def depth(self, time_s: FloatArray) -> FloatArray:
+        """Depth at times from contact on; constant after the ramp [mm]."""
+        up = np.clip(time_s, 0.0, self.up_s)
+        flat = np.clip(time_s - self.up_s, 0.0, self.flat_s)
+        down = np.clip(time_s - self.up_s - self.flat_s, 0.0, self.down_s)
+        gain = (self.top_mm_s - self.start_mm_s) / self.up_s if self.up_s > 0.0 else 0.0
+        loss = self.top_mm_s / self.down_s if self.down_s > 0.0 else 0.0
+        return np.asarray(
+            self.start_mm_s * up + 0.5 * gain * up**2 + self.top_mm_s * flat
+            + self.top_mm_s * down - 0.5 * loss * down**2
+        )  # fmt: skip
+
+
+def ramp_of(test: Indentation, machine: Machine) -> Ramp:
+    """The loading of an indentation on a machine of finite acceleration."""
+    a, depth, wanted = machine.acceleration_mm_s2, test.depth_mm, test.speed_mm_s
+    # on the stand-off it can gather so much, and within the depth it must be able to stop
+    start = min(wanted, math.sqrt(2.0 * a * machine.standoff_mm), math.sqrt(2.0 * a * depth))
+    top = min(wanted, math.sqrt(a * depth + 0.5 * start**2))
+    up, down = (top - start) / a, top / a
+    way = 0.5 * (start + top) * up + 0.5 * top * down
+    return Ramp(start, top, up, max(depth - way, 0.0) / top, down)
+
+
+def seconds_of(test: Indentation, machine: Machine) -> float:
+    """Machine time of one log without rest: approach, ramp, hold, return."""
+    speed = test.speed_mm_s
+    back = (machine.return_speed_mm_min or machine.max_speed_mm_min) / SECONDS_PER_MINUTE
+    approach = machine.standoff_mm / speed + 0.5 * speed / machine.acceleration_mm_s2
+    home = (test.depth_mm + machine.standoff_mm) / back + back / machine.acceleration_mm_s2
+    return approach + ramp_of(test, machine).seconds + test.hold_s + home
+
+
+#: After so many time constants a held tissue is at rest: further samples repeat the last.
+AT_REST = 20.0
+#: Steps between samples where a filter acts, as a share of the fastest time constant, and most of them.
+FINE_SHARE, MOST_FINE = 0.2, 16
+#: Relative change of the filter's time constant for its derivative, and of the path as a share of the depth.
+FILTER_STEP, STEP_SHARE = 1e-3, 1e-6
+#: Growth of the steps between times of a hold that goes on after the path was looked at evenly.
+TAIL_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Measuring chain between the tissue and the numbers."""
+
+    machine: Machine
+    setting: Setting
+    gain_sd: float  # standard deviation of the ln gain from log to log; 0 is none
+    total: bool  # calibration nuisances are parameters as well
+
+    @property
+    def nuisances(self) -> int:
+        """Parameters beside the tissue's."""
+        return len(CALIBRATION) if self.total else 0
+
+    def prior(self, size: int) -> FloatArray:
+        """Prior precision: none of ``size`` parameters of the tissue, then that of the calibration."""
+        out = np.zeros((size + self.nuisances, size + self.nuisances))
+        if self.total:
+            sd = np.array(list(self.machine.calibration_sd(self.setting).values()))
+            out[size:, size:] = np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
+        return out
+
+
+def _log_columns(model: ChannelModel, theta: FloatArray, path: ContactPath) -> FloatArray:
+    """Derivatives by theta, shapes by their logarithm."""
+    columns = model.jacobian(theta, path)
+    columns[:, model.shape_places] *= theta[model.shape_places]
+    return columns
+
+
+def _along(
+    model: ChannelModel, theta: FloatArray, path: ContactPath, force: FloatArray, direction: FloatArray
+) -> FloatArray:
+    """Change of the force where the path is moved along a direction (n,), 0 and more, by one."""
+    step = STEP_SHARE * model.depth_mm / max(float(direction.max()), 1e-300)
+    moved = ContactPath(path.time_s, path.depth_mm + step * direction)
+    return np.asarray((model.force(theta, moved) - force) / step)
+
+
+def _calibration_columns(
+    model: ChannelModel, theta: FloatArray, path: ContactPath, force: FloatArray, filter_s: float
+) -> list[FloatArray]:
+    """Derivatives by the calibration nuisances, in the order of :data:`CALIBRATION`, filtered."""
+    time = path.time_s
+    logged = low_pass(time, force, filter_s)
+    late = -np.gradient(logged, time)
+    if filter_s > 0.0:
+        step = FILTER_STEP * filter_s
+        above, below = (low_pass(time, force, filter_s + sign * step) for sign in (1.0, -1.0))
+        slower = (above - below) / (2.0 * step)
+    else:
+        slower = late
+    scaled = low_pass(time, -_along(model, theta, path, force, path.depth_mm), filter_s)
+    given = low_pass(time, -_along(model, theta, path, force, np.maximum(force, 0.0)), filter_s)
+    return [logged, scaled, late, slower, given]
+
+
+def _times(ramp: Ramp, hold_s: float, step_s: float, uniform_s: float) -> FloatArray:
+    """Times of a path: even up to a time of the hold, then ever further apart."""
+    even = np.arange(np.ceil((ramp.seconds + min(hold_s, uniform_s)) / step_s) + 1.0) * step_s
+    last = ramp.seconds + hold_s
+    if even[-1] >= last:
+        return even
+    count = int(np.ceil(np.log(last / even[-1]) / np.log1p(TAIL_SHARE))) + 1
+    return np.append(even, np.geomspace(even[-1], last, count)[1:])
+
+
+def _rows(
+    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, *, hold_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Derivative columns at every sample, and its depth."""
+    ramp = ramp_of(test, chain.machine)
+    step, filter_s = chain.setting.step_s, chain.setting.filter_s
+    samples = max(int(np.ceil((ramp.seconds + hold_s) / step)), 2)
+    sampled = np.asarray(np.arange(float(samples)) * step, dtype=np.float64)
+    fine, tau = 1, model.times(theta)
+    if filter_s > 0.0:
+        finest = min(filter_s, float(tau.min(initial=np.inf)))
+        fine = int(np.clip(np.ceil(step / (FINE_SHARE * finest)), 1, MOST_FINE))
+    even = AT_REST * (float(tau.max(initial=0.0)) + filter_s) + 2.0 * step
+    time = _times(ramp, sampled[-1] - ramp.seconds, step / fine, even)
+    # the displacement is logged on the samples, and the model knows it as linear between them
+    depth = np.interp(time, sampled, ramp.depth(sampled))
+    path = ContactPath(time, tip_depth(model, theta, time, depth, chain.machine.compliance_mm_per_N))
+    force = model.force(theta, path)
+    own = _log_columns(model, theta, path)
+    offset = -_along(model, theta, path, force, np.ones(time.size))
+    columns = [low_pass(time, column, filter_s) for column in (*own.T, force, offset)]
+    if chain.total:
+        more = _calibration_columns(model, theta, path, force, filter_s)
+        columns = [*columns[:-2], *more, *columns[-2:]]
+    rows = np.column_stack([np.interp(sampled, time, column) for column in columns])
+    return rows, ramp.depth(sampled)
+
+
+def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Sequence[int]) -> FloatArray:
+    """Gram matrices of the whitened rows up to each cut, the last row repeated so many times more."""
+    white = rows.copy()
+    root = np.sqrt(1.0 - phi**2)
+    white[1:] = (rows[1:] - phi * rows[:-1]) / root
+    again = rows[-1] * (1.0 - phi) / root
+    out, total, last = [], np.zeros((rows.shape[1], rows.shape[1])), 0
+    for cut, repeats in zip(cuts, extra, strict=True):
+        part = white[last:cut]
+        total = total + part.T @ part
+        last = cut
+        out.append(total + repeats * np.outer(again, again))
+    return np.stack(out)
+
+
+def information(
+    model: ChannelModel, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
+) -> FloatArray:
+    """Information (holds, q, q) on (coefficients, ln of shapes, calibration) for several ascending holds."""
+    setting = chain.setting
+    longest = holds_s[-1]
+    if model.relaxation.branches or model.fixed_s.size:
+        # exponentials come to rest, other relaxations go on
+        settled = AT_REST * (float(model.times(theta).max(initial=0.0)) + setting.filter_s)
+        longest = min(longest, settled + 2.0 * setting.step_s)
+    rows, depth = _rows(model, theta, test, chain, hold_s=longest)
+    inside = depth >= GUARD_SD * chain.machine.contact_sd_mm
+    first = int(np.argmax(inside)) if inside.any() else rows.shape[0] - 1
+    rows = rows[first:]
+    ramp_s = ramp_of(test, chain.machine).seconds
+    wanted = [max(int(np.ceil((ramp_s + hold) / setting.step_s)) - first, 1) for hold in holds_s]
+    cuts = [min(n, rows.shape[0]) for n in wanted]
+    gram = _whitened_sums(rows, setting.phi, cuts, [n - cut for n, cut in zip(wanted, cuts, strict=True)])
+    gram /= setting.noise_N**2
+    return _without_effects(gram, chain)
+
+
+def _without_effects(gram: FloatArray, chain: Chain) -> FloatArray:
+    """The last two columns, ln gain and contact offset, eliminated under their priors."""
+    sd = np.array([chain.gain_sd, chain.machine.contact_sd_mm])
+    effects = gram.shape[1] - 2 + np.flatnonzero(sd > 0.0)
+    kept = np.arange(gram.shape[1] - 2)
+    inner = gram[:, effects[:, None], effects] + np.diag(1.0 / sd[sd > 0.0] ** 2)
+    cross = gram[:, effects[:, None], kept]
+    out = gram[:, kept[:, None], kept] - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
+    return np.asarray(0.5 * (out + out.transpose(0, 2, 1)))
+
+
+def peak_force(model: ChannelModel, theta: FloatArray, speed_mm_s: float, depth_mm: FloatArray) -> FloatArray:
+    """Greatest force of a ramp at constant speed to each of some ascending depths [N]."""
+    return np.maximum.accumulate(loading_force(model, theta, depth_mm, speed_mm_s=speed_mm_s))
+
 
 #: Depths at which the greatest allowed one is looked for.
 DEPTH_GRID = 400
@@ -19,6 +266,23 @@ GAIN_MARGIN = 3.0
 RIDGE = 1e-13
 
 Protocol = Mapping[Indentation, int]
+
+
+def given_protocol(recipe: Recipe) -> Protocol:
+    """Ramps and holds of a recipe."""
+    out: dict[Indentation, int] = {}
+    for log in recipe.logs:
+        match log.moves:
+            case (Move() as move,):
+                hold = 0.0
+            case (Move() as move, Hold() as stop):
+                hold = stop.hold_s
+            case _:
+                msg = f"{recipe.name}: log {log.name!r} is not one ramp, with or without a hold: not compared"
+                raise UsageError(msg)
+        test = Indentation(move.speed_mm_min, move.to_mm, hold)
+        out[test] = out.get(test, 0) + log.repeats
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +401,7 @@ class Ledger:
 
 
 def relative_sd(matrix: FloatArray, gradients: FloatArray) -> FloatArray:
-    """sqrt(g' M^-1 g) of information matrices (..., q, q) and gradients (wants, draws, q).
-
-    The draws are the last of the matrices' leading axes; a direction without information has an infinite one.
-    """
+    """sqrt(g' M^-1 g) of information (..., draws, q, q) and gradients (wants, draws, q), or infinite."""
     diagonal = np.einsum("...ii->...i", matrix)
     unit = 1.0 / np.sqrt(np.maximum(diagonal, 1e-300))
     scaled = matrix * unit[..., :, None] * unit[..., None, :] + RIDGE * np.eye(matrix.shape[-1])

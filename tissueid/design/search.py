@@ -1,14 +1,7 @@
 """The protocol of least machine time: enumerate pairs on a grid, then exchange, step by step.
 
-Deterministic, without random numbers.  Every indentation of the grid and every pair of two in several
-proportions is scaled to the fewest repeats that reach the wants (or, where none does, to what the budget
-allows).  The best are then refined: an indentation is moved to a neighbour off the grid, taken out, or one
-of the grid added; repeats are balanced anew each time, until nothing shortens the protocol.
-
-The indentations that a search starts from, and the neighbours of each.
-Speeds, depths and holds lie on a grid that follows machine and tissue: speeds from the machine's greatest
-downwards, depths as shares of what force and depth allow at that speed, holds as multiples of the longest
-relaxation time.  Numbers are rounded to what a test sheet should say.
+Every indentation of the grid and every pair in several proportions is scaled to the fewest repeats that reach
+the wants, or to what the budget allows.  The best are refined off the grid until nothing shortens them.
 """
 
 from __future__ import annotations
@@ -21,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.design.information import Indentation, ramp_of
-from tissueid.design.precision import Ledger, Protocol, relative_sd
+from tissueid.design.precision import Indentation, Ledger, Protocol, ramp_of, relative_sd
 
 #: Speeds and depths as shares of the greatest, holds in longest relaxation times.
 SPEED_SHARES = (1.0, 0.5, 0.2, 0.05, 0.01)
@@ -91,17 +83,15 @@ def learned_candidates(ledger: Ledger) -> list[Indentation]:
     return found
 
 
-def _snapped(speed: float, slowest: float, fastest: float) -> float:
-    """A speed of the sheet: one near the machine's greatest is the greatest."""
-    return fastest if speed > NEAR_FASTEST * fastest else max(rounded(speed), slowest)
-
-
 def neighbours(ledger: Ledger, test: Indentation) -> list[Indentation]:
     """Indentations one step away in speed, depth or hold, as far as they are allowed."""
     machine, most = ledger.chain.machine, ledger.asked.max_depth_mm
     speed, depth, hold = test.speed_mm_min, test.depth_mm, test.hold_s
-    ends = (machine.min_speed_mm_min, machine.max_speed_mm_min)
-    speeds = [_snapped(speed * step, *ends) for step in (SPEED_STEP, 1.0 / SPEED_STEP)]
+    slowest, fastest = machine.min_speed_mm_min, machine.max_speed_mm_min
+    speeds = [
+        fastest if one > NEAR_FASTEST * fastest else max(rounded(one), slowest)
+        for one in (speed * SPEED_STEP, speed * (1.0 / SPEED_STEP))
+    ]
     depths = [rounded(min(depth + step * DEPTH_STEP * most, ledger.deepest(speed))) for step in (1.0, -1.0)]
     shortest = _holds(ledger)[1]
     holds = [rounded(hold * HOLD_STEP), rounded(hold / HOLD_STEP)] if hold > 0.0 else [shortest]
@@ -148,10 +138,7 @@ class Found:
 
 
 def _tells_apart(ledger: Ledger, tests: Iterable[Indentation]) -> bool:
-    """True where the branch is told from the static force by more than the first moments of contact.
-
-    Ramps of one speed have only those: two speeds are needed, or a hold.
-    """
+    """True where speeds or a hold tell the branch from the static force: ramps of one speed do not."""
     tests = list(tests)
     speeds = [test.speed_mm_min for test in tests]
     relaxed = HOLD_NEEDED * ledger.tissues.longest_tau_s
@@ -196,10 +183,7 @@ def _table(ledger: Ledger, tests: Sequence[Indentation]) -> _Table:
 
 
 def enumerated(ledger: Ledger) -> tuple[list[Found], int]:
-    """Single indentations and pairs of the grid, each with the fewest repeats.
-
-    Returns ``found``: the best, by :attr:`Found.rank`; ``count``: how many were looked at.
-    """
+    """The best single indentations and pairs of the grid at their fewest repeats, and how many were seen."""
     tests = learned_candidates(ledger)
     if not tests:
         return [], 0
@@ -265,11 +249,7 @@ def _worst_of(
 
 
 def balanced(ledger: Ledger, tests: Sequence[Indentation], start: Protocol) -> Found:
-    """The fewest repeats of some indentations that reach the wants, one log at a time.
-
-    Logs are added where they help most for their time while a want is not reached, then taken out, the
-    longest first, as long as all wants stay reached.
-    """
+    """The fewest repeats that reach the wants: logs are added where they help most, then the longest go."""
     asked = ledger.asked
     counts = {test: max(start.get(test, 0), asked.repeats) for test in tests}
     now = _looked_at(ledger, counts)
@@ -317,10 +297,7 @@ def _variants(ledger: Ledger, now: Found, grid: Sequence[Indentation]) -> list[t
 
 
 def refined(ledger: Ledger, starts: Sequence[Found]) -> list[Found]:
-    """Exchange from each start until nothing shortens the protocol, or betters one that reaches too little.
-
-    Returns one a start, and what was passed on the way.
-    """
+    """Exchange from each start until nothing shortens the protocol; also what was passed on the way."""
     passed = []
     for start in starts:
         now = balanced(ledger, tuple(start.protocol), start.protocol)

@@ -1,14 +1,11 @@
-"""Knowledge of the tissue before the experiment: draws of the contact model's parameters.
-
-From a bundle its posterior (or the population it holds), from a recipe its truth, from plain guesses
-log-normal draws with the spreads that were stated.  A protocol is judged over all of them.
-"""
+"""Tissues and protocols that are given before the experiment: by a bundle, a recipe, or plain guesses."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm, qmc
@@ -20,6 +17,10 @@ from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, kelvin_voigt
+from tissueid.selfcheck.protocol import of_recipe
+from tissueid.store.bundle import load_bundle
+from tissueid.synth import RECIPES, Recipe, load_recipe
+from tissueid.synth import recipe as built_in
 
 #: Short names that are understood; ``_b2`` and ``_b3`` may follow.
 ALIASES = {
@@ -132,10 +133,7 @@ def usual_wants(model: ChannelModel) -> list[str]:
 
 
 def full_name(named: str, model: ChannelModel) -> str:
-    """The reported parameter that is meant.
-
-    Raises UsageError: there is none of that name.
-    """
+    """The reported parameter that is meant."""
     suffix = _SUFFIX.search(named)
     base, ending = (named[: suffix.start()], suffix.group(1)) if suffix else (named, "")
     name = ALIASES.get(base, base) + ending
@@ -159,10 +157,7 @@ def _number(text: str, what: str) -> float:
 
 
 def parsed_want(text: str, model: ChannelModel) -> Want:
-    """``relaxation_time_s=5%``.
-
-    Raises UsageError: it is none, or cannot be had.
-    """
+    """Want of ``relaxation_time_s=5%``."""
     match = _WANT.match(text)
     if match is None:
         msg = f"--want {text!r}: write NAME=PERCENT%, as relaxation_time_s=5% or eta=2%"
@@ -178,10 +173,7 @@ def parsed_want(text: str, model: ChannelModel) -> Want:
 
 
 def parsed_guess(text: str) -> Guess:
-    """``relaxation_time_s=0.02~30%``, the spread being one standard deviation.
-
-    Raises UsageError.
-    """
+    """Guess of ``relaxation_time_s=0.02~30%``, the spread being one standard deviation."""
     match = _GUESS.match(text)
     if match is None:
         msg = f"--tissue {text!r}: write NAME=VALUE or NAME=VALUE~PERCENT%, as relaxation_time_s=0.02~30%"
@@ -196,10 +188,7 @@ def parsed_guess(text: str) -> Guess:
 def of_draws(
     words: str, name: str, model: ChannelModel, theta: FloatArray, *, count: int, known_depth_mm: float | None
 ) -> Tissues:
-    """At most ``count`` of the draws, evenly spaced.
-
-    Raises UsageError: the tissue has no branch.
-    """
+    """At most ``count`` of the draws, evenly spaced."""
     if model.branches == 0:
         msg = f"{name}: this tissue has no relaxing branch, so there is no relaxation time to plan for"
         raise UsageError(msg)
@@ -217,13 +206,7 @@ def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> ChannelModel:
 
 
 def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tissues:
-    """Draws around guesses: log-normal, by a fixed low-discrepancy sequence.
-
-    Each branch needs a relaxation time and a viscosity or a stiffness; coefficients of the static force that
-    are not guessed are 0, and one at least must be guessed.
-
-    Raises UsageError: something is missing, twice there or impossible.
-    """
+    """Draws around guesses: log-normal, by a fixed low-discrepancy sequence; what is not guessed is 0."""
     model = _guessed_model(guesses, depth_mm)
     known: dict[str, Guess] = {}
     for one in guesses:
@@ -282,3 +265,44 @@ def _guessed_draws(model: ChannelModel, known: Mapping[str, Guess], count: int) 
             )
             theta[:, first] = values[f"viscosity_N_s_per_mm{ending}"] / tau - growing
     return theta
+
+
+#: Samples a second for a recipe of which only the tissue is taken: its path is not looked at.
+COARSE_HZ = 10.0
+
+
+def given_recipe(named: str) -> Recipe:
+    """A built-in recipe, or one of a file."""
+    if named not in RECIPES and not Path(named).is_file():
+        msg = f"{named}: no such recipe or file; recipes are {', '.join(sorted(RECIPES))}"
+        raise UsageError(msg)
+    return built_in(named) if named in RECIPES else load_recipe(named)
+
+
+def of_recipe_tissue(recipe: Recipe) -> Tissues:
+    """The one tissue of a recipe."""
+    _, centre = of_recipe(recipe, rate_Hz=COARSE_HZ)
+    words = f"the truth of the recipe {recipe.name}"
+    return of_draws(words, recipe.specimen, centre.model, centre.theta, count=1, known_depth_mm=None)
+
+
+def of_bundle(path: Path, *, count: int) -> Tissues:
+    """Posterior draws of a bundle, or specimens of the population it holds."""
+    bundle = load_bundle(path)
+    bundle.require_renderable()
+    model = bundle.contact_model()
+    if not bundle.parameters:
+        msg = f"{path}: {bundle.model.key} has no parameters to plan for; fit a law"
+        raise UsageError(msg)
+    kind = "specimens of the population in" if bundle.is_population else "posterior draws of"
+    words = f"{kind} {path}" if bundle.draws is not None else f"the optimum of {path}: it holds no draws"
+    theta = bundle.theta if bundle.draws is None else bundle.draws
+    return of_draws(words, bundle.specimen, model, theta, count=count, known_depth_mm=bundle.depth_mm)
+
+
+def plain_guesses(guesses: Sequence[Guess], *, depth_mm: float | None, count: int) -> Tissues:
+    """Tissues around plain guesses."""
+    if depth_mm is None:
+        msg = "guesses say nothing of the depth: add --max-depth, in mm"
+        raise UsageError(msg)
+    return of_guesses(guesses, depth_mm=depth_mm, count=count)

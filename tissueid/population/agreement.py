@@ -1,29 +1,23 @@
-"""Repeatability within specimens apart from reproducibility between them, and what the order of tests does.
+"""Repeatability of logs, the effect of their order, and the confounding of speed and specimen.
 
-The measured number of a log is its gain, its force over that of its specimen's tissue.  Logs of one specimen
-at one speed, depth and site are repeats.  Their scatter is the within-specimen standard deviation w of ln
-force; between specimens stands D of the static force at the common depth, so that::
-
-    ICC = D^2 / (D^2 + w^2)
-
-is the share of the variance of one log's force that is the specimen's (Shrout & Fleiss 1979, case 1, doi
-10.1037/0033-2909.86.2.420).  Limits of agreement of two repeats are those of Bland & Altman (1999, Stat
-Methods Med Res 8:135, doi 10.1177/096228029900800204).
+ICC = D^2 / (D^2 + w^2), w the standard deviation of ln force of repeats and D that between specimens, is case
+1 of Shrout & Fleiss (1979, doi 10.1037/0033-2909.86.2.420); limits of agreement are those of Bland & Altman
+(1999, Stat Methods Med Res 8:135, doi 10.1177/096228029900800204).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from scipy import stats
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.population import Order, Repeatability
+from tissueid.documents.population import Agreement, Confounding, Interval, Order, Pair, Repeatability
+from tissueid.flags import Flag
 from tissueid.population.members import Member, TrialRow
 
 #: Speeds and depths that differ by less are one protocol.
@@ -33,31 +27,6 @@ Z95 = 1.959963984540054
 #: Fewest pairs of repeats for limits, and logs beyond the specimens for a slope.
 FEWEST_PAIRS = 3
 FEWEST_FREE = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """Bland-Altman of successive repeats, in ln force (a difference of 0.01 is 1 %)."""
-
-    #: Specimen, mean force at the common depth [N], difference of ln force, later less earlier.
-    pairs: tuple[tuple[str, float, float], ...]
-    #: Mean difference, and limits that hold 95 % of differences.
-    bias: float
-    bias_ci95: tuple[float, float]
-    lower: float
-    lower_ci95: tuple[float, float]
-    upper: float
-    upper_ci95: tuple[float, float]
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``agreement`` object of the schema."""
-        document = {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
-        rows = [
-            {"specimen": name, "force_N": force, "ln_ratio": change} for name, force, change in self.pairs
-        ]
-        return document | {"pairs": rows}
 
 
 def _same(one: float, other: float) -> bool:
@@ -92,7 +61,8 @@ def _has_gains(members: Sequence[Member]) -> bool:
     return any(trial.gain != 1.0 for one in members for trial in one.trials)
 
 
-def _interval(values: FloatArray) -> tuple[float, float]:
+def interval_95(values: FloatArray) -> Interval:
+    """Ends of the central 95 % of draws."""
     low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
 
@@ -100,13 +70,7 @@ def _interval(values: FloatArray) -> tuple[float, float]:
 def repeatability(
     members: Sequence[Member], between_sd: FloatArray, rng: np.random.Generator
 ) -> Repeatability | None:
-    """Within-specimen scatter of repeats beside draws of the scatter between specimens.
-
-    The within variance has its posterior under a prior flat in its logarithm, sum of squares over chi-square.
-
-    ``between_sd`` (n,): draws of D of ln static force.  Returns ``None`` where no specimen has repeats with
-    gains of their own.
-    """
+    """Within-specimen scatter of repeats beside draws of D of ln static force, shape (n,)."""
     sets = [known for one in members for known in _repeats(one)]
     logs = sum(len(known) for known in sets)
     freedom = logs - len(sets)
@@ -120,11 +84,11 @@ def repeatability(
         groups=len(sets),
         freedom=freedom,
         within_cv=_cv(math.sqrt(square / freedom)),
-        within_cv_ci95=_interval(np.sqrt(np.expm1(within2))),
+        within_cv_ci95=interval_95(np.sqrt(np.expm1(within2))),
         between_cv=_cv(float(np.median(between_sd))),
-        between_cv_ci95=_interval(np.sqrt(np.expm1(between_sd**2))),
+        between_cv_ci95=interval_95(np.sqrt(np.expm1(between_sd**2))),
         icc=float(np.median(icc)),
-        icc_ci95=_interval(icc),
+        icc_ci95=interval_95(icc),
     )
 
 
@@ -134,21 +98,17 @@ def _cv(sd_ln: float) -> float:
 
 
 def agreement(members: Sequence[Member], force_N: Mapping[str, float]) -> Agreement | None:
-    """Bland-Altman of successive repeats.
-
-    ``force_N``: specimen -> static force at the common depth [N].  Returns ``None`` with fewer than three
-    pairs.
-    """
+    """Bland-Altman of successive repeats; ``None`` with fewer than three pairs."""
     pairs = []
     for one in members:
         for known in _repeats(one):
             for first, second in pairwise(known):
                 middle = force_N[one.specimen] * math.sqrt(first.gain * second.gain)
-                pairs.append((one.specimen, middle, math.log(second.gain / first.gain)))
+                pairs.append(Pair(one.specimen, middle, math.log(second.gain / first.gain)))
     n = len(pairs)
     if n < FEWEST_PAIRS or not _has_gains(members):
         return None
-    change = np.array([pair[2] for pair in pairs])
+    change = np.array([pair.ln_ratio for pair in pairs])
     bias, sd = float(change.mean()), float(change.std(ddof=1))
     reach = float(stats.t.ppf(0.975, n - 1))
     error = reach * sd / math.sqrt(n)
@@ -166,10 +126,7 @@ def agreement(members: Sequence[Member], force_N: Mapping[str, float]) -> Agreem
 
 
 def order_effect(members: Sequence[Member]) -> Order | None:
-    """Slope of ln gain on the run, each specimen with a level of its own.
-
-    Returns ``None`` where runs are not stated or leave nothing to judge a slope by.
-    """
+    """Slope of ln gain on the run, each specimen with a level of its own."""
     runs, gains, specimens = [], [], 0
     for one in members:
         known = [trial for trial in one.trials if trial.run is not None and trial.gain > 0.0]
@@ -192,3 +149,78 @@ def order_effect(members: Sequence[Member]) -> Order | None:
     reach = float(stats.t.ppf(0.975, freedom)) * error
     p = float(2.0 * stats.t.sf(abs(slope) / error, freedom)) if error > 0.0 else 0.0
     return Order(slope, (slope - reach, slope + reach), p, int(x.size), specimens)
+
+
+S_PER_MIN = 60.0
+
+
+def _sentence(kind: str, parts: Sequence[Sequence[float]]) -> str:
+    """Sentence on an effect of speed, and its limits."""
+    if kind == "single speed":
+        return "All logs were loaded at one speed: nothing is said of an effect of speed."
+    if kind == "none":
+        return (
+            f"All {sum(map(len, parts))} speeds meet in specimens: their effect is seen inside "
+            "specimens, apart from how specimens differ."
+        )
+    said = "; ".join(
+        ", ".join(f"{speed * S_PER_MIN:.3g}" for speed in part) + " mm/min" for part in parts[:6]
+    )
+    more = f"; and {len(parts) - 6} more" if len(parts) > 6 else ""
+    if kind == "confounded":
+        return (
+            f"Each speed was tested on specimens of its own ({said}{more}): a difference of force "
+            "between speeds may as well be one between specimens, and no effect of speed can be claimed "
+            "from this cohort. Test each specimen at several speeds."
+        )
+    return (
+        f"The speeds fall into {len(parts)} parts that share no specimen ({said}{more}): speeds of "
+        "different parts can't be compared apart from their specimens. Join the parts by specimens "
+        "tested at a speed of each."
+    )
+
+
+def confounding_flags(found: Confounding | None) -> list[Flag]:
+    """``speed_confounded`` where speeds can't be told from specimens."""
+    if found is None or found.kind in {"none", "single speed"}:
+        return []
+    message = (
+        f"{len(found.speeds_mm_s)} speeds were tested on specimens of their own"
+        if found.kind == "confounded"
+        else f"the speeds fall into {len(found.parts)} parts that share no specimen"
+    )
+    return [Flag("speed_confounded", message, {"kind": found.kind, "parts": len(found.parts)})]
+
+
+def speed_confounding(members: Sequence[Member]) -> Confounding | None:
+    """Connected parts of the graph of speeds and specimens; ``None`` where no speed is known."""
+    return confounding_of([[trial.speed_mm_s for trial in one.trials] for one in members])
+
+
+def confounding_of(speeds_of: Sequence[Sequence[float]]) -> Confounding | None:
+    """The same from the speeds of each specimen's tests [mm/s]."""
+    tested = [(who, speed) for who, own in enumerate(speeds_of) for speed in own if speed > 0.0]
+    speeds: list[float] = []
+    for _, speed in sorted(tested, key=lambda pair: pair[1]):
+        # speeds that differ by no more than a machine's setting are one
+        if not speeds or speed > speeds[-1] * (1.0 + SAME_SHARE):
+            speeds.append(speed)
+    if not speeds:
+        return None
+    part = list(range(len(speeds)))
+    home: dict[int, int] = {}
+    for who, speed in tested:
+        at = max(k for k, known in enumerate(speeds) if speed >= known * (1.0 - 1e-12))
+        other = part[home.setdefault(who, at)]
+        mine = part[at]
+        part = [mine if one == other else one for one in part]
+    parts = tuple(
+        tuple(speed for speed, label in zip(speeds, part, strict=True) if label == one)
+        for one in dict.fromkeys(part)
+    )
+    kind: Literal["none", "partly", "confounded", "single speed"] = "partly"
+    if len(parts) == 1:
+        kind = "single speed" if len(speeds) == 1 else "none"
+    elif all(len(one) == 1 for one in parts):
+        kind = "confounded"
+    return Confounding(kind, tuple(speeds), parts, _sentence(kind, parts))

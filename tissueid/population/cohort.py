@@ -1,33 +1,288 @@
-"""A population from specimens, its remarks and predictions: the one call that composes this package.
-
-Number of specimens that a wanted precision takes.
-Half the width of a 95 % interval of a mean of n specimens is 1.96 sqrt((D^2 + m^2) / n) in ln units, with D
-the spread between specimens and m that of one specimen's own posterior; of a standard deviation, relative to
-itself, 1.96 (D^2 + m^2) / D^2 / sqrt(2 (n - 1)).  Both are large-sample formulas of a normal population
-(derived); the answer is given for the median of D and for both ends of its interval.
-"""
+"""A population from specimens, its rows, remarks and predictions: the one call that composes this package."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.population import CohortSize, Effect, Order, Quantity, Repeatability, Specimen
+from tissueid.documents import population as documents
 from tissueid.flags import Flag
-from tissueid.population.agreement import Agreement, agreement, order_effect, repeatability
-from tissueid.population.confounding import Confounding, speed_confounding
+from tissueid.model.base import ContactPath
+from tissueid.population.agreement import (
+    Z95,
+    agreement,
+    confounding_flags,
+    interval_95,
+    order_effect,
+    repeatability,
+    speed_confounding,
+)
 from tissueid.population.coordinates import Coordinates
-from tissueid.population.design import Described, design_of
-from tissueid.population.held_out import HeldOut, held_out
-from tissueid.population.members import FEWEST_SPECIMENS, LeftOut, Member, fit_for_cohort, model_of, stage_one
-from tissueid.population.rows import effect_rows, quantity_rows, shared_instrument, specimen_rows
+from tissueid.population.members import (
+    FEWEST_SPECIMENS,
+    Described,
+    Member,
+    TrialRow,
+    design_of,
+    fit_for_cohort,
+    model_of,
+    stage_one,
+)
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT, PopulationDraws, SamplerOptions, sample_population
-from tissueid.population.stage_one import StageOne
+from tissueid.population.stage_one import Design, StageOne
 from tissueid.priors import PopulationPriors
+
+#: Share of the specimens that must have a total posterior.
+FEWEST_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedInstrument:
+    """Instrument that is common to all specimens."""
+
+    shift: FloatArray  # (p,), of ln quantities
+    covariance: FloatArray  # (p, p)
+    specimens: int  # of how many it was taken
+
+    def added_to(self, mean: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draws of the mean with the machine's uncertainty, shape (n, p)."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(mean + self.shift + rng.standard_normal(mean.shape) @ root.T)
+
+
+def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> SharedInstrument | None:
+    """Medians, over specimens, of total less statistical posteriors; ``None`` with too few total ones."""
+    shifts, more = [], []
+    for one in members:
+        if one.draws_total is None or len(one.draws_total) < 2:
+            continue
+        total, own = coordinates.to_phi(one.draws_total)[0], coordinates.to_phi(one.draws)[0]
+        shifts.append(np.median(total, axis=0) - np.median(own, axis=0))
+        more.append(_covariance(total) - _covariance(own))
+    if len(shifts) < max(FEWEST_SHARE * len(members), 1):
+        return None
+    covariance = np.median(more, axis=0)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return SharedInstrument(np.median(shifts, axis=0), np.asarray(positive), len(shifts))
+
+
+def _covariance(phi: FloatArray) -> FloatArray:
+    """Covariance of draws pulled in to their central 99 %."""
+    low, high = np.quantile(phi, [0.005, 0.995], axis=0)
+    return np.asarray(np.cov(np.clip(phi, low, high), rowvar=False))
+
+
+#: A specimen is named as an outlier where it is more likely than not beyond the 99 % of a normal core.
+OUTLIER_PROBABILITY = 0.5
+#: Groups of which every pair is compared; of more, each is compared with the largest.
+MOST_PAIRED = 4
+
+
+def quantity_rows(
+    draws: PopulationDraws,
+    coordinates: Coordinates,
+    described: Described,
+    instrument: SharedInstrument | None,
+    rng: np.random.Generator,
+) -> tuple[documents.Quantity, ...]:
+    """Mean and spread of each quantity."""
+    p = coordinates.size
+    mean, sd = draws.mean, draws.sd.reshape(-1, p)
+    total = None if instrument is None else np.exp(instrument.added_to(mean, rng))
+    level_sd = draws.level_sd.reshape(len(mean), -1, p)
+    rows = []
+    for k, name in enumerate(coordinates.names):
+        cv = np.sqrt(np.expm1(np.minimum(sd[:, k], 5.0) ** 2))
+        rows.append(
+            documents.Quantity(
+                name=name,
+                words=coordinates.words[k],
+                unit=coordinates.units[k],
+                median=float(np.exp(np.median(mean[:, k]))),
+                ci95=interval_95(np.exp(mean[:, k])),
+                ci95_total=None if total is None else interval_95(total[:, k]),
+                sd_ln=float(np.median(sd[:, k])),
+                sd_ln_ci95=interval_95(sd[:, k]),
+                cv=float(np.median(cv)),
+                cv_ci95=interval_95(cv),
+                levels={
+                    key: documents.Level(float(np.median(one)), interval_95(one))
+                    for key, one in zip(described.design.levels, level_sd[:, :, k].T, strict=True)
+                },
+            )
+        )
+    return tuple(rows)
+
+
+def _intervals(values: FloatArray) -> tuple[documents.Interval, ...]:
+    low, high = np.quantile(values, [0.025, 0.975], axis=0)
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def specimen_rows(
+    members: Sequence[Member], stage: StageOne, draws: PopulationDraws, coordinates: Coordinates
+) -> tuple[documents.Specimen, ...]:
+    """Every specimen, alone and pooled."""
+    smoothed = set(draws.smoothed.tolist())
+    rows = []
+    for i, one in enumerate(members):
+        own = np.asarray(stage.phi[i], dtype=np.float64)
+        pooled = draws.specimens[:, i]
+        farthest = int(np.abs(draws.deviation[i]).argmax())
+        spread = np.maximum(own.var(axis=0), 1e-300)
+        rows.append(
+            documents.Specimen(
+                specimen=one.specimen,
+                separate=tuple(np.exp(np.median(own, axis=0)).tolist()),
+                separate_ci95=_intervals(np.exp(own)),
+                pooled=tuple(np.exp(np.median(pooled, axis=0)).tolist()),
+                pooled_ci95=_intervals(np.exp(pooled)),
+                shrinkage=tuple(np.clip(1.0 - pooled.var(axis=0) / spread, 0.0, 1.0).tolist()),
+                far=float(draws.far[i]),
+                outlier=coordinates.names[farthest] if draws.far[i] > OUTLIER_PROBABILITY else None,
+                deviation=float(draws.deviation[i, farthest]),
+                smoothed=i in smoothed,
+                worth=float(draws.worth[i]),
+            )
+        )
+    return tuple(rows)
+
+
+def effect_rows(
+    draws: PopulationDraws, coordinates: Coordinates, described: Described
+) -> tuple[documents.Effect, ...]:
+    """Ratios between groups, and for one standard deviation of each number."""
+    coefficient = draws.coefficient.reshape(-1, *draws.coefficient.shape[2:])
+    rows: list[documents.Effect] = []
+
+    def add(
+        values: FloatArray, covariate: str, of: str | None, against: str | None, per: float | None
+    ) -> None:
+        for k, name in enumerate(coordinates.names):
+            ratio = np.exp(values[:, k])
+            above = float((values[:, k] > 0.0).mean())
+            rows.append(
+                documents.Effect(
+                    name, covariate, of, against, per, float(np.median(ratio)), interval_95(ratio), above
+                )
+            )
+
+    titles = list(described.design.column_names)
+    zero = np.zeros_like(coefficient[:, 0])
+    grouped = {f"{described.group_by}: {group}" for group in described.groups[1:]}
+    by_group = dict.fromkeys(described.groups[:1], zero) | {
+        group: coefficient[:, titles.index(f"{described.group_by}: {group}")]
+        for group in described.groups[1:]
+    }
+    pairs = list(combinations(described.groups, 2))
+    if len(described.groups) > MOST_PAIRED:
+        pairs = [pair for pair in pairs if pair[0] == described.groups[0]]
+    for against, of in pairs:
+        add(by_group[of] - by_group[against], str(described.group_by), of, against, None)
+    for a, title in enumerate(titles[1:], start=1):
+        if title in grouped:
+            continue
+        scale = described.scales.get(title)
+        if scale is not None:
+            add(coefficient[:, a], title, None, None, scale[1])
+        else:
+            key, group = title.split(": ", 1)
+            add(coefficient[:, a], key, group, "the largest group", None)
+    return tuple(rows)
+
+
+#: Leave-one-out up to so many specimens, so many parts beyond.
+MOST_SINGLE = 20
+PARTS = 10
+#: NRMSD of the population model in paper A [%]; its normaliser is not stated.
+PAPER_A_PERCENT = (4.23, 10.95)
+#: A typical tissue is needed, not its uncertainty: short chains do.
+SHORT_CHAINS, SHORT_SETTLE, SHORT_SWEEPS = 2, 300, 700
+FEWEST_SAMPLES = 5
+
+
+def prediction_error(
+    coordinates: Coordinates, theta: FloatArray, trial: TrialRow
+) -> tuple[float, float] | None:
+    """NRMSD by range and by mean, fractions, of a tissue on the part of a log within the common depth."""
+    curve = trial.curve
+    if curve is None:
+        return None
+    use = curve.fitted & (curve.depth_mm <= coordinates.depth_mm * (1.0 + 1e-9)) & (curve.depth_mm >= 0.0)
+    if use.sum() < FEWEST_SAMPLES:
+        return None
+    model = coordinates.model.force(theta, ContactPath(curve.time_s, np.maximum(curve.depth_mm, 0.0)))
+    force = curve.force_N[use]
+    rmsd = float(np.sqrt(np.mean((model[use] - force) ** 2)))
+    span, mean = float(np.ptp(force)), float(force.mean())
+    if not (span > 0.0 and mean > 0.0):
+        return None
+    return rmsd / span, rmsd / mean
+
+
+def _folds(count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
+    if count <= MOST_SINGLE:
+        return [np.array([i]) for i in range(count)]
+    return [np.sort(part) for part in np.array_split(rng.permutation(count), PARTS)]
+
+
+def _without(stage: StageOne, design: Design, keep: NDArray[np.int64]) -> tuple[StageOne, Design]:
+    """The same without some specimens; groups that are empty then stay, at their prior."""
+    fewer = replace(
+        stage,
+        phi=tuple(stage.phi[i] for i in keep),
+        log_reference=tuple(stage.log_reference[i] for i in keep),
+    )
+    return fewer, replace(design, columns=design.columns[keep], group=design.group[:, keep])
+
+
+def held_out(
+    members: Sequence[Member],
+    stage: StageOne,
+    described: Described,
+    coordinates: Coordinates,
+    priors: PopulationPriors,
+    options: SamplerOptions,
+    tick: Callable[[str], None],
+) -> documents.HeldOut | None:
+    """Predict every specimen from the others; ``None`` without a curve, or with too few specimens."""
+    if len(members) < 4 or not any(trial.curve is not None for one in members for trial in one.trials):
+        return None
+    short = replace(options, chains=SHORT_CHAINS, settle=SHORT_SETTLE, sweeps=SHORT_SWEEPS, blocks=1)
+    folds = _folds(len(members), np.random.default_rng([options.seed, 3]))
+    rows = []
+    for done, fold in enumerate(folds):
+        tick(f"predicting held-out specimens, {done + 1} of {len(folds)}")
+        keep = np.setdiff1d(np.arange(len(members)), fold)
+        fewer, design = _without(stage, described.design, keep)
+        found = sample_population(fewer, design, priors, short)
+        coefficient = np.median(found.coefficient.reshape(-1, *found.coefficient.shape[2:]), axis=0)
+        for i in fold:
+            theta = coordinates.to_theta(described.design.columns[i] @ coefficient)[0]
+            for trial in members[i].trials:
+                error = prediction_error(coordinates, theta, trial)
+                if error is not None:
+                    rows.append(documents.Trial(members[i].specimen, trial.path, trial.sheet, *error))
+    if not rows:
+        return None
+    by_range, by_mean = (
+        _spread([getattr(row, key) for row in rows]) for key in ("nrmsd_range", "nrmsd_mean")
+    )
+    return documents.HeldOut(len(folds), PAPER_A_PERCENT, by_range, by_mean, tuple(rows))
+
+
+def _spread(values: Sequence[float]) -> documents.Spread:
+    low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
+    return documents.Spread(float(middle), float(low), float(high))
+
 
 #: Specimens that a bundle keeps, proposals tried for them at the most, and tried at a time.
 SPECIMENS = 2000
@@ -70,10 +325,7 @@ def _drawn(draws: PopulationDraws, count: int, rng: np.random.Generator) -> Floa
 def predictive_specimens(
     draws: PopulationDraws, coordinates: Coordinates, rng: np.random.Generator, count: int = SPECIMENS
 ) -> Predictive:
-    """Specimens of the population, and its typical one.
-
-    ``count``: fewer are given where most draws are not passive.
-    """
+    """Specimens of the population, and its typical one."""
     kept: list[FloatArray] = []
     found = refused = tried = 0
     while found < count and tried < MOST_TRIES:
@@ -109,53 +361,40 @@ LONGEST_LIST = 8
 MANY_REFUSED = 0.05
 
 
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - LONGEST_LIST} more" if len(names) > LONGEST_LIST else ""
-    return ", ".join(names[:LONGEST_LIST]) + more
-
-
 def population_flags(
     draws: PopulationDraws,
     predictive: Predictive,
-    specimens: Sequence[Specimen],
+    specimens: Sequence[documents.Specimen],
     described: Described,
     floored: Mapping[str, int],
 ) -> list[Flag]:
-    """Flags of a population.
-
-    ``floored``: specimen -> draws of which a number was zero.
-    """
+    """Flags of a population; ``floored``: specimen -> draws of which a number was zero."""
     flags = [*_of_chains(draws), *_of_outliers(specimens)]
+
+    def flag(code: str, message: str, **values: object) -> None:
+        flags.append(Flag(code, message, values))
+
     smoothed = [row.specimen for row in specimens if row.smoothed]
     if smoothed:
         message = (
             f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
             f"(first {smoothed[0]})"
         )
-        flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
+        flag("likelihood_smoothed", message, specimens=smoothed)
     if floored:
         message = (
             f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
             f"{sum(floored.values())} draws"
         )
-        flags.append(
-            Flag("draws_floored", message, {"specimens": list(floored), "draws": list(floored.values())})
-        )
+        flag("draws_floored", message, specimens=list(floored), draws=list(floored.values()))
     if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
         share = 100 * predictive.refused_share
         message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
-        if predictive.typical_is_drawn:
-            message += ", the typical one too"
-        flags.append(
-            Flag(
-                "population_not_passive",
-                message,
-                {"refused": predictive.refused, "kept": len(predictive.theta)},
-            )
-        )
+        message += ", the typical one too" if predictive.typical_is_drawn else ""
+        flag("population_not_passive", message, refused=predictive.refused, kept=len(predictive.theta))
     for key, who in described.missing.items():
         message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
-        flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
+        flag("covariate_missing", message, covariate=key, specimens=list(who))
     return flags
 
 
@@ -172,7 +411,7 @@ def _of_chains(draws: PopulationDraws) -> list[Flag]:
     return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
 
 
-def _of_outliers(specimens: Sequence[Specimen]) -> list[Flag]:
+def _of_outliers(specimens: Sequence[documents.Specimen]) -> list[Flag]:
     outliers = [row for row in specimens if row.outlier is not None]
     if not outliers:
         return []
@@ -189,7 +428,6 @@ def _of_outliers(specimens: Sequence[Specimen]) -> list[Flag]:
 
 #: Wanted half widths, relative.
 PRECISIONS = (0.02, 0.05, 0.10)
-Z95 = 1.959963984540054
 
 
 def specimens_for_mean(between_sd: float, own_sd: float, precision: float) -> int:
@@ -204,11 +442,8 @@ def specimens_for_sd(between_sd: float, own_sd: float, precision: float) -> int:
     return max(math.ceil(1.0 + 0.5 * (Z95 * inflated / precision) ** 2), 3)
 
 
-def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[CohortSize, ...]:
-    """A row a quantity and precision.
-
-    ``sd`` (n, p): draws of D; ``own_sd`` (p,): typical standard deviation of one specimen's ln quantity.
-    """
+def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[documents.CohortSize, ...]:
+    """A row a quantity and precision; ``sd`` (n, p)."""
     low, middle, high = np.quantile(sd, [0.025, 0.5, 0.975], axis=0)
     rows = []
     for k, name in enumerate(names):
@@ -218,7 +453,9 @@ def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tup
             ]
             sds = [specimens_for_sd(float(d[k]), float(own_sd[k]), precision) for d in (low, middle, high)]
             rows.append(
-                CohortSize(name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds)))
+                documents.CohortSize(
+                    name, precision, means[1], (min(means), max(means)), sds[1], (min(sds), max(sds))
+                )
             )
     return tuple(rows)
 
@@ -242,12 +479,12 @@ class Population:
     described: Described
     draws: PopulationDraws
     predictive: Predictive
-    quantities: tuple[Quantity, ...]
-    specimens: tuple[Specimen, ...]
-    effects: tuple[Effect, ...]
-    held_out: HeldOut | None
-    repeatability: Repeatability | None
-    sizes: tuple[CohortSize, ...]
+    quantities: tuple[documents.Quantity, ...]
+    specimens: tuple[documents.Specimen, ...]
+    effects: tuple[documents.Effect, ...]
+    held_out: documents.HeldOut | None
+    repeatability: documents.Repeatability | None
+    sizes: tuple[documents.CohortSize, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,12 +492,12 @@ class CohortFit:
     """Everything that is said of a cohort."""
 
     members: tuple[Member, ...]  # specimens that took part
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[documents.LeftOut, ...]
     population: Population | None
     reason: str | None  # why there is no population
-    agreement: Agreement | None
-    order: Order | None
-    confounding: Confounding | None
+    agreement: documents.Agreement | None
+    order: documents.Order | None
+    confounding: documents.Confounding | None
     flags: tuple[Flag, ...]
 
 
@@ -278,7 +515,7 @@ def cohort(
     kept, left = fit_for_cohort(members)
     confounding = speed_confounding(members)
     order = order_effect(members)
-    flags = [] if confounding is None else confounding.flags()
+    flags = confounding_flags(confounding)
     if len(kept) < FEWEST_SPECIMENS:
         reason = (
             f"{len(kept)} specimen{'s' * (len(kept) != 1)} with a posterior of one model: a population takes "

@@ -6,12 +6,10 @@ At a depth d that all specimens reached::
             then for each relaxing part
             ln eta(x_1) .. ln eta(x_n), shapes ),     eta(x) = K(x) tau,  x_k = k d / n
 
-with n the number of coefficients of K.  A shape (a relaxation time, a power of depth, the ratio of an inside
-channel) is its own logarithm; where a relaxation is no exponential, K stands for eta.  One to one with theta
-where the static force and every K are positive at these depths.  Back from phi the polynomials may be
-negative between them, and a shape may leave its bounds: such a tissue is not passive, and a draw of it is
-refused by who asked for it.  Viscosity stands for stiffness because the two factors of K tau are nearly
-dependent and their product is what ramps tell (derived).
+with n the number of coefficients of K.  A shape is its own logarithm; where a relaxation is no exponential,
+K stands for eta.  Viscosity stands for stiffness because ramps tell the product K tau (derived).  Back from
+phi a tissue may be negative between the depths or leave its bounds: a draw of it is refused by who asked
+for it.
 """
 
 from __future__ import annotations
@@ -113,11 +111,7 @@ class Coordinates:
         return out
 
     def to_phi(self, theta: FloatArray) -> tuple[FloatArray, int]:
-        """Coordinates of tissues.
-
-        ``theta`` (n, p): in the order of the contact model.  Returns ``phi`` (n, p); ``floored``: rows of
-        which a number was raised to :data:`FLOOR_SHARE` of its median.
-        """
+        """Coordinates (n, p) of tissues (n, p), and how many of them were raised to :data:`FLOOR_SHARE`."""
         values = self.quantities(theta)
         floor = FLOOR_SHARE * np.maximum(np.median(values, axis=0), np.finfo(np.float64).tiny / FLOOR_SHARE)
         low = values < floor

@@ -12,7 +12,6 @@ from msgspec import structs
 from tissueid import __version__
 from tissueid.documents import plain
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
-from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.population.cohort import CohortFit, CohortOptions, Population
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
@@ -25,6 +24,7 @@ from tissueid.store.posteriors import StoredPosterior
 
 #: Draws of mean and spread that a bundle keeps.
 KEPT_DRAWS = 4000
+PROVENANCE = ("group_by", "covariates", "tails", "seed", "priors", "identification_sha256")
 #: Specimens whose curves are kept, to be predicted from the others; of more an even choice.
 MOST_WITH_CURVES = 200
 _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
@@ -34,11 +34,7 @@ def members_of(
     document: Identification,
     results: Iterable[tuple[Specimen, Sequence[TrialCurve], StoredPosterior | None]],
 ) -> tuple[Member, ...]:
-    """The specimens of a finished fit, with as many draws as a cohort of that size can use.
-
-    ``document``: identification.json; ``results``: each specimen of it, its curves and its draws:
-    :func:`tissueid.store.results.each_result`.
-    """
+    """The specimens of a finished fit, with as many draws as a cohort of that size can use."""
     study = document.study
     covariates = {row.specimen: structs.asdict(row) for row in study.specimens} if study else {}
     trials = {(row.path, row.sheet): row for row in study.trials} if study else {}
@@ -129,20 +125,17 @@ def population_priors(document: Identification) -> PopulationPriors:
 
 
 def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[str, Any]:
-    """The document of ``schemas/population.schema.json``.
-
-    ``source``: SHA-256 of the identification.json it was made from.
-    """
+    """The document of ``schemas/population.schema.json``."""
     found = fit.population
     return {
         "schema": "tissueid/population/1",
         "specimens_used": [one.specimen for one in fit.members],
-        "left_out": [one.as_json() for one in fit.left_out],
+        "left_out": plain(fit.left_out),
         "reason": fit.reason,
         "population": None if found is None else _population(found),
-        "agreement": None if fit.agreement is None else fit.agreement.as_json(),
+        "agreement": plain(fit.agreement),
         "order": plain(fit.order),
-        "confounding": None if fit.confounding is None else fit.confounding.as_json(),
+        "confounding": plain(fit.confounding),
         "flags": [flag.as_json() for flag in fit.flags],
         "provenance": {
             "tissueid": __version__,
@@ -177,7 +170,7 @@ def _population(found: Population) -> dict[str, Any]:
         "effects": plain(found.effects),
         "specimens": plain(found.specimens),
         "repeatability": plain(found.repeatability),
-        "held_out": None if found.held_out is None else found.held_out.as_json(),
+        "held_out": plain(found.held_out),
         "cohort_size": plain(found.sizes),
         "predictive": {
             "specimens": len(found.predictive.theta),
@@ -197,11 +190,7 @@ def _population(found: Population) -> dict[str, Any]:
 
 
 def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | None:
-    """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it.
-
-    ``document``: from :func:`as_document`.  Returns ``None`` without a population, where hardly any drawn
-    specimen is passive, or where drawn ones are so far apart that no variance is a number.
-    """
+    """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it."""
     found = fit.population
     if found is None or len(found.predictive.theta) < 2:
         return None
@@ -216,9 +205,13 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         return None
     spread = coordinates.to_theta(mean).std(axis=0)
     tips = {one.tip_radius_mm for one in fit.members}
+    law, said = coordinates.model, document["provenance"]
+    # exponentials are themselves at all times, other relaxations are looked at on a range
+    looked_at = (law.resolution_s, law.window_s) if np.isfinite(law.window_s) else None
+    options = {key: said[key] for key in PROVENANCE}
     return Bundle(
         specimen=f"population of {len(fit.members)} specimens",
-        model=replace(fit.members[0].model, static_pooling="shared", range_s=_range(coordinates.model)),
+        model=replace(fit.members[0].model, static_pooling="shared", range_s=looked_at),
         theta_names=coordinates.model.parameter_names,
         theta=found.predictive.typical,
         covariance=covariance,
@@ -236,25 +229,9 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         tip_radius_mm=tips.pop() if len(tips) == 1 else None,
         sigma_N=float(np.median([one.sigma_N for one in fit.members])),
         flags=tuple(document["flags"]),
-        provenance=_provenance(document),
+        provenance={"tissueid": said["tissueid"], "versions": {}, "options": options, "inputs": []},
         draws=theta,
         population_mean=mean,
         population_sd=found.draws.sd.reshape(-1, coordinates.size)[rows],
         units=dict(fit.members[0].units) or dict(_NO_UNITS),
     )
-
-
-def _range(model: ChannelModel) -> tuple[float, float] | None:
-    """Times that a relaxation is looked at; none of exponentials, which are themselves at all times."""
-    return (model.resolution_s, model.window_s) if np.isfinite(model.window_s) else None
-
-
-def _provenance(document: Mapping[str, Any]) -> dict[str, Any]:
-    said = document["provenance"]
-    options = {key: said[key] for key in ("group_by", "covariates", "tails", "seed", "priors")}
-    return {
-        "tissueid": said["tissueid"],
-        "versions": {},
-        "options": options | {"identification_sha256": said["identification_sha256"]},
-        "inputs": [],
-    }

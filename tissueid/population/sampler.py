@@ -6,7 +6,8 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,12 @@ from tissueid.population.stage_one import (
     PILOT_NU,
     PILOT_WIDER,
     Design,
+    Pilot,
     StageOne,
     first_pilot,
     packed,
     worths,
 )
-from tissueid.population.surrogate import Pilot
 from tissueid.priors import PopulationPriors
 
 #: Specimens are far beyond this quantile of a normal population's squared distances.
@@ -174,22 +175,24 @@ def _in_threads(work: Callable[[int], None], count: int, workers: int) -> None:
         list(pool.map(work, range(count)))
 
 
-def _diagnosed(records: list[list[Record]], hyper: Hyper) -> dict[str, Diagnostics]:
-    def stack(pick: Callable[[Record], FloatArray]) -> FloatArray:
-        return np.stack([np.concatenate([pick(one) for one in chain]) for chain in records])
+def _stack(records: list[list[Record]], name: str) -> FloatArray:
+    """One field of all records, chains first."""
+    return np.stack([np.concatenate([getattr(one, name) for one in chain]) for chain in records])
 
+
+def _diagnosed(records: list[list[Record]], hyper: Hyper) -> dict[str, Diagnostics]:
     draws: dict[str, FloatArray] = {}
-    coefficient, log_sd = stack(lambda one: one.coefficient), stack(lambda one: one.log_sd)
+    coefficient, log_sd = _stack(records, "coefficient"), _stack(records, "log_sd")
     p = log_sd.shape[2]
     for k in range(p):
         draws[f"ln_sd_{k}"] = log_sd[:, :, k]
         draws |= {f"coefficient_{a}_{k}": coefficient[:, :, a, k] for a in range(coefficient.shape[2])}
-    level = stack(lambda one: one.level_log_sd)
+    level = _stack(records, "level_log_sd")
     draws |= {f"level_ln_sd_{a}_{k}": level[:, :, a, k] for a in range(level.shape[2]) for k in range(p)}
-    correlation = stack(lambda one: one.correlation)
+    correlation = _stack(records, "correlation")
     draws |= {f"correlation_{i}_{j}": correlation[:, :, i, j] for i in range(p) for j in range(i)}
     if hyper.heavy:
-        draws["ln_nu"] = np.log(stack(lambda one: one.nu))
+        draws["ln_nu"] = np.log(_stack(records, "nu"))
     return diagnose(draws)
 
 
@@ -207,16 +210,10 @@ def sample_population(
     options: SamplerOptions | None = None,
     tick: Callable[[str], None] | None = None,
 ) -> PopulationDraws:
-    """Draw the population behind specimens.
-
-    ``tick``: told what is being done.  Raises UsageError: numba isn't installed.
-    """
+    """Draw the population behind specimens."""
     require("numba")
-    priors, options, tick = (
-        priors or PopulationPriors(),
-        options or SamplerOptions(),
-        tick or (lambda _: None),
-    )
+    priors, options = priors or PopulationPriors(), options or SamplerOptions()
+    tick = tick or (lambda _: None)
     hyper = _hyper(priors, design, stage.size, options.tails)
     rng = np.random.default_rng([options.seed, 0])
     pilot = first_pilot(stage, priors.between.median)
@@ -245,38 +242,31 @@ def sample_population(
         found = _diagnosed(records, hyper)
         if _met(found, options.chains):
             break
-    return replace(
-        _gathered(cohort, records, states, hyper),
-        worth=worths(stage, pilot),
-        diagnostics=found,
-        converged=_met(found, options.chains),
-    )
+    judged = {"worth": worths(stage, pilot), "diagnostics": found, "converged": _met(found, options.chains)}
+    return _gathered(cohort, records, states, hyper, **judged)
 
 
 def _gathered(
-    cohort: Cohort, records: list[list[Record]], states: list[State], hyper: Hyper
+    cohort: Cohort, records: list[list[Record]], states: list[State], hyper: Hyper, **judged: Any
 ) -> PopulationDraws:
-    def stack(pick: Callable[[Record], FloatArray]) -> FloatArray:
-        return np.stack([np.concatenate([pick(one) for one in chain]) for chain in records])
+    steps = sum(one.nu.size for chain in records for one in chain)
+    nu = _stack(records, "nu")
 
-    every = [one for chain in records for one in chain]
-    steps = sum(one.nu.size for one in every)
-    nu = stack(lambda one: one.nu)
-    last = np.concatenate([chain[-1].phi for chain in records]).astype(np.float64)
+    def mean(name: str) -> FloatArray:
+        return np.asarray(sum(getattr(one, name) for chain in records for one in chain)) / steps
+
     return PopulationDraws(
-        coefficient=stack(lambda one: one.coefficient),
-        level_sd=np.exp(stack(lambda one: one.level_log_sd)),
-        sd=np.exp(stack(lambda one: one.log_sd)),
-        correlation=stack(lambda one: one.correlation),
+        coefficient=_stack(records, "coefficient"),
+        level_sd=np.exp(_stack(records, "level_log_sd")),
+        sd=np.exp(_stack(records, "log_sd")),
+        correlation=_stack(records, "correlation"),
         nu=nu if hyper.heavy else np.full_like(nu, np.inf),
-        specimens=last,
-        far=np.asarray(sum(one.far for one in every)) / steps,
-        weight=np.asarray(sum(one.weight for one in every)) / steps,
-        deviation=np.asarray(sum(one.deviation for one in every)) / steps,
-        effect=np.asarray(sum(one.effect for one in every)) / steps,
-        worth=np.zeros(0),
+        specimens=np.concatenate([chain[-1].phi for chain in records]).astype(np.float64),
+        far=mean("far"),
+        weight=mean("weight"),
+        deviation=mean("deviation"),
+        effect=mean("effect"),
         smoothed=np.flatnonzero(cohort.smooth >= 0),
         moved=np.asarray(sum(one.accepted for one in states)) / steps,
-        diagnostics={},
-        converged=False,
+        **judged,
     )

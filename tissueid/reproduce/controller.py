@@ -17,11 +17,19 @@ from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.control.virtual_mass import virtual_mass_bound
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
-from tissueid.reproduce.items import Figure, Item, Kind, Trace
-from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
-from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.published import (
+    PUBLISHED,
+    SADEGHNEJAD,
+    Figure,
+    Item,
+    Kind,
+    Ledger,
+    Numbers,
+    Readings,
+    Trace,
+)
 from tissueid.reproduce.recordings import Effort
-from tissueid.reproduce.tissue import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
+from tissueid.reproduce.speeds import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
 
 VARIANTS = ("A", "B")
 TASKS = ("sustained", "free-contact")
@@ -35,17 +43,14 @@ LEAST_ERROR_MM = 0.005
 SECONDS = 12.0
 #: Every so many rows of a run are drawn.
 THINNED = 20
-ROLES = (
-    ("operator", "mass", "kg"),
-    ("operator", "damping", "N s/m"),
-    ("operator", "stiffness", "N/m"),
-    ("device", "mass", "kg"),
-    ("device", "damping", "N s/m"),
-    ("device", "stiffness", "N/m"),
-)
+ROLES = [
+    (owner, what, unit)
+    for owner in ("operator", "device")
+    for what, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m"))
+]
 
 
-def table_3(readings: Readings, numbers: Mapping[str, Published] = PUBLISHED) -> list[Item]:
+def table_3(readings: Readings, numbers: Numbers = PUBLISHED) -> list[Item]:
     """The six parameters, which are inputs, and the virtual masses that they allow."""
     swapped = readings.device == "mass-stiffness-damping"
     items = []
@@ -79,7 +84,7 @@ def table_3(readings: Readings, numbers: Mapping[str, Published] = PUBLISHED) ->
 
 
 def controlled_contact(
-    readings: Readings, effort: Effort, numbers: Mapping[str, Published] = PUBLISHED
+    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
 ) -> tuple[list[Item], list[Figure]]:
     """Fig. 7 and the test of stability: both variants, two tasks, the tissue as it is and stiffer."""
     items: list[Item] = []

@@ -9,13 +9,18 @@ from typing import Any
 from tissueid import __version__
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.identification import identified_table
-from tissueid.reproduce.items import Figure, Item, Kind
-from tissueid.reproduce.published import PIRES, PUBLISHED, SADEGHNEJAD, Published
-from tissueid.reproduce.readings import Readings
-from tissueid.reproduce.recordings import Effort
+from tissueid.reproduce.published import (
+    PIRES,
+    PUBLISHED,
+    SADEGHNEJAD,
+    Figure,
+    Item,
+    Kind,
+    Numbers,
+    Readings,
+)
+from tissueid.reproduce.recordings import Effort, identified_table, specimen_scatter
 from tissueid.reproduce.relaxation import relaxation_tests
-from tissueid.reproduce.specimens import specimen_scatter
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
 PAPERS = (SADEGHNEJAD, PIRES)
@@ -46,13 +51,9 @@ def reproduction(
     papers: tuple[str, ...],
     readings: Readings,
     effort: Effort,
-    numbers: Mapping[str, Published] = PUBLISHED,
+    numbers: Numbers = PUBLISHED,
 ) -> dict[str, Any]:
-    """Recompute papers.
-
-    ``papers``: of :data:`PAPERS`; ``numbers``: published numbers.  Returns the document of
-    ``schemas/reproduction.schema.json``.
-    """
+    """Recompute papers."""
     began = time.perf_counter()
     items: list[Item] = []
     figures: list[Figure] = []
@@ -87,7 +88,7 @@ def _sinus(
     figures: list[Figure],
     readings: Readings,
     effort: Effort,
-    numbers: Mapping[str, Published],
+    numbers: Numbers,
 ) -> None:
     """Paper A in the order of its tables and figures."""
     figures.append(_drawn("figure-1", "Fig. 1", "The modified Kelvin-Voigt model", "schematic"))

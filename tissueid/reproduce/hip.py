@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal, cast
 
 import numpy as np
@@ -13,9 +12,18 @@ from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, damping_factor, imp
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.funnel import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
-from tissueid.reproduce.items import Figure, Item, Kind, Trace, near
-from tissueid.reproduce.published import PIRES, PUBLISHED, Ledger, Published
-from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.published import (
+    PIRES,
+    PUBLISHED,
+    Figure,
+    Item,
+    Kind,
+    Ledger,
+    Numbers,
+    Readings,
+    Trace,
+    near,
+)
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
 #: A free mass [kg] at this speed [mm/s] on a Hertz contact [N/mm^1.5], in steps [s] that converge to 1 %.
@@ -28,7 +36,7 @@ MOST_ERROR_MM, SWEEP = 20.0, 201
 SLOW_STEP_S = 10.0
 
 
-def restitutions(numbers: Mapping[str, Published] = PUBLISHED) -> list[Item]:
+def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
     """Speed after a drop over that before it, under the law as printed."""
     items = []
     for asked in RESTITUTIONS:
@@ -67,9 +75,7 @@ def _after_drop(chi: float, mass_kg: float) -> float:
     return -speed / SPEED_MM_S
 
 
-def guidance_forces(
-    readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
-) -> tuple[list[Item], Figure]:
+def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
     """Fig. 4: force of the impedance and of the surface against radial error, at four heights."""
     ledger = Ledger(PIRES, numbers)
     ledger.read(readings.words("surface"))
@@ -158,7 +164,7 @@ def _within(plan: Guidance, height_mm: float, error_mm: FloatArray) -> NDArray[n
     return np.asarray(1e-3 * error_mm < radius)
 
 
-def _time_constant(numbers: Mapping[str, Published]) -> Item:
+def _time_constant(numbers: Numbers) -> Item:
     """Damping over stiffness of the pull, from its force at rest and in steady motion."""
     ledger = Ledger(PIRES, numbers)
     plan = Guidance(

@@ -1,18 +1,161 @@
-"""Printed numbers of the two papers, and an account of which of it a computation used.
+"""Printed numbers of the two papers, their readings, and an account of what a computation used of them.
 
-A recomputed number whose inputs hold the published one agrees because it must: it is a round trip.  So that
-no row can be labelled otherwise by mistake, computations get published numbers from a :class:`Ledger` only,
-which remembers what it handed out; the kind of a row follows from that.
+Computations get published numbers from a :class:`Ledger` only, which remembers what it handed out: a number
+that agrees because it must is labelled a round trip.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from tissueid.reproduce.items import Item, Judgement, Kind
+from tissueid.documents import plain
+from tissueid.errors import UsageError, printable
+
+Value = float | tuple[float, float]
+Interval = tuple[float, float] | None
+
+
+class Kind(StrEnum):
+    """Ground of a recomputed number."""
+
+    #: Printed, and computed from what the paper states without the number itself.
+    REPRODUCED = "reproduced"
+    #: Computed from what the paper states, which prints no number to stand beside it.
+    RECOMPUTED = "recomputed"
+    #: Printed as an input: put in, not computed.
+    GIVEN = "given"
+    #: The number itself, or what was made from it, is among the inputs.
+    ROUND_TRIP = "round trip"
+    #: An input is printed by no paper.
+    ASSUMED = "assumed"
+    #: Its inputs are lost, or were never printed.
+    NOT_REPRODUCIBLE = "not reproducible"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Rule of agreement, in words and as a function of (published, recomputed, interval)."""
+
+    words: str
+    holds: Callable[[Value, Value, Interval], bool]
+
+
+def near(tolerance: float, unit: str) -> Judgement:
+    """Within a tolerance."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        return abs(_single(published) - _single(recomputed)) <= tolerance
+
+    return Judgement(f"within {tolerance:g} {unit}".rstrip(), holds)
+
+
+def within_interval() -> Judgement:
+    """The published number lies in the interval of the recomputed one."""
+
+    def holds(published: Value, _recomputed: Value, interval: Interval) -> bool:
+        return interval is not None and interval[0] <= _single(published) <= interval[1]
+
+    return Judgement("the published number lies inside the 99 % interval", holds)
+
+
+def overlaps() -> Judgement:
+    """Two ranges share something: they are consistent, which is no proof."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        (low, high), (least, most) = _pair(published), _pair(recomputed)
+        return low <= most and least <= high
+
+    return Judgement("the ranges overlap (consistent with, no more)", holds)
+
+
+def rounded(digits: int) -> Judgement:
+    """Equal once rounded as it is printed."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        return round(_single(recomputed), digits) == round(_single(published), digits)
+
+    return Judgement(f"equal when rounded to {digits} decimals", holds)
+
+
+def _single(value: Value) -> float:
+    if isinstance(value, tuple):
+        msg = "a range can't be judged as a number"
+        raise TypeError(msg)
+    return value
+
+
+def _pair(value: Value) -> tuple[float, float]:
+    return value if isinstance(value, tuple) else (value, value)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One row: published beside recomputed."""
+
+    item: str  # stable key, as ``table-1/tau-2mm``
+    paper: str
+    where: str  # table, figure or section of the paper
+    words: str
+    unit: str
+    published: Value | None  # ``None`` where the paper prints no number
+    recomputed: Value | None
+    interval: Interval  # 99 % interval
+    agrees: bool | None  # ``None`` where there is nothing to compare
+    kind: Kind
+    rule: str | None  # how agreement was decided
+    reading: str | None  # interpretations of lost equations it rests on
+    inputs: tuple[str, ...]  # published numbers that it was computed from
+    assumed: tuple[str, ...]  # inputs that no paper prints
+    instrument: str | None  # could an instrument alone give this?
+    note: str | None
+
+    def __post_init__(self) -> None:
+        if self.kind in (Kind.REPRODUCED, Kind.GIVEN) and self.published is None:
+            msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
+            raise ValueError(msg)
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``items`` object of ``schemas/reproduction.schema.json``."""
+        document: dict[str, Any] = plain(self)
+        return document
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """One line of a figure."""
+
+    name: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    style: str = "line"  # {"line", "dash", "points"}
+    band: Mapping[str, tuple[float, ...]] | None = None  # edges beside y, ``low`` and ``high``
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure of a paper, drawn again."""
+
+    key: str  # as ``figure-2``
+    paper: str
+    where: str
+    title: str
+    kind: Kind
+    caption: str  # what was computed from what, and what can't be read off it
+    x_title: str = ""
+    y_title: str = ""
+    traces: tuple[Trace, ...] = ()  # empty for a drawing
+    drawing: str | None = None  # name of a drawing of the page: a schematic or a block diagram
+    x_log: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``figures`` object of the schema."""
+        document: dict[str, Any] = plain(self)
+        return document
+
 
 #: Sadeghnejad et al., endoscopic sinus surgery: sheep orbital floor, indentation and relaxation.
 SADEGHNEJAD = "sadeghnejad"
@@ -32,6 +175,7 @@ class Published:
     words: str  # what it is
 
 
+Numbers = Mapping[str, Published]
 #: Depth of a relaxation test [mm] -> printed peak force [N] and relaxation time [s].
 _TABLE_1 = {2: (86.64, 0.0214), 4: (122.32, 0.0212), 6: (176.76, 0.0206), 8: (221.37, 0.0209)}
 #: The row of Table 3 as it is printed; which number is what is a reading.
@@ -57,16 +201,13 @@ def _catalogue() -> dict[str, Published]:
 
 
 #: Every printed number by its key.
-PUBLISHED: Mapping[str, Published] = MappingProxyType(_catalogue())
+PUBLISHED: Numbers = MappingProxyType(_catalogue())
 
 
 class Ledger:
-    """Hands out the inputs of one computation and remembers them.
+    """Hands out the inputs of one computation and remembers them."""
 
-    ``numbers``: of :data:`PUBLISHED`; a test gives altered ones.
-    """
-
-    def __init__(self, paper: str, numbers: Mapping[str, Published] = PUBLISHED) -> None:
+    def __init__(self, paper: str, numbers: Numbers = PUBLISHED) -> None:
         self.paper = paper
         self._numbers = numbers
         self._used: list[str] = []
@@ -114,14 +255,7 @@ class Ledger:
         instrument: str | None = None,
         note: str | None = None,
     ) -> Item:
-        """A row of the comparison; its kind follows from what this ledger handed out.
-
-        ``key``: of :data:`PUBLISHED`, or a name of its own for what no paper prints; ``recomputed``: ``None``
-        where it can't be computed; ``against``: key of the printed number it stands beside, where that is not
-        ``key``; ``words``, ``unit``, ``where``: what it is; a printed number brings its own; ``interval``: 99
-        % interval of the recomputed number; ``judge``: how agreement is decided; ``instrument``: could an
-        instrument alone give this?.
-        """
+        """A row of the comparison; its kind follows from what this ledger handed out."""
         beside = against or key
         printed = self._numbers.get(beside)
         agrees = None
@@ -166,3 +300,69 @@ class Ledger:
         """A sentence of the paper without a number, and whether what is computed bears it out."""
         row = self.item(key, value, words=words, unit=unit, where=where, note=note)
         return replace(row, agrees=holds(value), rule=rule)
+
+
+#: Reading -> choice -> what it takes the paper to say; the first choice is the default.
+READINGS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "stiffness": {
+            "constant": "63.62 is a constant K [N/mm]",
+            "linear": "63.62 is the coefficient of K(x) = 63.62 x [N/mm2]",
+        },
+        "relaxation": {
+            "time": "0.021 is the relaxation time [s]",
+            "rate": "0.021 is a relaxation rate [1/s]",
+        },
+        "device": {
+            "mass-damping-stiffness": "the device of Table 3 is 1.158 kg, 115.4 N s/m, 31.46 N/m",
+            "mass-stiffness-damping": "the device of Table 3 is 1.158 kg, 115.4 N/m, 31.46 N s/m",
+        },
+        "criterion": {
+            "work": "the tissue ruptures at a total work",
+            "weighted-force": "the tissue ruptures at a weighted force F_s + 1.5 F_d",
+            "stored-energy": "the tissue ruptures at a stored energy",
+            "depth": "the tissue ruptures at a depth",
+        },
+        "surface": {
+            "hyperboloid": "the guidance surface is one sheet of a hyperboloid, the 1 under the root",
+            "cone": "the guidance surface is the cone as printed",
+        },
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """One choice for every reading of :data:`READINGS`."""
+
+    stiffness: str = "constant"
+    relaxation: str = "time"
+    device: str = "mass-damping-stiffness"
+    criterion: str = "work"
+    surface: str = "hyperboloid"
+
+    def words(self, name: str) -> str:
+        """Reading of the paper that the choice takes."""
+        return READINGS[name][getattr(self, name)]
+
+    def as_json(self) -> dict[str, dict[str, str]]:
+        """Choice and words of each."""
+        return {
+            field.name: {"choice": getattr(self, field.name), "words": self.words(field.name)}
+            for field in fields(self)
+        }
+
+
+def readings_from(settings: Sequence[str]) -> Readings:
+    """Readings of ``--set NAME=CHOICE``."""
+    readings = Readings()
+    for setting in settings:
+        name, equals, choice = setting.partition("=")
+        if not equals or name not in READINGS:
+            msg = f"--set {printable(setting)}: give NAME=CHOICE, NAME one of {', '.join(READINGS)}"
+            raise UsageError(msg)
+        if choice not in READINGS[name]:
+            msg = f"--set {printable(setting)}: {name} is one of {', '.join(READINGS[name])}"
+            raise UsageError(msg)
+        readings = replace(readings, **{name: choice})
+    return readings

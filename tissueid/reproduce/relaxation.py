@@ -1,23 +1,31 @@
 """Table 1 and Fig. 2: four relaxation tests, synthesised from the printed numbers and fitted again.
 
-Could an instrument alone give a relaxation time?  An elastic tissue behind a crosshead that overshoots.
-A hold that is fitted by itself, as the paper did, sees a force that decays.  It does not see whether the
-tissue relaxed, or the crosshead settled and the load channel followed with its filter.
+A hold that is fitted by itself, as the paper did, does not see whether the tissue relaxed, or the crosshead
+settled and the load channel followed with its filter: the instrument alone may give a relaxation time.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
 from tissueid.arrays import FloatArray
-from tissueid.reproduce.items import Figure, Item, Kind, Trace, near, rounded, within_interval
-from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
-from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.published import (
+    PUBLISHED,
+    SADEGHNEJAD,
+    Figure,
+    Item,
+    Kind,
+    Ledger,
+    Numbers,
+    Readings,
+    Trace,
+    near,
+    rounded,
+    within_interval,
+)
 from tissueid.reproduce.recordings import Effort, fitted, interval_of, read_back
-from tissueid.reproduce.tissue import (
+from tissueid.reproduce.speeds import (
     DEPTHS_MM,
     HOLD_SPEED_MM_MIN,
     branch_force,
@@ -40,12 +48,7 @@ SETTLING_S = (1e-3, 0.5)
 def settling_force(
     static: tuple[float, ...], depth_mm: float, overshoot_mm: float, settling_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Filtered force of an elastic tissue in a hold whose crosshead comes back from an overshoot.
-
-    ``static``: powers of depth, from the first [N/mm, ...]; ``depth_mm``, ``overshoot_mm``, ``settling_s``:
-    depth ``d + o exp(-t / settling)`` from the corner on; the channel's filter has settled before.  Returns
-    ``time_s, force_N``.
-    """
+    """Time [s] and filtered force [N] of an elastic tissue in a hold whose crosshead overshot."""
     time = np.arange(0.0, WINDOW_S, STEP_S)
     depth = depth_mm + overshoot_mm * np.exp(-time / settling_s)
     force = np.polynomial.polynomial.polyval(depth, [0.0, *static])
@@ -69,10 +72,7 @@ def hold_exponential(time_s: FloatArray, force_N: FloatArray) -> tuple[float, fl
 
 
 def elastic_imitation(ledger: Ledger, readings: Readings, depth: int) -> str:
-    """Overshoot and settling time of a crosshead that give a printed relaxation time without any branch.
-
-    ``ledger``: of a row of its own: the printed time is what is aimed at; ``depth``: [mm].
-    """
+    """Overshoot and settling time of a crosshead that give a printed relaxation time without any branch."""
     key = f"table-1/tau-{depth}mm"
     branch = read_branch(ledger, readings, key)
     if readings.relaxation == "rate":
@@ -116,12 +116,9 @@ DRAWN = 400
 
 
 def relaxation_tests(
-    readings: Readings, effort: Effort, numbers: Mapping[str, Published] = PUBLISHED
+    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
 ) -> tuple[list[Item], Figure]:
-    """Rows of Table 1, and Fig. 2.
-
-    ``numbers``: published numbers.
-    """
+    """Rows of Table 1, and Fig. 2."""
     items: list[Item] = []
     traces: list[Trace] = []
     for depth in DEPTHS_MM:
@@ -189,7 +186,7 @@ def _impossible(ledger: Ledger, depth: int) -> list[Item]:
     return [ledger.item(f"table-1/{name}-{depth}mm", None, note=note) for name in ("peak", "tau")]
 
 
-def _mean(numbers: Mapping[str, Published]) -> Item:
+def _mean(numbers: Numbers) -> Item:
     """Table 2's relaxation time from Table 1's."""
     ledger = Ledger(SADEGHNEJAD, numbers)
     mean = float(np.mean([ledger.printed(f"table-1/tau-{depth}mm") for depth in DEPTHS_MM]))
@@ -202,7 +199,7 @@ def _mean(numbers: Mapping[str, Published]) -> Item:
     )
 
 
-def _share_left(readings: Readings, numbers: Mapping[str, Published]) -> Item:
+def _share_left(readings: Readings, numbers: Numbers) -> Item:
     """Share of the deepest test that can relax at all."""
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)

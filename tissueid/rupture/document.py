@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.rupture import Rupture
 from tissueid.errors import UsageError
 from tissueid.report.rupture_page import render_rupture
-from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import Failure
 from tissueid.rupture.run import RuptureRun
-from tissueid.rupture.speeds import AtSpeed, Change
-from tissueid.rupture.study import RuptureStudy
-from tissueid.rupture_law import THRESHOLD_UNITS
+from tissueid.rupture.study import Change, RuptureStudy
 from tissueid.store.bundle import bundle_from_fit, write_bundle
 from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
@@ -35,15 +30,12 @@ def sentences(study: RuptureStudy) -> list[str]:
     if censored:
         found.append(
             f"{censored} of {len(study.failures)} tests ended without a rupture. They count in the "
-            "thresholds "
-            "as lower bounds; means and standard deviations at a speed are of ruptured tests alone, and "
-            "are low "
-            "where the toughest did not rupture."
+            "thresholds as lower bounds; means and standard deviations at a speed are of ruptured tests "
+            "alone, and are low where the toughest did not rupture."
         )
     found.append(
-        "The criteria are readings: Sadeghnejad et al. state none, and by their equation (7) alone the "
-        "force at "
-        "any depth rises with speed, so that no fall of the force at rupture follows from it."
+        "The criteria are readings: Sadeghnejad et al. state none, and by their equation (7) alone the force "
+        "at any depth rises with speed, so that no fall of the force at rupture follows from it."
     )
     return found
 
@@ -59,15 +51,10 @@ def _changes(study: RuptureStudy) -> list[str]:
 def _change(one: Change) -> str:
     percent = 100.0 * (one.ratio - 1.0)
     low, high = (100.0 * (end - 1.0) for end in one.ci95)
-    said = {
-        "falls": "falls with speed",
-        "rises": "rises with speed",
-        "undecided": "may fall or rise with speed",
-    }[one.direction]
+    said = "may fall or rise" if one.direction == "undecided" else one.direction
     return (
-        f"{_NAMES[one.quantity]} at rupture {said}: {percent:+.1f} % at ten times the speed (95 %: "
-        f"{low:+.1f} "
-        f"to {high:+.1f} %), inside specimens."
+        f"{_NAMES[one.quantity]} at rupture {said} with speed: {percent:+.1f} % at ten times the speed "
+        f"(95 %: {low:+.1f} to {high:+.1f} %), inside specimens."
     )
 
 
@@ -81,8 +68,7 @@ def _absorbed(study: RuptureStudy) -> str:
         here = f"in these tests the work to rupture {work.direction}."
     return (
         "Mahvash & Dupont (doi 10.1109/ROBOT.2009.5152617) report that less energy is absorbed at higher "
-        "speed; "
-        f"{here} A criterion of constant work can't show such a fall: it makes the energy constant by "
+        f"speed; {here} A criterion of constant work can't show such a fall: it makes the energy constant by "
         "construction, and contradicts its source on this point."
     )
 
@@ -107,22 +93,19 @@ def _sign(study: RuptureStudy) -> str:
 
 
 def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
-    """Write the document.
-
-    ``bundles``: file name of each specimen's bundle.
-    """
-    study, hardening = run.study, run.study.hardening
+    """Write the document."""
+    study = run.study
     return {
         "schema": "tissueid/rupture/1",
         "asked": study.asked,
         "taken": study.taken,
         "weight": study.weight,
-        "decision": asdict(study.decision) | {"probability": dict(study.decision.probability)},
-        "criteria": [_threshold(one) for one in study.thresholds],
-        "confounding": study.confounding.as_json(),
-        "speeds": [_at_speed(one, study.failures) for one in study.speeds],
-        "changes": [asdict(one) | {"direction": one.direction} for one in study.changes],
-        "hardening": None if hardening is None else asdict(hardening) | {"direction": hardening.direction},
+        "decision": plain(study.decision),
+        "criteria": plain(study.thresholds),
+        "confounding": plain(study.confounding),
+        "speeds": plain(study.speeds),
+        "changes": plain(study.changes),
+        "hardening": plain(study.hardening),
         "tests": [_test(one) for one in study.failures],
         "laws": [
             {"specimen": name, "bundle": bundles[name], "law": law.as_json()}
@@ -144,41 +127,6 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _threshold(one: Threshold) -> dict[str, Any]:
-    return {
-        "criterion": one.criterion,
-        "unit": THRESHOLD_UNITS[one.criterion],
-        "median": one.median,
-        "ci95": list(one.ci95),
-        "sd_ln": one.sd_ln,
-        "specimen_sd_ln": one.specimen_sd_ln,
-        "ln_evidence": one.ln_evidence,
-        "growth": one.growth,
-        "trend": one.trend,
-        "trend_p": one.trend_p,
-        "specimens": dict(one.specimens),
-    }
-
-
-def _at_speed(one: AtSpeed, failures: tuple[Failure, ...]) -> dict[str, Any]:
-    """One speed; how much of the force relaxes there, and the tangent over the secant, are means too."""
-    near = [
-        each
-        for each in failures
-        if each.ruptured and abs(np.log(each.test.speed_mm_s / one.speed_mm_s)) < SAME_SPEED
-    ]
-    return asdict(one) | {
-        "mean": dict(one.mean),
-        "sd": dict(one.sd),
-        "hardening": float(np.mean([each.hardening for each in near])) if near else None,
-        "dynamic_share": float(np.mean([each.dynamic_share for each in near])) if near else None,
-    }
-
-
-#: Speeds that differ by less than this in ln are one.
-SAME_SPEED = 0.05
-
-
 def _test(one: Failure) -> dict[str, Any]:
     test = one.test
     return {
@@ -198,7 +146,7 @@ def _test(one: Failure) -> dict[str, Any]:
         "hardening_sd": one.hardening_sd,
         "settled": one.settled,
         "residual": test.residual,
-        "measures": {name: asdict(measure) for name, measure in one.measures.items()},
+        "measures": plain(one.measures),
     }
 
 
@@ -207,11 +155,7 @@ PAGE = "rupture.html"
 
 
 def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
-    """Write the set, all at once or not at all.
-
-    ``run``: gives the study; called once the folder is ours.  Returns rupture.json.  Raises UsageError: the
-    folder holds the outputs of a fit, or files that are not ours.
-    """
+    """Write the set that ``run`` gives, all at once or not at all; it is called in a folder that is ours."""
     refuse_foreign(out)
     with OutputSet(out) as files:
         found = run()

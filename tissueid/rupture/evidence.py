@@ -1,15 +1,10 @@
 """One criterion against the tests of a cohort: maximum likelihood, interval of the threshold, evidence.
 
-Criteria are compared as densities of what was seen, the depth at which each test broke: the density of the
-measure's logarithm times d ln(measure)/d ln(depth). So that no criterion gains by its unit (a depth that
-scatters by 5 % is a work that scatters by 20 % in a cubic), priors are those of ln depth: every measure is
-divided by its typical growth with depth, and there the mean is flat, the sd from test to test log-uniform,
-and that between specimens half-Cauchy.
-
-Likelihood of thresholds that scatter between specimens and from test to test, with censored tests.
-In ln threshold, z_ki = m_k + e_ki, m_k ~ N(mu, b^2), e_ki ~ N(0, s^2 + v_ki), v the variance of measurement.
-A test that did not rupture says z_ki > c_ki.  The specimen's m_k is integrated out: in closed form where all
-its tests ruptured, and by Gauss-Hermite quadrature about its normal given the ruptured ones for the others.
+Densities are of the depth at which each test broke, so that no criterion gains by its unit: every measure
+is divided by its typical growth with depth; there the mean is flat, the sd from test to test log-uniform,
+that between specimens half-Cauchy.  In ln threshold, z_ki = m_k + e_ki, m_k ~ N(mu, b^2), e_ki ~ N(0, s^2 +
+v_ki), v the variance of measurement; a test that did not rupture says z_ki > c_ki.  m_k is integrated out,
+where tests are censored by Gauss-Hermite quadrature about its normal given the ruptured ones.
 """
 
 from __future__ import annotations
@@ -25,6 +20,7 @@ from scipy.stats import f as f_distribution
 
 from tissueid.arrays import FloatArray
 from tissueid.rupture.failures import Failure
+from tissueid.rupture_law import THRESHOLD_UNITS
 
 #: Nodes of the quadrature over a specimen with censored tests.
 QUADRATURE = 24
@@ -63,10 +59,7 @@ class Given:
 
 
 def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Given:
-    """Log likelihood of the ruptured tests of each specimen.
-
-    ``mu``, ``s``, ``b``: broadcast against each other.
-    """
+    """Log likelihood of the ruptured tests of each specimen."""
     member = tests.membership()
     z, v = tests.z[tests.ruptured], tests.variance[tests.ruptured]
     weight = 1.0 / (s[..., None] ** 2 + v)
@@ -83,11 +76,7 @@ def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
 
 
 def log_likelihood(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
-    """Likelihood (ln) of a cohort.
-
-    ``mu``, ``s``, ``b``: mean of ln threshold, sd from test to test, sd between specimens; broadcast against
-    each other.  Returns of the broadcast shape.
-    """
+    """Likelihood (ln) of a cohort."""
     given = given_ruptured(tests, mu, s, b)
     found = given.ln_probability.sum(axis=-1)
     for k in np.unique(tests.specimen[~tests.ruptured]):
@@ -142,6 +131,7 @@ class Threshold:
     """Evidence of the tests on one criterion."""
 
     criterion: str
+    unit: str
     median: float  # over specimens and tests, by maximum likelihood
     ci95: tuple[float, float]  # of the median, with the uncertainty of both spreads
     #: Of ln threshold, from test to test and between specimens, by maximum likelihood.
@@ -156,12 +146,7 @@ class Threshold:
 
 
 def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes, float, float]:
-    """Outcomes in ln depth: values, typical growth, and ln of the density's factor.
-
-    Returns ln measure over its typical growth; ``growth``: geometric mean over the ruptured tests of d
-    ln(measure)/d ln(depth); ``ln_factor``: sum over ruptured tests of ln(growth of the test / typical
-    growth).
-    """
+    """Outcomes in ln depth, typical growth of the measure, and ln of the density's factor."""
     measures = [one.measures[criterion] for one in failures]
     ruptured = np.array([one.ruptured for one in failures])
     ln_growth = np.log([one.growth for one in measures])
@@ -278,10 +263,7 @@ def _trend(
 
 
 def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
-    """Fit the threshold of one criterion.
-
-    ``failures``: one of them at least ruptured.
-    """
+    """Fit the threshold of one criterion."""
     tests, growth, ln_factor = standardised(failures, criterion)
     grid = _grid(tests)
     fitted = _most_likely(tests, grid.best)
@@ -292,6 +274,7 @@ def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     means = specimen_means(tests, mu, s, b)
     return Threshold(
         criterion=criterion,
+        unit=THRESHOLD_UNITS[criterion],
         median=float(np.exp(growth * mu)),
         ci95=(float(np.exp(growth * low)), float(np.exp(growth * high))),
         sd_ln=growth * s,

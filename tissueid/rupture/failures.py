@@ -1,8 +1,8 @@
-"""Measures of loading at the end of each test: what was measured, split by the fitted law where it must be.
+"""Tests up to the rupture, or to the deepest point of one without, and the measures of their loading.
 
-Work and depth are read off the recording.  How much of the force relaxes, and how much of the work is stored,
-the specimen's law says, as a share: it multiplies what was measured, so that the gain of a log drops out.
-Uncertainty comes from the contact point, the sampling step, the noise, and draws of the law.
+The tissue broke between the last sample before the force falls and the next: all is taken in the middle,
+and the interval over sqrt(12) is its uncertainty.  What relaxes or is stored is a share, by the law, of
+what was measured.
 """
 
 from __future__ import annotations
@@ -16,8 +16,96 @@ from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.rupture import hardening_ratio, rupture_measures
-from tissueid.rupture.loading import LoadedTest
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
+from tissueid.trial import Segmentation, Trial, contact_frame
+
+#: Samples kept of a path: the branch state is exact for any number, its corners apart.
+PATH_SAMPLES = 1500
+#: Fewest samples from contact to the end.
+FEWEST_SAMPLES = 6
+#: The force at the end is read off a line through the samples from this share of the depth on.
+LINE_FROM = 0.97
+FEWEST_IN_LINE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedTest:
+    """Loading of the tissue until it broke or the test ended."""
+
+    #: Of the recording.
+    path: str
+    sheet: str | None
+    ruptured: bool  # false: censored
+    #: (n,): from contact (depth 0) to the end, thinned.
+    time_s: FloatArray
+    depth_mm: FloatArray  # (n,)
+    #: At the end; work from contact.
+    force_N: float
+    work_N_mm: float
+    force_sd_N: float  # noise of the force
+    step_mm: float  # depth between two samples at the end, 0 where the test is censored
+    contact_sd_mm: float
+    speed_mm_s: float  # over the second half of the depth
+    residual: float | None  # share of the force that was left, where it ruptured
+
+
+def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
+    """A test up to its first rupture, or to its deepest point; ``None`` without contact or loading."""
+    if segmentation.contact is None:
+        return None
+    depth, force = contact_frame(trial, segmentation)
+    event = next((one for one in segmentation.events if one.kind == "rupture"), None)
+    last = int(np.argmax(depth)) if event is None else event.index
+    first = _first_in_contact(depth, last, segmentation.contact.index)
+    if last - first + 1 < FEWEST_SAMPLES or not depth[last] > 0.0:
+        return None
+    time, x, f = (values[first : last + 1] for values in (trial.time_s, depth, force))
+    middle = min(int(np.searchsorted(x, 0.5 * x[-1])), x.size - 2)
+    speed = float((x[-1] - x[middle]) / (time[-1] - time[middle])) if time[-1] > time[middle] else 0.0
+    if not speed > 0.0:
+        return None
+    # from contact to the first sample after it, and from the last before a rupture half-way to the next
+    work = float(np.trapezoid(f, x)) + 0.5 * float(f[0] * x[0])
+    slope, peak = _end_line(x, f)
+    step, residual = 0.0, None
+    if event is not None:
+        step = speed * float(trial.time_s[last + 1] - trial.time_s[last])
+        half = 0.5 * step
+        work += half * (peak + 0.5 * half * slope)
+        peak += half * slope
+        residual = min(max(1.0 - event.values["drop_N"] / event.values["force_before_N"], 0.0), 1.0)
+    keep = np.unique(np.linspace(0, x.size - 1, min(x.size, PATH_SAMPLES)).astype(int))
+    return LoadedTest(
+        path=trial.source.path,
+        sheet=trial.source.sheet,
+        ruptured=event is not None,
+        time_s=np.concatenate([[time[0] - x[0] / speed], time[keep], [time[-1] + 0.5 * step / speed]]),
+        depth_mm=np.concatenate([[0.0], x[keep], [x[-1] + 0.5 * step]]),
+        force_N=peak,
+        work_N_mm=work,
+        force_sd_N=segmentation.force_noise_N,
+        step_mm=step,
+        contact_sd_mm=segmentation.contact.sd_mm,
+        speed_mm_s=speed,
+        residual=residual,
+    )
+
+
+def _first_in_contact(depth_mm: FloatArray, last: int, start: int) -> int:
+    """First sample of the contact that is below the surface."""
+    below = np.flatnonzero(depth_mm[start : last + 1] > 0.0)
+    return start + int(below[0]) if below.size else last
+
+
+def _end_line(depth_mm: FloatArray, force_N: FloatArray) -> tuple[float, float]:
+    """Slope [N/mm] and value [N] at the end of a straight line through the last samples."""
+    recent = max(int((depth_mm >= LINE_FROM * depth_mm[-1]).sum()), FEWEST_IN_LINE)
+    x, f = depth_mm[-recent:] - depth_mm[-1], force_N[-recent:]
+    if not np.ptp(x) > 0.0:
+        return 0.0, float(f.mean())
+    slope, value = np.polyfit(x, f, 1)
+    return float(slope), float(value)
+
 
 #: Draws of the law behind an uncertainty: it is then known to 11 %.
 LAW_DRAWS = 40
@@ -141,10 +229,7 @@ def _path(test: LoadedTest, offset_mm: float) -> ContactPath:
 def failures_of(
     law: SpecimenLaw, tests: Sequence[tuple[LoadedTest, float]], *, weight: float = DEFAULT_WEIGHT
 ) -> list[Failure]:
-    """Tests of one specimen with their measures under its law.
-
-    ``tests``: each with the offset of its refined contact point [mm]; ``weight``: w of the weighted force.
-    """
+    """Tests of one specimen, each with its contact's offset [mm], with their measures under its law."""
     draws = law.some_draws()
     return [_failure(law, draws, test, offset_mm, weight) for test, offset_mm in tests]
 

@@ -16,8 +16,7 @@ from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Identification, Refusal, SpecimenFit
-from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of
-from tissueid.rupture.loading import LoadedTest, loaded_test
+from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment

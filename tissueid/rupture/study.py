@@ -1,31 +1,164 @@
-"""Everything that is said of the ruptures of a cohort, its criterion, and the law that goes into its bundles.
+"""Everything that is said of the ruptures of a cohort: their speeds, the criterion, the law of its bundles.
 
-Choice of a criterion, if any: weighed by evidence, with "undecided" and "none of them" among the answers.
-Work, weighted force and an elastic limit are equally likely beforehand; the elastic limit is shared by stored
-energy and depth, which no test at constant speed tells apart well and which count as one.
+An effect of speed is seen inside specimens that were tested at several.  Work, weighted force and an elastic
+limit are equally likely beforehand; stored energy and depth, which no test at constant speed tells apart
+well, share the last.  "undecided" and "none of them" are answers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as t_distribution
 
+from tissueid.arrays import FloatArray
+from tissueid.documents.population import Confounding
 from tissueid.errors import NotIdentifiedError
 from tissueid.flags import Flag
-from tissueid.population.confounding import Confounding, confounding_of
+from tissueid.population.agreement import confounding_flags, confounding_of
 from tissueid.rupture.evidence import Threshold, threshold_of
 from tissueid.rupture.failures import Failure
-from tissueid.rupture.speeds import (
-    AtSpeed,
-    Change,
-    Hardening,
-    change_with_speed,
-    hardening_of,
-    per_speed,
-)
 from tissueid.rupture_law import CRITERIA, RuptureLaw
+
+#: What is quoted of a rupture.
+QUOTED: Mapping[str, Callable[[Failure], float]] = {
+    "force_N": lambda one: one.test.force_N,
+    "depth_mm": lambda one: one.depth_mm,
+    "work_N_mm": lambda one: one.test.work_N_mm,
+}
+CONFIDENCE = 0.95
+#: Specimens from which their own scatter gives the interval.
+FEWEST_SPECIMENS = 3
+#: Two speeds inside a specimen differ, in ln.
+SPEEDS_DIFFER = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class AtSpeed:
+    """Ruptures at one speed."""
+
+    speed_mm_s: float
+    ruptured: int
+    censored: int
+    #: Of force [N], depth [mm] and work [N mm] at rupture; no sd of a single rupture.
+    mean: Mapping[str, float | None]
+    sd: Mapping[str, float | None]
+    #: Means of x F_s'/F and of the share of the force that relaxes; ``None`` without a rupture.
+    hardening: float | None
+    dynamic_share: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Change of a quantity from one speed to ten times it, inside specimens."""
+
+    quantity: str
+    ratio: float  # at ten times the speed over at the speed
+    ci95: tuple[float, float]
+    direction: str  # ``falls``, ``rises`` or ``undecided``
+
+
+@dataclass(frozen=True, slots=True)
+class Hardening:
+    """The sign test x F_s'/F over the ruptures."""
+
+    mean: float  # of the specimens' means
+    ci95: tuple[float, float]
+    ruptures: int  # how many it is of
+    direction: str  # of the force at rupture with speed, if the work is constant
+
+
+def direction(ends: tuple[float, float], *, below: str = "falls", above: str = "rises") -> str:
+    """Word for an interval of a ratio below or above 1, and ``undecided`` for one that holds it."""
+    if ends[1] < 1.0:
+        return below
+    return above if ends[0] > 1.0 else "undecided"
+
+
+def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[AtSpeed]:
+    """Means and standard deviations at each speed, slowest first."""
+    speeds = np.log(confounding.speeds_mm_s)
+    groups: list[list[Failure]] = [[] for _ in speeds]
+    for one in failures:
+        groups[int(np.argmin(np.abs(speeds - np.log(one.test.speed_mm_s))))].append(one)
+    found = []
+    for speed, group in zip(confounding.speeds_mm_s, groups, strict=True):
+        broken = [one for one in group if one.ruptured]
+        near = [
+            one
+            for one in failures
+            if one.ruptured and abs(np.log(one.test.speed_mm_s / speed)) < SPEEDS_DIFFER
+        ]
+        values = {name: np.array([of(one) for one in broken]) for name, of in QUOTED.items()}
+        found.append(
+            AtSpeed(
+                speed_mm_s=speed,
+                ruptured=len(broken),
+                censored=len(group) - len(broken),
+                mean={name: float(v.mean()) if v.size else None for name, v in values.items()},
+                sd={name: float(v.std(ddof=1)) if v.size > 1 else None for name, v in values.items()},
+                hardening=float(np.mean([one.hardening for one in near])) if near else None,
+                dynamic_share=float(np.mean([one.dynamic_share for one in near])) if near else None,
+            )
+        )
+    return found
+
+
+def change_with_speed(failures: Sequence[Failure]) -> list[Change]:
+    """Change of force, depth and work at rupture with speed, inside specimens; of ruptured tests alone."""
+    broken = [one for one in failures if one.ruptured]
+    names = list(dict.fromkeys(one.specimen for one in broken))
+    who = np.array([names.index(one.specimen) for one in broken], dtype=int)
+    speed = _inside(np.log10([one.test.speed_mm_s for one in broken]), who)
+    left = len(broken) - len(names) - 1
+    if left < 1 or not np.abs(speed).max(initial=0.0) > SPEEDS_DIFFER:
+        return []
+    found = []
+    quantile = float(t_distribution.ppf(0.5 + CONFIDENCE / 2.0, left))
+    for name, of in QUOTED.items():
+        values = _inside(np.log([of(one) for one in broken]), who)
+        total = float((speed**2).sum())
+        slope = float((speed * values).sum()) / total
+        error = float(np.sqrt(((values - slope * speed) ** 2).sum() / left / total))
+        ends = (float(np.exp(slope - quantile * error)), float(np.exp(slope + quantile * error)))
+        found.append(Change(name, float(np.exp(slope)), ends, direction(ends)))
+    return found
+
+
+def _inside(values: FloatArray, who: NDArray[np.intp]) -> FloatArray:
+    """Values less the mean of their specimen."""
+    inside: FloatArray = values.astype(np.float64)
+    for k in np.unique(who):
+        inside[who == k] -= inside[who == k].mean()
+    return inside
+
+
+def hardening_of(failures: Sequence[Failure]) -> Hardening | None:
+    """Mean x F_s'/F at rupture with a 95 % interval, over specimens.
+
+    Only ruptures at depths of many v tau tell the sign.  From three specimens on their scatter gives the
+    interval, which holds what the laws do not know; of fewer the draws of their laws do.
+    """
+    broken = [one for one in failures if one.ruptured and one.settled]
+    names = list(dict.fromkeys(one.specimen for one in broken))
+    if not names:
+        return None
+    means = np.array([np.mean([one.hardening for one in broken if one.specimen == name]) for name in names])
+    count = len(names)
+    if count >= FEWEST_SPECIMENS:
+        error = float(means.std(ddof=1)) / count**0.5
+        half = float(t_distribution.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * error
+    else:
+        # draws of one law move all its tests together
+        own = [np.mean([one.hardening_sd for one in broken if one.specimen == name]) for name in names]
+        half = float(t_distribution.ppf(0.5 + CONFIDENCE / 2.0, np.inf)) * float(np.linalg.norm(own)) / count
+    mean = float(means.mean())
+    ends = (mean - half, mean + half)
+    return Hardening(mean, ends, len(broken), direction(ends, below="rises", above="falls"))
+
 
 #: Kinds that are weighed, with the criteria that count as one.
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -52,10 +185,7 @@ class Decision:
 
 
 def decide(thresholds: Sequence[Threshold], *, hindrance: str | None = None) -> Decision:
-    """Weigh the criteria.
-
-    ``thresholds``: of all criteria; ``hindrance``: why these tests can't tell, whatever the evidence is.
-    """
+    """Weigh the criteria."""
     found = {one.criterion: one for one in thresholds}
     ln = {
         kind: float(np.logaddexp.reduce([found[name].ln_evidence for name in names]) - np.log(len(names)))
@@ -113,11 +243,7 @@ class RuptureStudy:
 
 
 def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "none") -> RuptureStudy:
-    """Describe and compare.
-
-    ``failures``: of all specimens, measured with ``weight``; ``asked``: one of :data:`ASKED`.  Raises
-    NotIdentifiedError: too few tests ruptured.
-    """
+    """Describe and compare."""
     broken = [one for one in failures if one.ruptured]
     if len(broken) < FEWEST_RUPTURES:
         msg = (
@@ -129,7 +255,9 @@ def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "n
     confounding = confounding_of(
         [[one.test.speed_mm_s for one in broken if one.specimen == name] for name in names]
     )
+    all_speeds = confounding_of([[one.test.speed_mm_s] for one in failures])
     assert confounding is not None  # noqa: S101 -- a loaded test has a speed
+    assert all_speeds is not None  # noqa: S101
     thresholds = tuple(threshold_of(failures, criterion) for criterion in CRITERIA)
     decision = decide(thresholds, hindrance=_hindrance(confounding))
     told = confounding.kind in {"none", "partly"}
@@ -137,22 +265,15 @@ def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "n
         failures=tuple(failures),
         weight=weight,
         confounding=confounding,
-        speeds=tuple(per_speed(failures, _all_speeds(failures))),
+        speeds=tuple(per_speed(failures, all_speeds)),
         changes=tuple(change_with_speed(failures)) if told else (),
         hardening=hardening_of(failures),
         thresholds=thresholds,
         decision=decision,
         asked=asked,
         laws=_laws(failures, thresholds, decision, weight, asked),
-        flags=tuple(confounding.flags()),
+        flags=tuple(confounding_flags(confounding)),
     )
-
-
-def _all_speeds(failures: Sequence[Failure]) -> Confounding:
-    """Speeds of all tests, of those that did not rupture as well."""
-    found = confounding_of([[one.test.speed_mm_s] for one in failures])
-    assert found is not None  # noqa: S101 -- a loaded test has a speed
-    return found
 
 
 def _hindrance(confounding: Confounding) -> str | None:

@@ -1,30 +1,36 @@
-"""Records of the simulations, and the file they are appended to.
+"""Simulations, each from its own stream of the seed, and the file their records are appended to.
 
-One line of JSON a simulation, written and flushed as soon as it is finished; the first line names what is
-being checked.  A line that a kill has cut is dropped, and the next call goes on behind the last whole one.
-Simulation ``i`` draws from its own stream of the seed, so the records do not depend on how many workers
-made them, in which order, or in how many calls.
+Records do not depend on how many workers made them, in which order, or in how many calls.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
-from collections.abc import Iterable, Mapping
+import pickle
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.selfcheck.ranks import DRAWS, rank_of
+from tissueid.own_process import end_with_parent
 from tissueid.store.files import write_file
 
 FORMAT = "tissueid/selfcheck-records/1"
+#: Draws a truth is ranked among: 400 equally likely ranks hold 80, 90 and 95 % without rounding.
+DRAWS = 399
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +38,7 @@ class Replicate:
     """One simulation: a truth, and draws of its posterior."""
 
     truth: Mapping[str, float]  # name -> true value
-    #: The same names -> draws, shape (L,), L >= :data:`~tissueid.selfcheck.ranks.DRAWS`, independent or
+    #: The same names -> draws, shape (L,), L >= :data:`~tissueid.selfcheck.verdicts.DRAWS`, independent or
     #: nearly so.
     draws: Mapping[str, FloatArray]
     #: Further numbers that are kept, as the acceptance of the sampler.
@@ -62,6 +68,13 @@ class Record:
         """One line of the checkpoint."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return json.dumps(values, allow_nan=False).encode() + b"\n"
+
+
+def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
+    """Rank of a truth among draws: how many lie below it, ties broken at random."""
+    below = int((draws < truth).sum())
+    equal = int((draws == truth).sum())
+    return below + (int(rng.integers(equal + 1)) if equal else 0)
 
 
 def thinned(draws: FloatArray) -> FloatArray:
@@ -100,11 +113,7 @@ def fingerprint(what: Any) -> str:
 
 
 class Checkpoint:
-    """The records of a check, in a file that survives a kill.
-
-    ``path``: read where it exists, else made; ``digest``: of what is checked; a file with another is refused.
-    Raises UsageError: the file holds another check, or none.
-    """
+    """The records of a check, in a file that survives a kill."""
 
     def __init__(self, path: Path, digest: str) -> None:
         self.path = path
@@ -176,3 +185,74 @@ def _record_of_line(line: bytes) -> Record | None:
 def failures(records: Iterable[Record]) -> list[Record]:
     """Records without a posterior."""
     return [record for record in records if record.failed is not None]
+
+
+#: Draws a truth, simulates data and infers it again; goes to workers by pickle.  An ArithmeticError or
+#: LinAlgError says that the inference failed on these data, which is counted.
+Check = Callable[[np.random.Generator], Replicate]
+_Progress = Callable[[str, int, int], None]
+
+
+def one_record(check: Check, seed: int, index: int) -> Record:
+    """Simulation ``index`` of a seed: the same whatever ran before it, and where."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+    started = time.perf_counter()
+    try:
+        replicate = check(rng)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return Record(index=index, failed=f"{type(error).__name__}: {error}")
+    return record_of(index, replicate, rng, seconds=round(time.perf_counter() - started, 4))
+
+
+_check: Any = None
+
+
+def _begin(packed: bytes) -> None:
+    """Unpack the check once a worker; an interrupt is the parent's to answer."""
+    global _check
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(limits=1, user_api="blas")
+    _check = pickle.loads(packed)  # noqa: S301 -- packed by the parent process
+
+
+def _in_worker(seed: int, index: int) -> Record:
+    return one_record(_check, seed, index)
+
+
+def _records(check: Check, seed: int, indices: list[int], workers: int) -> Iterator[Record]:
+    if workers == 1 or len(indices) == 1:
+        # small matrices lose by BLAS threads
+        with threadpool_limits(limits=1, user_api="blas"):
+            for index in indices:
+                yield one_record(check, seed, index)
+        return
+    with ProcessPoolExecutor(
+        min(workers, len(indices)),
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(pickle.dumps(check),),
+    ) as pool:
+        # left early, what waits is cancelled
+        yield from pool.map(partial(_in_worker, seed), indices)
+
+
+def run_simulations(
+    check: Check,
+    checkpoint: Checkpoint,
+    *,
+    simulations: int,
+    seed: int,
+    workers: int = 1,
+    progress: _Progress | None = None,
+) -> tuple[Record, ...]:
+    """Simulate what the checkpoint does not hold yet."""
+    progress = progress or (lambda _message, _done, _total: None)
+    missing = checkpoint.missing(simulations)
+    done = simulations - len(missing)
+    progress("simulating", done, simulations)
+    for record in _records(check, seed, missing, workers):
+        checkpoint.add(record)
+        done += 1
+        progress("simulating", done, simulations)
+    return checkpoint.first(simulations)

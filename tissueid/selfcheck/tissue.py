@@ -1,8 +1,6 @@
 """One simulation of a tissue under a protocol: truth, recordings, and what ``identify`` makes of them.
 
-Nothing of the engine is looked at: recordings with their approach in air go in, draws of theta, quoted
-intervals and flags come out.  The order of the model is the truth's, and the study that goes with the
-recordings states the very priors that the truth was drawn from.
+The order of the model is the truth's, and the study states the very priors that the truth was drawn from.
 """
 
 from __future__ import annotations
@@ -25,10 +23,17 @@ from tissueid.priors import Priors
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.selfcheck.protocol import Centre, Protocol
-from tissueid.selfcheck.ranks import DRAWS
-from tissueid.selfcheck.recording import ProtocolLog, simulated_trials
-from tissueid.selfcheck.records import Replicate
-from tissueid.selfcheck.truth import Truth, Widths, centred_priors, draw_truth, force_points, numbers_of
+from tissueid.selfcheck.records import DRAWS, Replicate
+from tissueid.selfcheck.truth import (
+    ProtocolLog,
+    Truth,
+    Widths,
+    centred_priors,
+    draw_truth,
+    force_points,
+    numbers_of,
+    simulated_trials,
+)
 from tissueid.trial import Trial
 
 #: Effective draws that are asked for: those of a chain are correlated, and ranks want independent ones.
@@ -117,10 +122,7 @@ class TissueCheck:
         )
 
     def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:
-        """Identify one specimen from its recordings, with its posterior.
-
-        Raises ArithmeticError: there is no posterior, or its sampler did not converge.
-        """
+        """Identify one specimen from its recordings, with its posterior."""
         options = IdentifyOptions(
             segment=self.segmentation,
             fit=self.fit,
@@ -193,11 +195,7 @@ def tissue_check(
     widths: Widths | None = None,
     defects: bool = False,
 ) -> TissueCheck:
-    """The check of a tissue under a protocol, with proper priors around it.
-
-    ``stated``: of a study: what it states stays; ``defects``: draw calibration nuisances and check the total
-    posterior.
-    """
+    """The check of a tissue under a protocol, with proper priors around it."""
     stated = stated or Priors()
     return TissueCheck(
         model=centre.model,

@@ -1,9 +1,6 @@
-"""Proper priors around a tissue, truths drawn from them, and the numbers that are checked.
+"""Proper priors around a tissue, truths drawn from them, and the recordings that a machine would make of one.
 
-A truth is drawn from the very priors that the inference is given: linear parameters from independent normals,
-by rejection on the passive cone; relaxation times from log-normals in ascending order, other shapes from
-log-normals within their bounds; noise, correlation,
-spread of the gains and calibration likewise.  Only then is a rank uniform.
+Truths come from the very priors that the inference is given: only then is a rank uniform.
 """
 
 from __future__ import annotations
@@ -12,12 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import lfilter, lfiltic
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
-from tissueid.model.base import ParameterSpec, branch_suffix
+from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
+from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
+from tissueid.synth.response import Path, contact_path
+from tissueid.trial import Source, Trial
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)
@@ -105,12 +106,7 @@ def centred_priors(
     stated: Priors | None = None,
     widths: Widths | None = None,
 ) -> Priors:
-    """Proper priors around a tissue; what is stated stays.
-
-    ``theta`` (p,): the tissue in the middle; ``sigma_N``, ``phi``: of its noise; ``phi`` 0 for white noise;
-    ``stated``: of a study.  A curve of which one coefficient is stated needs all of them.  Raises InputError:
-    a curve is stated in part.
-    """
+    """Proper priors around a tissue; what is stated stays."""
     stated, widths = stated or Priors(), widths or Widths()
     linear: dict[str, tuple[float, float]] = {}
     for block in _blocks(model):
@@ -210,12 +206,7 @@ def draw_truth(
     defects: bool,
     rng: np.random.Generator,
 ) -> Truth:
-    """Draw one truth from priors that are proper (:func:`centred_priors`).
-
-    ``offset_sd_mm`` (logs,): prior of each contact point; 0 where it is known; ``pooling``: all but
-    ``shared`` give each log a gain; ``correlated``: noise with phi, or white; ``defects``: draw calibration
-    nuisances as well.
-    """
+    """Draw one truth from priors that are proper (:func:`centred_priors`)."""
     assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
     theta = _drawn_tissue(model, priors, rng)
     sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
@@ -248,12 +239,7 @@ def numbers_of(
     theta: FloatArray,
     points: tuple[tuple[float, float], ...],
 ) -> dict[str, FloatArray]:
-    """Everything that is checked of a tissue, for many at once.
-
-    ``theta`` (n, p); ``points``: (depth, speed) [mm, mm/s], reached at constant speed from rest.  Returns
-    name -> ndarray of shape (n,): parameters, viscosity of each branch at half depth, and ``force_N at x mm,
-    v mm/s``.
-    """
+    """Everything that is checked of a tissue, for many at once; ``theta`` (n, p)."""
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
     if model.viscous:
         for branch, (part, time) in enumerate(zip(model.parts, model.time_places, strict=True)):
@@ -291,3 +277,161 @@ def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool
             cut = f", not below {prior.lower:g}" if np.isfinite(prior.lower) else ""
             said[name] = f"normal, {prior.mean:g} ± {prior.sd:.3g}{cut}"
     return said
+
+
+#: Force is sampled so many times finer than recorded where filter, skew or frame act between samples.
+OVERSAMPLED = 8
+#: Change of the tip's depth, relative to the deepest, that ends its iteration, and most rounds.
+SETTLED = 1e-12
+MOST_ROUNDS = 500
+#: Steps that differ by less, relative to the longest, are one.
+SAME_STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProtocolLog:
+    """Motion of the tool in one log of a protocol."""
+
+    name: str
+    #: (n,): as recorded, both 0 at the expected contact and negative in air before it.
+    time_s: FloatArray
+    depth_mm: FloatArray  # (n,)
+    contact_sd_mm: float  # standard deviation of the depth at which the tool meets the tissue
+
+
+def noise(
+    time_s: FloatArray,
+    *,
+    sigma_N: float,
+    phi: float,
+    reference_step_s: float,
+    white_share: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """White noise plus a stationary AR(1), exact on unequal steps [N]; ``phi`` is over a reference step."""
+    draws = rng.standard_normal(time_s.size)
+    if phi == 0.0:
+        return np.asarray(sigma_N * draws)
+    step = np.diff(time_s)
+    rho = phi ** (step / reference_step_s)
+    draws[1:] *= np.sqrt(1.0 - rho**2)
+    if step.size and np.ptp(step) <= SAME_STEP * step.max():
+        out = lfilter([1.0], [1.0, -float(rho[0])], draws)
+    else:
+        out = draws.copy()
+        for i in range(1, out.size):
+            out[i] += rho[i - 1] * out[i - 1]
+    if white_share > 0.0:
+        out = np.sqrt(1.0 - white_share) * out + np.sqrt(white_share) * rng.standard_normal(out.size)
+    return np.asarray(sigma_N * out)
+
+
+def tip_depth(
+    model: ChannelModel, theta: FloatArray, time_s: FloatArray, depth_mm: FloatArray, give: float
+) -> FloatArray:
+    """Depth of the tip behind a compliance: ``x_tip = x - c F(x_tip)``, solved for the whole path at once.
+
+    Each round takes the step of a tissue as stiff as this one can be, so that it can't overshoot.
+    """
+    if give == 0.0:
+        return depth_mm
+    grid = np.linspace(0.0, model.depth_mm, 65)
+    slope = np.abs(np.gradient(model.static_force(theta, grid), grid)).max()
+    stiff = slope + np.abs(model.stiffness(theta, grid)).sum(axis=0).max()
+    varying = (
+        np.abs(np.gradient(model.stiffness(theta, grid), grid, axis=1)).sum(axis=0).max() * model.depth_mm
+    )
+    tip: FloatArray = depth_mm / (1.0 + give * stiff)
+    for _ in range(MOST_ROUNDS):
+        error = tip + give * model.force(theta, ContactPath(time_s, tip)) - depth_mm
+        tip = tip - error / (1.0 + give * (stiff + varying))
+        if np.abs(error).max() <= SETTLED * model.depth_mm:
+            break
+    return tip
+
+
+def recorded_force(
+    model: ChannelModel,
+    theta: FloatArray,
+    log: ProtocolLog,
+    *,
+    gain: float,
+    offset_mm: float,
+    calibration: Mapping[str, float],
+) -> FloatArray:
+    """Force without noise as the machine records it [N], 0 in air.
+
+    ``gain``, ``offset_mm``: factor of all forces of the log, and how much deeper than expected the tool meets
+    the tissue; ``calibration``: ``force_gain`` and ``displacement_gain`` (recorded over true), ``skew_s``
+    (force later than displacement), ``force_filter_s`` (first-order low-pass), ``frame_compliance_mm_per_N``;
+    what is missing is perfect.
+    """
+    give = calibration.get("frame_compliance_mm_per_N", 0.0)
+    skew, filter_s = calibration.get("skew_s", 0.0), calibration.get("force_filter_s", 0.0)
+    time, depth = log.time_s, log.depth_mm / calibration.get("displacement_gain", 1.0)
+    if skew != 0.0 or filter_s > 0.0 or give > 0.0:
+        samples = np.arange(time.size)
+        time = np.interp(np.arange((time.size - 1) * OVERSAMPLED + 1) / OVERSAMPLED, samples, time)
+        depth = np.interp(time, log.time_s, depth)
+    touched = contact_path(Path(time, depth), offset_mm)
+    # the force that bends the frame is the log's own, gain and all
+    scaled = theta.copy()
+    scaled[model.linear_places] *= gain
+    tip = tip_depth(model, scaled, touched.time_s, touched.value_mm, give)
+    force = np.interp(time, touched.time_s, model.force(scaled, ContactPath(touched.time_s, tip)))
+    # tissue pushes and does not pull
+    force = low_pass(time, np.maximum(force, 0.0), filter_s)
+    return np.asarray(calibration.get("force_gain", 1.0) * np.interp(log.time_s - skew, time, force))
+
+
+def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
+    """First-order low-pass, exact for a force that is linear between samples."""
+    if filter_s == 0.0:
+        return force_N
+    step = np.diff(time_s)
+    ratio = step / filter_s
+    decay = np.exp(-ratio)
+    # of a ramp over one step the mean lag is (1 - decay) / ratio of its rise
+    share = np.where(ratio > 0.0, -np.expm1(-ratio) / np.where(ratio > 0.0, ratio, 1.0), 1.0)
+    if step.size and np.ptp(step) <= SAME_STEP * step.max():
+        a, s = float(decay[0]), float(share[0])
+        weights = [1.0 - s, s - a]
+        start = lfiltic(weights, [1.0, -a], [force_N[0]], [force_N[0]])
+        rest, _ = lfilter(weights, [1.0, -a], force_N[1:], zi=start)
+        return np.concatenate([force_N[:1], rest])
+    out = np.empty_like(force_N)
+    out[0] = force_N[0]
+    for i in range(step.size):
+        out[i + 1] = (
+            decay[i] * out[i] + (share[i] - decay[i]) * force_N[i] + (1.0 - share[i]) * force_N[i + 1]
+        )
+    return out
+
+
+def simulated_trials(
+    model: ChannelModel,
+    truth: Truth,
+    logs: tuple[ProtocolLog, ...],
+    *,
+    reference_step_s: float,
+    white_share: float,
+    rng: np.random.Generator,
+) -> list[Trial]:
+    """All recordings of one truth, noise and all, as a machine would export them."""
+    out = []
+    for log, gain, offset in zip(logs, truth.gain, truth.offset_mm, strict=True):
+        clean = recorded_force(
+            model, truth.theta, log, gain=float(gain), offset_mm=float(offset), calibration=truth.calibration
+        )
+        own = noise(
+            log.time_s,
+            sigma_N=truth.sigma_N,
+            phi=truth.phi,
+            reference_step_s=reference_step_s,
+            white_share=white_share,
+            rng=rng,
+        )
+        source = Source(path=log.name, recipe="simulated")
+        time = log.time_s - log.time_s[0]
+        out.append(Trial("simulated", time, log.depth_mm, clean + own, source=source))
+    return out

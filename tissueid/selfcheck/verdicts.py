@@ -1,21 +1,110 @@
-"""From records to verdicts: uniform ranks, coverage at four levels, bias and spread, for each parameter.
+"""From records to verdicts: uniform ranks, coverage, bias and spread of each parameter, and their document.
 
-Bands are family-wise: a right posterior leaves any of them, over all parameters (and, of coverage, levels),
-with a probability of 1 % at most.  A parameter's own 95 and 99 % bands are for the eye.
+The rank of a truth among draws of a right posterior is uniform (Talts et al. 2018, arXiv 1804.06788).  Counts
+of ranks below growing z are a Markov chain: the probability that all stay within their pointwise binomial
+intervals is a product of small matrices, and the pointwise level of a simultaneous band is found by bisection
+(the idea of Saeilynoja, Buerkner & Vehtari 2022, doi 10.1007/s11222-022-10090-6, sections 2 and 3).  Bands
+are family-wise: a right posterior leaves any of them, over all parameters (and levels), with a probability of
+1 % at most.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaln
+from scipy.stats import binom
 
-from tissueid.arrays import IntArray
+from tissueid import PosteriorOptions, __version__
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.errors import NotIdentifiedError
-from tissueid.selfcheck.ranks import DRAWS, EcdfBand, binomial_interval, ecdf_band, ecdf_counts
-from tissueid.selfcheck.records import Record, failures
+from tissueid.selfcheck.protocol import Protocol
+from tissueid.selfcheck.records import DRAWS, Record, failures
+from tissueid.selfcheck.tissue import TissueCheck
+from tissueid.selfcheck.truth import prior_words
+
+#: Points at which the distribution of ranks is looked at; DRAWS + 1 is a multiple.
+POINTS = 100
+_BISECTIONS = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EcdfBand:
+    """Counts that an ECDF of uniform ranks keeps, at all points at once."""
+
+    points: FloatArray  # (k,), z in (0, 1)
+    #: (k,): fewest and most ranks below each z.
+    low: IntArray
+    high: IntArray  # (k,)
+    level: float  # simultaneous probability that was asked for; the band's own is at least that
+
+    def holds(self, counts: IntArray) -> bool:
+        """True where all counts lie within."""
+        return bool(((self.low <= counts) & (counts <= self.high)).all())
+
+
+def ecdf_counts(ranks: IntArray, *, draws: int = DRAWS, points: int = POINTS) -> IntArray:
+    """Count the ranks below each of ``points - 1`` equally spaced shares of their range."""
+    edges = np.arange(1, points) * ((draws + 1) // points)
+    return np.searchsorted(np.sort(ranks), edges, side="left").astype(np.int64)
+
+
+def _stays(low: IntArray, high: IntArray, points: FloatArray, simulations: int) -> float:
+    """Probability that all counts of uniform ranks stay within their intervals."""
+    log_factorial = gammaln(np.arange(1.0, simulations + 2.0))
+    at = np.array([0])
+    mass = np.ones(1)
+    before = 0.0
+    for z, least, most in zip(points, low, high, strict=True):
+        share = (z - before) / (1.0 - before)
+        to = np.arange(least, most + 1)
+        more = to[:, None] - at[None, :]
+        left = simulations - at[None, :]
+        possible = (more >= 0) & (more <= left)
+        k = np.where(possible, more, 0)
+        log_p = (
+            log_factorial[left]
+            - log_factorial[k]
+            - log_factorial[left - k]
+            + k * np.log(share)
+            + (left - k) * np.log1p(-share)
+        )
+        mass = np.where(possible, np.exp(log_p), 0.0) @ mass
+        at, before = to, float(z)
+    return float(mass.sum())
+
+
+@lru_cache(maxsize=64)
+def ecdf_band(simulations: int, level: float, points: int = POINTS) -> EcdfBand:
+    """The narrowest band of equal pointwise level that holds with at least ``level``."""
+    z = np.arange(1, points) / points
+
+    def interval(error: float) -> tuple[IntArray, IntArray]:
+        low, high = (binom.ppf(level, simulations, z) for level in (error / 2.0, 1.0 - error / 2.0))
+        return np.asarray(low, dtype=np.int64), np.asarray(high, dtype=np.int64)
+
+    # by Boole a pointwise error of (1 - level) / points is enough, and one of 1 - level at least is needed
+    narrow, wide = np.log(1.0 - level), np.log((1.0 - level) / points)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (narrow + wide)
+        if _stays(*interval(float(np.exp(middle))), z, simulations) >= level:
+            wide = middle
+        else:
+            narrow = middle
+        if narrow - wide < 1e-3:
+            break
+    low, high = interval(float(np.exp(wide)))
+    return EcdfBand(points=z, low=low, high=high, level=level)
+
+
+def binomial_interval(trials: int, chance: float, error: float) -> tuple[int, int]:
+    """Counts that a binomial variable leaves with a probability of at most ``error``, half on each side."""
+    return int(binom.ppf(error / 2.0, trials, chance)), int(binom.ppf(1.0 - error / 2.0, trials, chance))
+
 
 #: Relative difference below which truths are the same.
 SAME = 1e-12
@@ -105,7 +194,7 @@ class Verdict:
     """The verdict on a whole check."""
 
     parameters: tuple[ParameterCheck, ...]
-    #: ``95``, ``99`` and ``family`` -> :class:`~tissueid.selfcheck.ranks.EcdfBand`.
+    #: ``95``, ``99`` and ``family`` -> :class:`~tissueid.selfcheck.verdicts.EcdfBand`.
     bands: Mapping[str, EcdfBand]
     simulations: int  # with a posterior
     failed: tuple[str, ...]  # why the others have none
@@ -188,11 +277,7 @@ def _parameter(
 
 
 def verdict_of(records: Sequence[Record]) -> Verdict:
-    """Judge the records of a check.
-
-    ``records``: at least one with a posterior; all of them with the same names.  Raises NotIdentifiedError:
-    no simulation has a posterior.
-    """
+    """Judge the records of a check."""
     good = [record for record in records if record.failed is None]
     if not good:
         why = f"; the first: {records[0].failed}" if records else ""
@@ -210,3 +295,82 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
         simulations=len(good),
         failed=tuple(str(record.failed) for record in failures(records)),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Request of the user."""
+
+    kind: str  # ``recipe``, ``study`` or ``bundle``
+    path: str
+    specimen: str
+    simulations: int
+    seed: int
+
+
+def _priors(check: TissueCheck) -> list[dict[str, Any]]:
+    words = prior_words(
+        check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
+    )
+    stated = set(check.stated)
+    return [{"name": name, "prior": said, "stated": name in stated} for name, said in words.items()]
+
+
+def _protocol(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "words": protocol.words,
+        "logs": len(protocol.logs),
+        "samples": protocol.samples,
+        "step_s": protocol.step_s,
+        "duration_s": protocol.duration_s,
+        "depth_mm": protocol.depth_mm,
+        "speeds_mm_s": list(protocol.speeds_mm_s),
+        "contact_sd_mm": max(log.contact_sd_mm for log in protocol.logs),
+    }
+
+
+def check_document(
+    asked: Asked, protocol: Protocol, check: TissueCheck, records: Sequence[Record]
+) -> tuple[dict[str, Any], Verdict]:
+    """The document of ``schemas/selfcheck.schema.json``, and the verdict behind it."""
+    verdict = verdict_of(records)
+    good = [record for record in records if record.failed is None]
+    return {
+        "schema": "tissueid/selfcheck/1",
+        "source": {"kind": asked.kind, "path": asked.path, "specimen": asked.specimen},
+        "model": {
+            "branches": check.model.branches,
+            "stiffness_degree": check.model.stiffness_degree,
+            "static_pooling": check.pooling,
+            "depth_mm": check.model.depth_mm,
+        },
+        "noise": {
+            "model": check.noise_model,
+            "white_share": check.white_share,
+            "reference_step_s": check.reference_step_s,
+        },
+        "interval": "total" if check.defects else "statistical",
+        "protocol": _protocol(protocol),
+        "priors": _priors(check),
+        "simulations": {
+            "asked": asked.simulations,
+            "done": len(records),
+            "failed": [str(record.failed) for record in failures(records)],
+            "draws": DRAWS,
+            "seed": asked.seed,
+            "sampler": PosteriorOptions().sampler,
+            "median_seconds": float(np.median([record.seconds for record in good])),
+            "detail": _details(good),
+        },
+        **verdict.as_json(),
+        "provenance": {"tissueid": __version__},
+    }, verdict
+
+
+def _details(records: Sequence[Record]) -> Mapping[str, float]:
+    """Mean over the simulations of what was kept of each."""
+    names = dict.fromkeys(name for record in records for name in record.detail)
+    return {
+        name: float(np.mean([record.detail[name] for record in records if name in record.detail]))
+        for name in names
+    }

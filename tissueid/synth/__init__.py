@@ -5,11 +5,20 @@ Shares no code with any of them: closed forms instead of a recursion, its own wr
 
 from __future__ import annotations
 
-from tissueid.synth.bluehill import bluehill_csv
+from tissueid.synth.bluehill import DIALECTS, Dialect, bluehill_csv
 from tissueid.synth.dataset import EXPORTS, Export, write_set
-from tissueid.synth.dialects import DIALECTS, Dialect
-from tissueid.synth.protocols import RECIPES, recipe
-from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, Rupture, dump_recipe, load_recipe
+from tissueid.synth.recipe import (
+    RECIPES,
+    Branch,
+    Hold,
+    Log,
+    Move,
+    Recipe,
+    Rupture,
+    dump_recipe,
+    load_recipe,
+    recipe,
+)
 from tissueid.synth.simulate import SyntheticLog, as_trials, simulate
 
 __all__ = [

@@ -1,20 +1,13 @@
-"""A synthetic set on disk: one export a log, the recipe, the truth, and the hashes of all.
+"""A synthetic set on disk: one export a log, recipe.toml, truth.json and SHA256SUMS; same seed, same bytes.
 
-::
-
-    SET/recipe.toml  SET/truth.json  SET/SHA256SUMS  SET/hold-8-1.csv ...
-
-The same recipe, seed and dialect give the same bytes.
-
-Every export that can be written: Bluehill in its dialects, and the formats of other machines.
-Written from the grammar of each format, with no part of the reader; every file says that it is synthetic.
+Exports are written from the grammar of each format, with no part of the reader; each says that it is
+synthetic.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -25,19 +18,20 @@ from typing import Any
 import numpy as np
 
 from tissueid.errors import UsageError
-from tissueid.synth.bluehill import bluehill_csv
-from tissueid.synth.dialects import DIALECTS
+from tissueid.store.files import write_file
+from tissueid.synth.bluehill import DIALECTS, bluehill_csv
 from tissueid.synth.machines import (
+    bluehill_workbook,
     chiaro_text,
     chiaro_zip,
     mach1_text,
     mts793_text,
     shimadzu_text,
     tra_text,
+    zwick_workbook,
 )
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
-from tissueid.synth.workbooks import bluehill_workbook, zwick_workbook
 
 Decimals = tuple[int, int, int]
 
@@ -103,13 +97,7 @@ TRUTH_DIGITS = 12
 
 
 def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str = "bare") -> list[Path]:
-    """Simulate a recipe and write the set.
-
-    ``directory``: created where it does not exist; ``seed``: seed of ``numpy.random.default_rng``;
-    ``dialect``: key of :data:`~tissueid.synth.dataset.EXPORTS`.  Returns the files written, CSVs first.
-    Raises UsageError: if the dialect is unknown, or the directory holds files of something else, which a
-    reader of the whole directory would take for part of the set.
-    """
+    """Simulate a recipe and write the set."""
     if dialect not in EXPORTS:
         msg = f"no dialect {dialect!r}; there are {', '.join(sorted(EXPORTS))}"
         raise UsageError(msg)
@@ -128,7 +116,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
         msg = f"{directory} already holds {foreign[0]!r}, not part of this set; give an empty directory"
         raise UsageError(msg)
     for name, data in contents.items():
-        _write_atomically(directory / name, data)
+        write_file(directory / name, data)
     return [directory / name for name in contents]
 
 
@@ -165,13 +153,3 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_rounded(item) for item in value]
     return value
-
-
-def _write_atomically(path: Path, data: bytes) -> None:
-    """Write under a temporary name, then rename."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -1,24 +1,89 @@
-"""Force of the modified Kelvin-Voigt tissue along a polyline of depth, in closed form.
+"""Travel of the crosshead as a polyline, the tissue's force along it in closed form, and where it breaks.
 
 Between two knots the depth changes at constant speed v, and the branch extension that was s_k at the knot is
 
     s(t) = s_k e^{-(t - t_k)/tau} - v tau expm1(-(t - t_k)/tau),     F = F_s(x) + sum_j K_j(x) s_j.
 
-For one move this is the constant-velocity ramp, for a standstill the exponential decay; corners may lie
-between samples.  Where the law would pull (unloading without adhesion) the surface leaves the tool and
-recovers under F(y) = 0; that part is integrated on a grid :data:`OVERSAMPLING` times as fine.
+Where the law would pull (unloading without adhesion) the surface leaves the tool and recovers under F(y) = 0;
+that part is integrated on a grid :data:`OVERSAMPLING` times as fine.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import accumulate
 from math import exp, expm1
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.synth.path import Path, contact_path
-from tissueid.synth.recipe import Branch
+from tissueid.synth.recipe import Branch, Log, Move, Rupture
+
+CHORDS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A polyline: ``value_mm`` over strictly growing ``time_s``, both of shape (k,)."""
+
+    time_s: FloatArray
+    value_mm: FloatArray
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Value at given times [mm]; constant after the last knot."""
+        return np.interp(time_s, self.time_s, self.value_mm)
+
+
+def crosshead_path(log: Log, *, rounding_s: float = 0.0) -> Path:
+    """Travel of the crosshead through a log's program."""
+    times, values = [0.0], [0.0]
+    for move in log.moves:
+        if isinstance(move, Move):
+            duration, target = abs(move.to_mm - values[-1]) / move.speed_mm_s, move.to_mm
+        else:
+            duration, target = move.hold_s, values[-1]
+        if duration > 0.0:
+            times.append(times[-1] + duration)
+            values.append(target)
+    knots = Path(np.array(times), np.array(values))
+    return _round_stops(knots, rounding_s) if rounding_s > 0.0 else knots
+
+
+def _round_stops(path: Path, rounding_s: float) -> Path:
+    """Replace each corner at which a move ends in a standstill by a raised-cosine slow-down."""
+    speed = np.diff(path.value_mm) / np.diff(path.time_s)
+    times: list[FloatArray] = [path.time_s[:1]]
+    values: list[FloatArray] = [path.value_mm[:1]]
+    for k in range(1, path.time_s.size):
+        corner, travel = path.time_s[k], path.value_mm[k]
+        stops = k < speed.size and speed[k] == 0.0 and speed[k - 1] != 0.0
+        if not stops:
+            times.append(path.time_s[k : k + 1])
+            values.append(path.value_mm[k : k + 1])
+            continue
+        room = 2.0 * min(corner - path.time_s[k - 1], path.time_s[k + 1] - corner)
+        width = min(rounding_s, 0.999 * room)
+        u = np.linspace(0.0, 1.0, CHORDS + 1)
+        times.append(corner + (u - 0.5) * width)
+        values.append(travel - 0.5 * speed[k - 1] * width * (1.0 - u - np.sin(np.pi * u) / np.pi))
+    return Path(np.concatenate(times), np.concatenate(values))
+
+
+def contact_path(travel: Path, offset_mm: float) -> Path:
+    """Depth max(0, travel - offset) of a tool that meets the tissue at ``offset_mm`` of travel.
+
+    A negative offset is a start that is indented already.  Knots are added where the tool crosses the
+    surface, so that the result is the exact polyline.
+    """
+    depth = travel.value_mm - offset_mm
+    crosses = np.flatnonzero(depth[:-1] * depth[1:] < 0.0)
+    share = depth[crosses] / (depth[crosses] - depth[crosses + 1])
+    times = travel.time_s[crosses] + share * (travel.time_s[crosses + 1] - travel.time_s[crosses])
+    time_s = np.insert(travel.time_s, crosses + 1, times)
+    depth = np.insert(depth, crosses + 1, 0.0)
+    return Path(time_s, np.maximum(depth, 0.0))
+
 
 OVERSAMPLING = 16
 
@@ -39,11 +104,7 @@ def _stiffness(coefficients: tuple[float, ...], depth_mm: FloatArray) -> FloatAr
 
 
 def branch_extension(depth: Path, tau_s: float, time_s: FloatArray) -> FloatArray:
-    """Extension of the spring of a branch, relaxed at t = 0.
-
-    ``depth``: polyline of depth; ``time_s`` (n,): times at which it is wanted, from 0 on [s].  Returns (n,),
-    s [mm].
-    """
+    """Extension of the spring of a branch, relaxed at t = 0."""
     duration = np.diff(depth.time_s)
     speed = np.diff(depth.value_mm) / duration
     moves = zip(duration.tolist(), speed.tolist(), strict=True)
@@ -65,12 +126,7 @@ def tissue_force(
     static: tuple[float, ...],
     branches: tuple[Branch, ...],
 ) -> FloatArray:
-    """Force on a tool that meets relaxed tissue at ``offset_mm`` of travel.
-
-    ``travel``: crosshead travel; ``time_s`` (n,); ``offset_mm``: travel of first contact; negative where the
-    tissue is indented, and relaxed, at t = 0; ``static``, ``branches``: the law; gains are already in it.
-    Returns (n,), force >= 0 [N].
-    """
+    """Force [N] on a tool that meets relaxed tissue at ``offset_mm``; a negative one starts indented."""
     depth = contact_path(travel, offset_mm)
     x = depth.at(time_s)
     force = static_force(static, x)
@@ -144,10 +200,7 @@ def oversampled(time_s: FloatArray) -> FloatArray:
 
 
 def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
-    """First-order low-pass, exact for a force that is linear between samples, at rest at the start.
-
-    ``time_s``, ``force_N`` (n,): equally spaced times; ``filter_s``: time constant [s].
-    """
+    """First-order low-pass, exact for a force that is linear between samples, at rest at the start."""
     step = (time_s[-1] - time_s[0]) / (time_s.size - 1)
     keep = exp(-step / filter_s)
     gain = -expm1(-step / filter_s) * filter_s / step
@@ -156,3 +209,81 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
         list(accumulate(rises, lambda behind, rise: keep * behind - gain * rise, initial=0.0))
     )
     return force_N + lag
+
+
+#: Times at which the measure is looked at; the depth of rupture is then good to 1e-7 of the travel.
+GRID = 20_001
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """End of a test, broken or not."""
+
+    ruptured: bool
+    #: Of the rupture; of the end of the program where there is none.
+    time_s: float
+    depth_mm: float
+    force_N: float
+    work_N_mm: float
+    threshold: float  # of this test
+
+    def as_truth(self) -> Mapping[str, float]:
+        """Entries of ``truth`` of a log."""
+        return {
+            "ruptured": float(self.ruptured),
+            "rupture_time_s": self.time_s,
+            "rupture_depth_mm": self.depth_mm,
+            "rupture_force_N": self.force_N,
+            "rupture_work_N_mm": self.work_N_mm,
+            "threshold": self.threshold,
+        }
+
+
+def rupture_of(
+    rupture: Rupture,
+    threshold: float,
+    travel: Path,
+    *,
+    offset_mm: float,
+    static: tuple[float, ...],
+    branches: tuple[Branch, ...],
+) -> Broken:
+    """Find where a test breaks the tissue."""
+    depth = contact_path(travel, offset_mm)
+    time_s = np.union1d(np.linspace(0.0, travel.time_s[-1], GRID), depth.time_s)
+    x = depth.at(time_s)
+    elastic = static_force(static, x)
+    extensions = [branch_extension(depth, branch.tau_s, time_s) for branch in branches]
+    pairs = list(zip(branches, extensions, strict=True))
+    dynamic = sum((_stiffness(branch.stiffness, x) * s for branch, s in pairs), 0.0 * x)
+    force = np.maximum(elastic + dynamic, 0.0)
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(x))])
+    stored = static_force(tuple(a / (k + 2) for k, a in enumerate(static)), x) * x
+    measure = {
+        "work": work,
+        "weighted-force": elastic + rupture.weight * dynamic,
+        "stored-energy": sum((_spring(branch.stiffness, x, s) for branch, s in pairs), stored),
+        "depth": x,
+    }[rupture.criterion]
+    reached = measure >= threshold
+    k = max(int(np.argmax(reached)), 1) if reached.any() else measure.size - 1
+    share = (threshold - measure[k - 1]) / (measure[k] - measure[k - 1]) if reached.any() else 1.0
+    at = [float(one[k - 1] + share * (one[k] - one[k - 1])) for one in (time_s, x, force, work)]
+    return Broken(bool(reached.any()), at[0], at[1], at[2], at[3], threshold)
+
+
+def _spring(stiffness: tuple[float, ...], x: FloatArray, extension: FloatArray) -> FloatArray:
+    """Energy int_{x_d}^{x} K(y) (y - x_d) dy of a spring whose damper stands at x_d = x - s [N mm]."""
+    damper = x - extension
+    energy = np.zeros_like(x)
+    for power, k in enumerate(stiffness):
+        upper, lower = power + 2, power + 1
+        energy += k * ((x**upper - damper**upper) / upper - damper * (x**lower - damper**lower) / lower)
+    return energy
+
+
+def after_rupture(broken: Broken, residual: float, time_s: FloatArray, force_N: FloatArray) -> FloatArray:
+    """The force with what is left of it from the rupture on, shape (n,)."""
+    if not broken.ruptured:
+        return force_N
+    return np.where(time_s > broken.time_s, residual * force_N, force_N)

@@ -1,7 +1,7 @@
-"""Draw the logs of a recipe: scatter, tissue, load channel, noise.
+"""Draw the logs of a recipe: scatter, tissue (or a body of Hertz's law), load channel, noise.
 
-Two things are logged, travel and force, with the sign of the recipe.  Recorded displacement is 0 at t = 0
-whatever the contact offset; samples are taken at ``np.arange(0, T, 1/rate)``, T the length of the program.
+Recorded displacement is 0 at t = 0 whatever the contact offset; samples are taken at ``np.arange(0, T,
+1/rate)``, T the length of the program.
 """
 
 from __future__ import annotations
@@ -15,10 +15,16 @@ from types import MappingProxyType
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.synth.failure import after_rupture, rupture_of
-from tissueid.synth.path import Path, crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-from tissueid.synth.response import low_pass, oversampled, tissue_force
+from tissueid.synth.response import (
+    Path,
+    after_rupture,
+    crosshead_path,
+    low_pass,
+    oversampled,
+    rupture_of,
+    tissue_force,
+)
 from tissueid.trial import Protocol, Source, Trial, frozen_array
 
 
@@ -35,7 +41,7 @@ class SyntheticLog:
     force_clean_N: FloatArray  # (n,), force without noise, after the load channel's filter
     #: ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
     #: ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without); of tissue
-    #: that can break :meth:`tissueid.synth.failure.Broken.as_truth` as well.
+    #: that can break :meth:`tissueid.synth.response.Broken.as_truth` as well.
     truth: Mapping[str, float]
 
     def __post_init__(self) -> None:
@@ -45,11 +51,7 @@ class SyntheticLog:
 
 
 def simulate(recipe: Recipe, *, rng: np.random.Generator) -> list[SyntheticLog]:
-    """Simulate every log of a recipe.
-
-    ``rng``: source of all scatter and noise.  Returns specimen by specimen; all first repeats before all
-    second ones.
-    """
+    """Simulate every log of a recipe."""
     logs = []
     for specimen in range(1, recipe.specimens + 1):
         label = recipe.specimen if recipe.specimens == 1 else f"{recipe.specimen}-{specimen:02d}"
@@ -93,19 +95,20 @@ def _one_log(
         0.0 if recipe.rupture is None else recipe.rupture.threshold * tough * _gain(recipe.rupture.cv, rng)
     )
     clean = _clean_force(recipe, travel, time_s, truth, threshold)
+    return _recorded(recipe, name, specimen, travel, time_s, clean, truth, rng)
+
+
+def _recorded(
+    recipe: Recipe, name: str, specimen: str, travel: Path, time_s: FloatArray, clean: FloatArray,
+    truth: Mapping[str, float], rng: np.random.Generator,
+) -> SyntheticLog:  # fmt: skip
+    """A log as the machine records it: noise on both channels, and the recipe's sign."""
     displacement = travel.at(time_s)
     if recipe.sigma_mm > 0.0:
         displacement = displacement + recipe.sigma_mm * rng.standard_normal(time_s.size)
     sign = float(recipe.compression_sign)
-    return SyntheticLog(
-        name=name,
-        specimen=specimen,
-        time_s=time_s,
-        displacement_mm=sign * displacement,
-        force_N=sign * (clean + _noise(recipe, time_s.size, rng)),
-        force_clean_N=sign * clean,
-        truth=truth,
-    )
+    force_N = sign * (clean + _noise(recipe, time_s.size, rng))
+    return SyntheticLog(name, specimen, time_s, sign * displacement, force_N, sign * clean, truth)
 
 
 def _plan(log: Log) -> dict[str, float]:
@@ -153,10 +156,7 @@ def _noise(recipe: Recipe, size: int, rng: np.random.Generator) -> FloatArray:
 
 
 def as_trials(logs: list[SyntheticLog], *, specimen: str | None = None) -> list[Trial]:
-    """The logs as trials in memory, nothing rounded.
-
-    ``specimen``: one name for all; by default each log's own.
-    """
+    """The logs as trials in memory, nothing rounded."""
     trials = []
     for log in logs:
         hold_s = log.truth["hold_s"]
@@ -170,3 +170,43 @@ def as_trials(logs: list[SyntheticLog], *, specimen: str | None = None) -> list[
         label = log.specimen if specimen is None else specimen
         trials.append(Trial(label, log.time_s, log.displacement_mm, log.force_N, protocol, source))
     return trials
+
+
+#: Half of the step of the path's derivative [s]; its pieces are straight.
+STEP_S = 1e-6
+
+
+def simulate_contact_law(
+    recipe: Recipe, *, stiffness: float, exponent: float, restitution: float, rng: np.random.Generator
+) -> list[SyntheticLog]:
+    """Simulate every log of a recipe, one specimen."""
+    damping = 8.0 * (1.0 - restitution) / (5.0 * restitution)
+    law = {"stiffness_N_per_mm_n": stiffness, "exponent": exponent, "restitution": restitution}
+    logs = []
+    for log in recipe.logs:
+        for repeat in range(1, log.repeats + 1):
+            travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
+            time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
+            depth = travel.at(time_s) - recipe.contact_offset_mm
+            ratio = _speed_ratio(travel, time_s, depth)
+            force = stiffness * np.maximum(depth, 0.0) ** exponent * np.maximum(1.0 + damping * ratio, 0.0)
+            truth = {**law, "contact_offset_mm": recipe.contact_offset_mm, **_plan(log)}
+            name = f"{log.name}-{repeat}"
+            logs.append(_recorded(recipe, name, recipe.specimen, travel, time_s, force, truth, rng))
+    return logs
+
+
+def _speed_ratio(travel: Path, time_s: FloatArray, depth: FloatArray) -> FloatArray:
+    """Speed over that at the start of each contact, within +-1."""
+    end = float(travel.time_s[-1])
+    before, after = np.maximum(time_s - STEP_S, 0.0), np.minimum(time_s + STEP_S, end)
+    speed = (travel.at(after) - travel.at(before)) / (after - before)
+    ratio = np.zeros(time_s.size)
+    begun = 0.0
+    for i in range(time_s.size):
+        if depth[i] <= 0.0:
+            begun = 0.0
+        elif begun == 0.0:
+            begun = speed[i]
+        ratio[i] = speed[i] / begun if begun > 0.0 else 0.0
+    return np.clip(ratio, -1.0, 1.0)
