@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.calibrate_source import found_source
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
@@ -21,13 +20,12 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.tissue import TissueCheck
     from tissueid.selfcheck.verdicts import Verdict
 
-EPILOG = """\b
-Examples:
-  tissueid calibrate paper-a-30-k1 --rate 100
-  tissueid calibrate lab_data/study.toml -o calibration --simulations 500
-  tissueid calibrate out/bundle.h5 --interval total --workers 4
-  tissueid calibrate lab_data/ --model "power * fung"
-  tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
+EXAMPLES = """
+tissueid calibrate paper-a-30-k1 --rate 100
+tissueid calibrate lab_data/study.toml -o calibration --simulations 500
+tissueid calibrate out/bundle.h5 --interval total --workers 4
+tissueid calibrate lab_data/ --model "power * fung"
+tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
 """
 
 #: Exit code where the intervals do not hold what they claim.
@@ -37,54 +35,39 @@ FEWEST = 20
 _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateFlags(OutputFlags):
-    """Flags of ``tissueid calibrate``."""
-
+class _CalibrateFlags(OutputFlags):
     # fmt: off
-    source: str = argument(type=click.Path())
+    source: str = argument(type=PATH)
     out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-calibration", show_default=True,
-        help="Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+        "Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+        "-o", type=FOLDER, default="tissueid-calibration",
     )
     simulations: int = option(
-        "--simulations", type=click.IntRange(min=FEWEST), default=200, show_default=True, metavar="N",
-        help="How many truths are drawn, recorded and inferred.",
+        "How many truths are drawn, recorded and inferred.",
+        type=click.IntRange(min=FEWEST), default=200, metavar="N",
     )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
-    )
-    workers: int = option(
-        "--workers", type=click.IntRange(min=1), default=1, show_default=True,
-        help="Processes; results do not depend on them.",
-    )
-    specimen: str | None = option(
-        "--specimen", metavar="NAME", help="Which specimen of a study, where it has several.",
-    )
-    model: str | None = option(
-        "--model", metavar="NAME", help="Law of the tissue in recordings, as of tissueid fit.",
-    )
+    seed: int = option("Seed of everything random.", type=FROM_0, default=0)
+    workers: int = option("Processes; results do not depend on them.", type=FROM_1, default=1)
+    specimen: str | None = option("Which specimen of a study, where it has several.", metavar="NAME")
+    model: str | None = option("Law of the tissue in recordings, as of tissueid fit.", metavar="NAME")
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total draws calibration defects from their priors and checks the intervals that know these.",
+        "total draws calibration defects from their priors and checks the intervals that know these.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     noise: str = option(
-        "--noise", type=click.Choice(["auto", "white", "ar1"]), default="auto", show_default=True,
-        help="Noise of the recordings; auto takes the recipe's, or that of the fit.",
+        "Noise of the recordings; auto takes the recipe's, or that of the fit.",
+        type=click.Choice(["auto", "white", "ar1"]), default="auto",
     )
     phi: float | None = option(
-        "--phi", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
-        help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+        "Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+        type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
     )
-    rate: float | None = option(
-        "--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.",
-    )
+    rate: float | None = option("Sampling rate of a recipe, where not its own.", metavar="HZ")
     # fmt: on
 
 
-@click.command("calibrate", epilog=EPILOG)
-@takes(CalibrateFlags)
-def command(flags: CalibrateFlags) -> int:
+@subcommand("calibrate", EXAMPLES)
+def command(flags: _CalibrateFlags) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
 
     SOURCE is a study.toml or a folder of recordings (their own measured displacement is used), a bundle of
@@ -158,7 +141,7 @@ def _folder(name: str) -> Path:
     return out
 
 
-def _with_noise(centre: Centre, flags: CalibrateFlags) -> Centre:
+def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
     """The noise the user asked for, or that of the source."""
     from dataclasses import replace
 

@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FILE, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.documents import typed
 from tissueid.documents.folder import Frame
 
-EPILOG = """\b
-Examples:
-  tissueid calibrate-frame rigid.csv
-  tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
+EXAMPLES = """
+tissueid calibrate-frame rigid.csv
+tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateFrameFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid calibrate-frame``."""
-
-    # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    output: str = option(
-        "-o", "--output", type=click.Path(dir_okay=False), default="frame.json", show_default=True,
-        help="Frame file to write.",
-    )
-    # fmt: on
+class _CalibrateFrameFlags(ReadingFlags, OutputFlags):
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    output: str = option("Frame file to write.", "-o", type=FILE, default="frame.json")
 
 
-@click.command("calibrate-frame", epilog=EPILOG)
-@takes(CalibrateFrameFlags)
-def command(flags: CalibrateFrameFlags) -> int:
+@subcommand("calibrate-frame", EXAMPLES)
+def command(flags: _CalibrateFrameFlags) -> int:
     """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
 
     Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several

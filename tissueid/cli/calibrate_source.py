@@ -12,7 +12,7 @@ from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.cli.calibrate_command import CalibrateFlags
+    from tissueid.cli.calibrate_command import _CalibrateFlags
     from tissueid.priors import Priors
     from tissueid.result import Refusal
     from tissueid.selfcheck.protocol import Centre, Protocol
@@ -35,7 +35,7 @@ class Found:
     stated: Priors | None = None  # of a study
 
 
-def found_source(flags: CalibrateFlags, progress: _Progress) -> Found:
+def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
     """Look at the source the user named.
 
     Raises UsageError: it is none, or an option does not go with it; InputError, BundleError: it can't be
@@ -76,7 +76,7 @@ def _is_recipe(path: Path) -> bool:
     return "logs" in table and "schema" not in table
 
 
-def _recipe(named: str, flags: CalibrateFlags) -> Found:
+def _recipe(named: str, flags: _CalibrateFlags) -> Found:
     from tissueid.selfcheck.protocol import of_recipe
     from tissueid.synth import RECIPES, load_recipe, recipe
 
@@ -103,7 +103,7 @@ def bundle_file(path: Path) -> Path | None:
     raise UsageError(msg)
 
 
-def _bundle(path: Path, flags: CalibrateFlags, progress: _Progress) -> Found:
+def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
     from dataclasses import replace
 
     from tissueid.selfcheck.protocol import of_bundle, pooled
@@ -143,7 +143,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
         return None
 
 
-def _recordings(named: str, flags: CalibrateFlags, progress: _Progress) -> Found:
+def _recordings(named: str, flags: _CalibrateFlags, progress: _Progress) -> Found:
     from tissueid.selfcheck.recorded import Recordings, of_recordings
     from tissueid.study.recordings import locate_study, read_decided_one
 

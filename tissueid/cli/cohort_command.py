@@ -2,52 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FOLDER_THERE, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_json, progress_bar
 
-EPILOG = """\b
-Examples:
-  tissueid cohort out
-  tissueid cohort out --group-by sex --covariate age_years
+EXAMPLES = """
+tissueid cohort out
+tissueid cohort out --group-by sex --covariate age_years
 """
 
 NOT_CONVERGED = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class CohortFlags(OutputFlags):
-    """Flags of ``tissueid cohort``."""
-
+class _CohortFlags(OutputFlags):
     # fmt: off
-    out: str = argument(type=click.Path(exists=True, file_okay=False))
-    group_by: str | None = option(
-        "--group-by", metavar="KEY", help="Covariate of the study whose groups are compared.",
-    )
-    covariates: tuple[str, ...] = option(
-        "--covariate", multiple=True, metavar="KEY", help="Covariate to allow for.",
-    )
+    out: str = argument(type=FOLDER_THERE)
+    group_by: str | None = option("Covariate of the study whose groups are compared.", metavar="KEY")
+    covariates: tuple[str, ...] = option("Covariate to allow for.", "--covariate", metavar="KEY")
     tails: str = option(
-        "--tails", type=click.Choice(["t", "normal"]), default="t", show_default=True,
-        help="How specimens scatter: t lets the data say how heavy the tails are.",
+        "How specimens scatter: t lets the data say how heavy the tails are.",
+        type=click.Choice(["t", "normal"]), default="t",
     )
-    mix_states: bool = option("--mix-states", is_flag=True, help="Pool thawed specimens with fresh ones.")
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the chains.",
-    )
-    no_held_out: bool = option(
-        "--no-held-out", is_flag=True, help="Leave out the prediction of each specimen from the others.",
-    )
+    mix_states: bool = option("Pool thawed specimens with fresh ones.")
+    seed: int = option("Seed of the chains.", type=FROM_0, default=0)
+    no_held_out: bool = option("Leave out the prediction of each specimen from the others.")
     # fmt: on
 
 
-@click.command("cohort", epilog=EPILOG)
-@takes(CohortFlags)
-def command(flags: CohortFlags) -> int:
+@subcommand("cohort", EXAMPLES)
+def command(flags: _CohortFlags) -> int:
     """Say what specimens have in common and how they differ.
 
     OUT is the output folder of `tissueid fit` with three specimens or more and their posteriors.  Writes

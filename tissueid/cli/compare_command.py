@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 from tissueid.cli.reading import ReadingFlags
 from tissueid.documents import typed
@@ -22,41 +21,36 @@ if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EPILOG = """\b
-Examples:
-  tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
-  tissueid compare before/ after/ --interval total
-  tissueid compare out -o compared
-  tissueid compare slow.csv fast.csv
+EXAMPLES = """
+tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
+tissueid compare before/ after/ --interval total
+tissueid compare out -o compared
+tissueid compare slow.csv fast.csv
 """
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompareFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid compare``."""
-
+class _CompareFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total for recordings of different machines: it knows their calibration. Needs output folders.",
+        "total for recordings of different machines: it knows their calibration. Needs output folders.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     clamp: float = option(
-        "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True,
-        metavar="N", help="Largest force of the device at which a hand would feel them.",
+        "Largest force of the device at which a hand would feel them.",
+        type=ABOVE_0, default=CLAMP_N, metavar="N",
     )
     output: str | None = option(
-        "-o", "--output", type=click.Path(), metavar="PATH",
-        help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+        "Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+        "-o", type=PATH, metavar="PATH",
     )
     # fmt: on
 
 
-@click.command("compare", epilog=EPILOG)
-@takes(CompareFlags)
-def command(flags: CompareFlags) -> int:
+@subcommand("compare", EXAMPLES)
+def command(flags: _CompareFlags) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
 
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that

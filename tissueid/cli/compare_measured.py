@@ -13,7 +13,7 @@ from tissueid.documents.contrast import MeasuredContrast, MeasuredNumber, Measur
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.cli.compare_command import CompareFlags
+    from tissueid.cli.compare_command import _CompareFlags
     from tissueid.documents.measured import Spread
 
 #: Folders with one of these were written by a fit.
@@ -39,7 +39,7 @@ def _is_fit(path: Path) -> bool:
     return (path / _RESULT).is_file() if path.is_dir() else path.suffix == ".h5"
 
 
-def compare_recordings(flags: CompareFlags) -> int:
+def compare_recordings(flags: _CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid import __version__
     from tissueid.measured.comparison import measured_pairs
@@ -68,7 +68,7 @@ def compare_recordings(flags: CompareFlags) -> int:
     return 0
 
 
-def _measured(path: str, flags: CompareFlags) -> Sequence[Spread]:
+def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
     """Measured pushes of the recordings of one path."""
     from tissueid.errors import InputError
     from tissueid.inspection import measured_of, segmented

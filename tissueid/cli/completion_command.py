@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_bytes, echo_json, note, write_output
 from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid completion bash --install
-  tissueid completion zsh > _tissueid
-  tissueid completion fish --install
+EXAMPLES = """
+tissueid completion bash --install
+tissueid completion zsh > _tissueid
+tissueid completion fish --install
 """
 #: The variable by which a shell asks; click derives the same from the name of the program.
 VARIABLE = "_TISSUEID_COMPLETE"
@@ -28,21 +26,13 @@ FOUND_BY = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompletionFlags(OutputFlags):
-    """Flags of ``tissueid completion``."""
-
-    # fmt: off
+class _CompletionFlags(OutputFlags):
     shell: str = argument(type=click.Choice(list(FOUND_BY)))
-    install: bool = option(
-        "--install", is_flag=True, help="Write it where the shell looks; no file of yours is edited.",
-    )
-    # fmt: on
+    install: bool = option("Write it where the shell looks; no file of yours is edited.")
 
 
-@click.command("completion", epilog=EPILOG)
-@takes(CompletionFlags)
-def command(flags: CompletionFlags) -> int:
+@subcommand("completion", EXAMPLES)
+def command(flags: _CompletionFlags) -> int:
     """Print the script that completes tissueid in a shell, or install it.
 
     Completes commands, options, choices, files, readers, recipes and the words that tissueid explain knows.

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import click
 
 from tissueid.cli.completing import subcommands
-from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.flags import OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json
 from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid config
-  tissueid config fit
-  tissueid config study init --json
+EXAMPLES = """
+tissueid config
+tissueid config fit
+tissueid config study init --json
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ConfigFlags(OutputFlags):
-    """Flags of ``tissueid config``."""
-
-    # fmt: off
-    name: tuple[str, ...] = argument(nargs=-1, metavar="[COMMAND]...", shell_complete=subcommands)
-    # fmt: on
+class _ConfigFlags(OutputFlags):
+    name: tuple[str, ...] = argument(metavar="[COMMAND]...", shell_complete=subcommands)
 
 
-@click.command("config", epilog=EPILOG)
-@takes(ConfigFlags)
-def command(flags: ConfigFlags) -> int:
+@subcommand("config", EXAMPLES)
+def command(flags: _ConfigFlags) -> int:
     """Say which settings are in force, and where each comes from.
 
     Without a COMMAND: what files and environment set, of all commands. With one: every option of it. What is

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.design_printing import print_plan
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FOLDER, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_json, note, progress_bar
 from tissueid.documents import typed
 from tissueid.documents.design import Design
@@ -23,13 +22,12 @@ if TYPE_CHECKING:
     from tissueid.design.tissues import Tissues
     from tissueid.synth import Recipe
 
-EPILOG = """\b
-Examples:
-  tissueid design paper-a-30 --machine paper-a -o plan
-  tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
-  tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
+EXAMPLES = """
+tissueid design paper-a-30 --machine paper-a -o plan
+tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
+tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
 --machine bench
-  tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
+tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
 """
 
 #: Exit code where no protocol on this machine reaches the wants.
@@ -40,83 +38,55 @@ _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 DEFAULT_WANT = "5%"
 
 
-@dataclass(frozen=True, kw_only=True)
-class DesignFlags(OutputFlags):
-    """Flags of ``tissueid design``."""
-
+class _DesignFlags(OutputFlags):
     # fmt: off
-    source: str | None = argument(required=False, type=click.Path())
+    source: str | None = argument(required=False, type=PATH)
     guesses: tuple[str, ...] = option(
-        "--tissue", multiple=True, metavar="NAME=VALUE[~PERCENT%]",
-        help="A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+        "A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+        "--tissue", metavar="NAME=VALUE[~PERCENT%]",
     )
     machine: str | None = option(
-        "--machine", metavar="FILE|NAME", help="machine.toml, or a preset; without it the presets are named.",
+        "machine.toml, or a preset; without it the presets are named.", metavar="FILE|NAME"
     )
     wants: tuple[str, ...] = option(
-        "--want", multiple=True, metavar="NAME=PERCENT%",
-        help="Standard deviation that an estimate shall have at the most; repeat it. Default: what "
-            "--against reaches, or 5 % of every relaxation time and viscosity.",
+        "Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
+        "reaches, or 5 % of every relaxation time and viscosity.",
+        "--want", metavar="NAME=PERCENT%",
     )
     against: str | None = option(
-        "--against", metavar="RECIPE",
-        help="A protocol to compare with; a recipe as SOURCE is compared with.",
+        "A protocol to compare with; a recipe as SOURCE is compared with.", metavar="RECIPE"
     )
-    max_depth: float | None = option(
-        "--max-depth", type=float, metavar="MM", help="Depth that the tissue bears; default what is known.",
-    )
-    max_force: float | None = option(
-        "--max-force", type=float, metavar="N", help="Force that the tissue bears; default the load cell's.",
-    )
-    budget: str = option(
-        "--budget", default="8h", show_default=True, metavar="TIME",
-        help="Machine time a specimen: 90min, 2h.",
-    )
-    recovery: float = option(
-        "--recovery", type=float, default=60.0, show_default=True, metavar="S", help="Rest between logs.",
-    )
-    setup: float = option(
-        "--setup", type=float, default=600.0, show_default=True, metavar="S",
-        help="Changing and zeroing a specimen.",
-    )
+    max_depth: float | None = option("Depth that the tissue bears; default what is known.", metavar="MM")
+    max_force: float | None = option("Force that the tissue bears; default the load cell's.", metavar="N")
+    budget: str = option("Machine time a specimen: 90min, 2h.", default="8h", metavar="TIME")
+    recovery: float = option("Rest between logs.", default=60.0, metavar="S")
+    setup: float = option("Changing and zeroing a specimen.", default=600.0, metavar="S")
     specimens: int = option(
-        "--specimens", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
-        help="Specimens to test: the whole time is said as well.",
+        "Specimens to test: the whole time is said as well.", type=FROM_1, default=1, metavar="N"
     )
-    repeats: int = option(
-        "--repeats", type=click.IntRange(min=1), default=3, show_default=True, metavar="N",
-        help="Fewest repeats of each indentation.",
-    )
-    max_logs: int = option(
-        "--max-logs", type=click.IntRange(min=1), default=60, show_default=True, metavar="N",
-        help="Most logs a specimen.",
-    )
+    repeats: int = option("Fewest repeats of each indentation.", type=FROM_1, default=3, metavar="N")
+    max_logs: int = option("Most logs a specimen.", type=FROM_1, default=60, metavar="N")
     gain_sd: float = option(
-        "--gain-sd", type=float, default=0.02, show_default=True, metavar="SD",
-        help="Scatter of the force from log to log (standard deviation of the ln gain).",
+        "Scatter of the force from log to log (standard deviation of the ln gain).",
+        default=0.02, metavar="SD",
     )
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total counts what is unknown of gains, skew, filter and frame.",
+        "total counts what is unknown of gains, skew, filter and frame.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     assurance: float = option(
-        "--assurance", type=click.FloatRange(0.5, 1.0), default=0.9, show_default=True, metavar="SHARE",
-        help="Share of the tissues for which the precision must be reached.",
+        "Share of the tissues for which the precision must be reached.",
+        type=click.FloatRange(0.5, 1.0), default=0.9, metavar="SHARE",
     )
-    draws: int = option(
-        "--draws", type=click.IntRange(min=1), default=16, show_default=True, metavar="N",
-        help="Tissues drawn from what is known.",
-    )
+    draws: int = option("Tissues drawn from what is known.", type=FROM_1, default=16, metavar="N")
     out: str | None = option(
-        "-o", "--out", type=click.Path(file_okay=False),
-        help="Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.",
+        "Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.", "-o", type=FOLDER
     )
     # fmt: on
 
 
-@click.command("design", epilog=EPILOG)
-@takes(DesignFlags)
-def command(flags: DesignFlags) -> int:
+@subcommand("design", EXAMPLES)
+def command(flags: _DesignFlags) -> int:
     """Plan the protocol that reaches a wanted precision in the least machine time.
 
     SOURCE is a bundle (its draws are the tissues to plan for) or a recipe; or give guesses with --tissue. On
@@ -154,7 +124,7 @@ def command(flags: DesignFlags) -> int:
     return EXIT_NONE
 
 
-def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
+def _prepared(flags: _DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
     """Machine, tissues, wants and limits, and the protocol to compare with."""
     from dataclasses import replace
 
@@ -175,7 +145,7 @@ def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | No
     return machine, tissues, asked, against(recipe.name, protocol, machine, tissues, asked)
 
 
-def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
+def _tissues(flags: _DesignFlags) -> tuple[Tissues, Recipe | None]:
     """Knowledge of the tissue, and the recipe it came from."""
     from tissueid.cli.calibrate_source import bundle_file
     from tissueid.design.given import given_recipe, of_bundle, of_recipe_tissue, plain_guesses
@@ -197,7 +167,7 @@ def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
     return of_recipe_tissue(recipe), recipe
 
 
-def _asked(flags: DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
+def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
     from tissueid.design.tissues import parsed_want, usual_wants

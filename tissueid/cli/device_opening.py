@@ -8,13 +8,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option
+from tissueid.cli.flags import PATH, Flags, OutputFlags, argument, option
 from tissueid.cli.output import note
 from tissueid.errors import DeviceError, UsageError
 
@@ -49,32 +48,25 @@ class WayLike(Protocol):
         """File of the calibration."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class WayFlags:
+class WayFlags(Flags):
     """Flags of the way to a device."""
 
-    # fmt: off
-    firmware: str | None = option("--firmware", type=click.Path(), metavar="FILE", help=FIRMWARE_HELP)
-    port: str | None = option("--port", metavar="PATH", help="Serial port or pseudo-terminal instead of USB.")
-    calibration: str | None = option(
-        "--calibration", type=click.Path(), metavar="FILE", help=CALIBRATION_HELP,
-    )
-    # fmt: on
+    firmware: str | None = option(FIRMWARE_HELP, type=PATH, metavar="FILE")
+    port: str | None = option("Serial port or pseudo-terminal instead of USB.", metavar="PATH")
+    calibration: str | None = option(CALIBRATION_HELP, type=PATH, metavar="FILE")
 
 
-@dataclass(frozen=True, kw_only=True)
 class DeviceFlags(WayFlags, OutputFlags):
     """Flags of a command that takes one device."""
 
     name: str = argument(default="auto")
 
 
-@dataclass(frozen=True, kw_only=True)
 class MovedFlags(WayFlags, OutputFlags):
     """Flags of a command that moves the grip of one device by itself: not one that is merely there."""
 
     name: str = argument(default="falcon")
-    yes: bool = option("--yes", is_flag=True, help="Do not ask: nobody holds the grip.")
+    yes: bool = option("Do not ask: nobody holds the grip.")
 
 
 def made_device(

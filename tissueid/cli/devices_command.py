@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,7 +18,7 @@ from tissueid.cli.device_opening import (
     opened,
     save,
 )
-from tissueid.cli.flags import OutputFlags, option, takes
+from tissueid.cli.flags import FROM_0, OutputFlags, example_lines, option, subcommand
 from tissueid.cli.output import echo, echo_json
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -28,13 +27,12 @@ from tissueid.documents.devices import Info
 if TYPE_CHECKING:
     from tissueid.haptics.device import HapticDevice
 
-EPILOG = """\b
-Examples:
-  tissueid devices list
-  tissueid devices info falcon
-  tissueid devices home
-  tissueid devices test falcon
-  tissueid devices emulate
+EXAMPLES = """
+tissueid devices list
+tissueid devices info falcon
+tissueid devices home
+tissueid devices test falcon
+tissueid devices emulate
 """
 
 GRAM = 1e-3
@@ -42,7 +40,7 @@ GRAM = 1e-3
 HANDS = ("step", "slow press", "tap", "release", "tremor", "hold")
 
 
-@click.group("devices", epilog=EPILOG)
+@click.group("devices", epilog=example_lines(EXAMPLES))
 def command() -> None:
     """Find, home, test and calibrate haptic devices, or emulate one.
 
@@ -51,27 +49,12 @@ def command() -> None:
     """
 
 
-def _sub(name: str, examples: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A sub-command with its examples."""
-
-    def decorate(function: Callable[..., int]) -> click.Command:
-        lines = "".join(f"  tissueid devices {line}\n" for line in examples.splitlines())
-        return command.command(name, epilog=f"\b\nExamples:\n{lines}")(function)
-
-    return decorate
+class _ListDevicesFlags(OutputFlags):
+    pass
 
 
-#: Not one that is merely there: the grip will move by itself.
-
-
-@dataclass(frozen=True, kw_only=True)
-class ListDevicesFlags(OutputFlags):
-    """Flags of ``tissueid list-devices``."""
-
-
-@_sub("list", "list\nlist --json")
-@takes(ListDevicesFlags)
-def list_devices(flags: ListDevicesFlags) -> int:
+@subcommand("list", "tissueid devices list\ntissueid devices list --json", command)
+def list_devices(flags: _ListDevicesFlags) -> int:
     """List the devices of this machine, with what stands in the way of each."""
     from tissueid.haptics.registry import detect_all, device_names
 
@@ -91,14 +74,12 @@ def list_devices(flags: ListDevicesFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class InfoFlags(DeviceFlags):
-    """Flags of ``tissueid info``."""
+class _InfoFlags(DeviceFlags):
+    pass
 
 
-@_sub("info", "info\ninfo falcon --json")
-@takes(InfoFlags)
-def info(flags: InfoFlags) -> int:
+@subcommand("info", "tissueid devices info\ntissueid devices info falcon --json", command)
+def info(flags: _InfoFlags) -> int:
     """Say what a device can do, and how much of it was measured."""
     device = made_device(flags, stand_in=True)
     described = _described(device)
@@ -119,21 +100,18 @@ def info(flags: InfoFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class HomeFlags(DeviceFlags):
-    """Flags of ``tissueid home``."""
-
-    # fmt: off
+class _HomeFlags(DeviceFlags):
     timeout: float = option(
-        "--timeout", type=click.FloatRange(min=1.0), default=60.0, show_default=True, metavar="S",
-        help="Give up after so many seconds.",
+        "Give up after so many seconds.", type=click.FloatRange(min=1.0), default=60.0, metavar="S"
     )
-    # fmt: on
 
 
-@_sub("home", "home\nhome falcon --firmware firmware.bin --timeout 120")
-@takes(HomeFlags)
-def home(flags: HomeFlags) -> int:
+@subcommand(
+    "home",
+    "tissueid devices home\ntissueid devices home falcon --firmware firmware.bin --timeout 120",
+    command,
+)
+def home(flags: _HomeFlags) -> int:
     """Load firmware if needed, and home the device with your hand; the motors stay without force."""
     with opened(made_device(flags)) as device:
         device.home()
@@ -146,22 +124,21 @@ def home(flags: HomeFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class TestFlags(DeviceFlags):
-    """Flags of ``tissueid test``."""
-
-    # fmt: off
+class _TestFlags(DeviceFlags):
     seconds: float = option(
-        "--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True, metavar="S",
-        help="Time to measure for.",
+        "Time to measure for.", type=click.FloatRange(0.1, 3600.0), default=5.0, metavar="S"
     )
-    save: bool = option("--save", is_flag=True, help="Keep the measured delay in the calibration.")
-    # fmt: on
+    save: bool = option("Keep the measured delay in the calibration.")
 
 
-@_sub("test", "test\ntest falcon --seconds 30 --save\ntest falcon --port /dev/ttyUSB0 --json")
-@takes(TestFlags)
-def test(flags: TestFlags) -> int:
+@subcommand(
+    "test",
+    "tissueid devices test\n"
+    "tissueid devices test falcon --seconds 30 --save\n"
+    "tissueid devices test falcon --port /dev/ttyUSB0 --json",
+    command,
+)
+def test(flags: _TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
     from tissueid.haptics.measure.link import measure_link
 
@@ -184,21 +161,19 @@ def test(flags: TestFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateForceFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-force``."""
-
-    # fmt: off
+class _CalibrateForceFlags(MovedFlags):
     mass: float = option(
-        "--mass", type=click.FloatRange(10.0, 1000.0), required=True, metavar="G",
-        help="Mass hung on the grip [g].",
+        "Mass hung on the grip [g].", type=click.FloatRange(10.0, 1000.0), required=True, metavar="G"
     )
-    # fmt: on
 
 
-@_sub("calibrate-force", "calibrate-force --mass 100\ncalibrate-force falcon --mass 100 --yes --json")
-@takes(CalibrateForceFlags)
-def calibrate_force(flags: CalibrateForceFlags) -> int:
+@subcommand(
+    "calibrate-force",
+    "tissueid devices calibrate-force --mass 100\n"
+    "tissueid devices calibrate-force falcon --mass 100 --yes --json",
+    command,
+)
+def calibrate_force(flags: _CalibrateForceFlags) -> int:
     """Weigh a known mass with the device, and keep how many motor units make a newton.
 
     The device holds the grip, first alone, then with the mass hung on it. 50 to 150 g suit a device that was
@@ -225,14 +200,16 @@ def calibrate_force(flags: CalibrateForceFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateDampingFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-damping``."""
+class _CalibrateDampingFlags(MovedFlags):
+    pass
 
 
-@_sub("calibrate-damping", "calibrate-damping\ncalibrate-damping falcon --yes --json")
-@takes(CalibrateDampingFlags)
-def calibrate_damping(flags: CalibrateDampingFlags) -> int:
+@subcommand(
+    "calibrate-damping",
+    "tissueid devices calibrate-damping\ntissueid devices calibrate-damping falcon --yes --json",
+    command,
+)
+def calibrate_damping(flags: _CalibrateDampingFlags) -> int:
     """Let the free grip swing on a weak spring, and keep the damping of the arm.
 
     Calibrate the force first: damping is as wrong as the newton it is measured with.
@@ -255,14 +232,16 @@ def calibrate_damping(flags: CalibrateDampingFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateWeightFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-weight``."""
+class _CalibrateWeightFlags(MovedFlags):
+    pass
 
 
-@_sub("calibrate-weight", "calibrate-weight\ncalibrate-weight falcon --yes --json")
-@takes(CalibrateWeightFlags)
-def calibrate_weight(flags: CalibrateWeightFlags) -> int:
+@subcommand(
+    "calibrate-weight",
+    "tissueid devices calibrate-weight\ntissueid devices calibrate-weight falcon --yes --json",
+    command,
+)
+def calibrate_weight(flags: _CalibrateWeightFlags) -> int:
     """Hold the free grip at nine places, and keep the force that carries it there.
 
     A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
@@ -286,38 +265,28 @@ def calibrate_weight(flags: CalibrateWeightFlags) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class EmulateFlags(OutputFlags):
-    """Flags of ``tissueid emulate``."""
-
-    # fmt: off
-    no_firmware: bool = option(
-        "--no-firmware", is_flag=True, help="Switched on without firmware, as a real one.",
-    )
+class _EmulateFlags(OutputFlags):
+    no_firmware: bool = option("Switched on without firmware, as a real one.")
     failing_tries: int = option(
-        "--failing-tries", type=click.IntRange(min=0), default=0, metavar="N",
-        help="Uploads that fail first.",
+        "Uploads that fail first.", type=FROM_0, default=0, show_default=False, metavar="N"
     )
-    never_homes: bool = option("--never-homes", is_flag=True, help="The emulated user does not home it.")
-    hand: str | None = option("--hand", type=click.Choice(HANDS), help="What the hand does after homing.")
-    depth_mm: float = option(
-        "--depth-mm", type=float, default=10.0, show_default=True, help="Depth the hand aims at.",
-    )
+    never_homes: bool = option("The emulated user does not home it.")
+    hand: str | None = option("What the hand does after homing.", type=click.Choice(HANDS))
+    depth_mm: float = option("Depth the hand aims at.", default=10.0)
     script: str | None = option(
-        "--script", metavar="TEXT", help='Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".',
+        'Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".', metavar="TEXT"
     )
-    fault: tuple[str, ...] = option(
-        "--fault", multiple=True, metavar="KIND@S", help="Scripted fault, e.g. unplug@6 or jump@6:300.",
-    )
-    # fmt: on
+    fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 
-@_sub(
+@subcommand(
     "emulate",
-    'emulate\nemulate --no-firmware --failing-tries 2\nemulate --hand "slow press" --fault unplug@6',
+    "tissueid devices emulate\n"
+    "tissueid devices emulate --no-firmware --failing-tries 2\n"
+    'tissueid devices emulate --hand "slow press" --fault unplug@6',
+    command,
 )
-@takes(EmulateFlags)
-def emulate(flags: EmulateFlags) -> int:
+def emulate(flags: _EmulateFlags) -> int:
     """Emulate a Falcon on a pseudo-terminal, print its path, and serve it until Ctrl-C.
 
     Any program that speaks the Falcon's protocol may open the path; tissueid does with --port. Nobody has

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import click
-
-from tissueid.cli.flags import OutputFlags, option, takes
+from tissueid.cli.flags import OutputFlags, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
 
-EPILOG = """\b
-Examples:
-  tissueid doctor --warm
-  tissueid doctor --json
+EXAMPLES = """
+tissueid doctor --warm
+tissueid doctor --json
 """
 #: Exit code where a part of tissueid does not work.
 EXIT_MISSING = 7
 _MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class DoctorFlags(OutputFlags):
-    """Flags of ``tissueid doctor``."""
-
-    # fmt: off
-    warm: bool = option("--warm", is_flag=True, help="Compile everything now, so that no later run has to.")
-    # fmt: on
+class _DoctorFlags(OutputFlags):
+    warm: bool = option("Compile everything now, so that no later run has to.")
 
 
-@click.command("doctor", epilog=EPILOG)
-@takes(DoctorFlags)
-def command(flags: DoctorFlags) -> int:
+@subcommand("doctor", EXAMPLES)
+def command(flags: _DoctorFlags) -> int:
     """Say what this machine can do with tissueid, and what stands in its way.
 
     Versions, numba's cache, real-time rights of the servo, devices, the viewer's page and a browser; each

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from textwrap import wrap
 
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.flags import OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json, echo_lines
 
 #: Columns, and where texts begin.
 WIDTH, MARGIN = 98, 16
 
-EPILOG = """\b
-Examples:
-  tissueid explain not_identified
-  tissueid explain tau
-  tissueid explain 7
-  tissueid explain viscosity_N_s_per_mm --json
-  tissueid explain
+EXAMPLES = """
+tissueid explain not_identified
+tissueid explain tau
+tissueid explain 7
+tissueid explain viscosity_N_s_per_mm --json
+tissueid explain
 """
 
 
@@ -34,18 +32,12 @@ def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) 
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExplainFlags(OutputFlags):
-    """Flags of ``tissueid explain``."""
-
-    # fmt: off
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...", shell_complete=_complete)
-    # fmt: on
+class _ExplainFlags(OutputFlags):
+    names: tuple[str, ...] = argument(metavar="[NAME]...", shell_complete=_complete)
 
 
-@click.command("explain", epilog=EPILOG)
-@takes(ExplainFlags)
-def command(flags: ExplainFlags) -> int:
+@subcommand("explain", EXAMPLES)
+def command(flags: _ExplainFlags) -> int:
     """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
 
     NAME is the code of a flag, a parameter by its symbol or its name in identification.json, or an exit

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_bytes, echo_json, note, write_output
 from tissueid.errors import printable
 
@@ -17,16 +16,15 @@ if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EPILOG = """\b
-Examples:
-  tissueid export out
-  tissueid export out --format specimens -o specimens.csv
-  tissueid export out --format trials -o trials.csv
-  tissueid export out --format json -o result.json
-  tissueid export out --format netcdf -o chains.nc
-  tissueid export out --format mat -o tissues.mat
-  tissueid export out/bundle.h5 --format c-header -o tissue.h
-  tissueid export out --format abaqus --specimen kidney-3 --depth 4
+EXAMPLES = """
+tissueid export out
+tissueid export out --format specimens -o specimens.csv
+tissueid export out --format trials -o trials.csv
+tissueid export out --format json -o result.json
+tissueid export out --format netcdf -o chains.nc
+tissueid export out --format mat -o tissues.mat
+tissueid export out/bundle.h5 --format c-header -o tissue.h
+tissueid export out --format abaqus --specimen kidney-3 --depth 4
 """
 
 #: The tables of :data:`tissueid.store.tidy.TABLES`, named here so that --help loads nothing.
@@ -37,33 +35,25 @@ TISSUES = ("c-header", "febio", "abaqus")
 LISTED = 6
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportFlags(OutputFlags):
-    """Flags of ``tissueid export``."""
-
+class _ExportFlags(OutputFlags):
     # fmt: off
-    out: str = argument(type=click.Path(exists=True))
+    out: str = argument(type=THERE)
     form: str = option(
+        "The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted number; "
+        "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue as a "
+        "C header with its step, or as a Prony series for FEBio or Abaqus.",
         "--format", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
-        show_default=True,
-        help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted "
-            "number; the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one "
-            "tissue as a C header with its step, or as a Prony series for FEBio or Abaqus.",
     )
-    specimen: str | None = option(
-        "--specimen", metavar="NAME", help="Which one, where a single tissue is written.",
-    )
+    specimen: str | None = option("Which one, where a single tissue is written.", metavar="NAME")
     depth: float | None = option(
-        "--depth", type=float, metavar="MM",
-        help="A Prony series holds about this depth. [default: half of the claimed depth]",
+        "A Prony series holds about this depth. [default: half of the claimed depth]", metavar="MM"
     )
-    output: str | None = option("-o", "--output", type=click.Path(), help="File to write instead of stdout.")
+    output: str | None = option("File to write instead of stdout.", "-o", type=PATH)
     # fmt: on
 
 
-@click.command("export", epilog=EPILOG)
-@takes(ExportFlags)
-def command(flags: ExportFlags) -> int:
+@subcommand("export", EXAMPLES)
+def command(flags: _ExportFlags) -> int:
     """Write a finished fit in another form, from its output folder alone.
 
     OUT is the folder; for mat, c-header, febio and abaqus a bundle will do.
@@ -97,7 +87,7 @@ def command(flags: ExportFlags) -> int:
     return 0
 
 
-def _write_tissues(flags: ExportFlags) -> int:
+def _write_tissues(flags: _ExportFlags) -> int:
     from tissueid.errors import UsageError
 
     bundles = _bundles(flags)
@@ -123,7 +113,7 @@ def _write_tissues(flags: ExportFlags) -> int:
     return 0
 
 
-def _tissue_bytes(bundle: Bundle, flags: ExportFlags) -> bytes:
+def _tissue_bytes(bundle: Bundle, flags: _ExportFlags) -> bytes:
     if flags.form == "c-header":
         from tissueid.export.c_header import c_header
 
@@ -135,7 +125,7 @@ def _tissue_bytes(bundle: Bundle, flags: ExportFlags) -> bytes:
     return abaqus_card(linearised(bundle, flags.depth))
 
 
-def _bundles(flags: ExportFlags) -> list[Bundle]:
+def _bundles(flags: _ExportFlags) -> list[Bundle]:
     """The bundle that was named, or those of a folder."""
     from pathlib import Path
 
@@ -155,7 +145,7 @@ def _bundles(flags: ExportFlags) -> list[Bundle]:
     return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
 
 
-def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: ExportFlags) -> int:
+def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) -> int:
     from pathlib import Path
 
     from tissueid.errors import UsageError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from tissueid.cli.fit_summary import print_summary
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_json_text, note, progress_bar
 from tissueid.cli.quoting import QuotingFlags, quoting_values
 from tissueid.cli.reading import (
@@ -30,16 +30,15 @@ if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.pipeline import IdentifyOptions
 
-EPILOG = """\b
-Examples:
-  tissueid fit lab_data/ -o out
-  tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
-  tissueid fit lab_data/study.toml -o out
-  tissueid fit meat.xlsx --json > meat.json
-  tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
-  tissueid fit lab_data/ --model auto
-  tissueid fit rig/ --model "power * impact" -o wall
-  tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
+EXAMPLES = """
+tissueid fit lab_data/ -o out
+tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
+tissueid fit lab_data/study.toml -o out
+tissueid fit meat.xlsx --json > meat.json
+tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
+tissueid fit lab_data/ --model auto
+tissueid fit rig/ --model "power * impact" -o wall
+tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
 #: A study of so many specimens is a cohort.
@@ -59,81 +58,65 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
         raise UsageError(msg)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
-    """Flags of ``tissueid fit``."""
-
+class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
-        help="Output folder.",
-    )
+    contact_law: None = option("Moved to --model.", hidden=True, type=str, callback=_moved)
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    out: str = option("Output folder.", "-o", type=FOLDER, default="tissueid-out")
     model: str | None = option(
-        "--model", metavar="NAME", show_default=KELVIN_VOIGT,
-        help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the "
-            "laws in tissueid models; auto, or several with | between them, takes the one that predicts "
-            "best.",
+        "Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws in "
+        "tissueid models; auto, or several with | between them, takes the one that predicts best.",
+        metavar="NAME", show_default=KELVIN_VOIGT,
     )
     branches: str = option(
-        "--branches", type=_count("123"), default="auto", show_default=True,
-        help="Relaxation branches; auto chooses by held-out data.",
+        "Relaxation branches; auto chooses by held-out data.", type=_count("123"), default="auto"
     )
     stiffness_degree: str = option(
-        "--stiffness-degree", type=_count("012"), default="auto", show_default=True,
-        help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
+        "Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
+        type=_count("012"), default="auto",
     )
     static: str = option(
-        "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
-        help="Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
+        "Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
+        type=click.Choice(["scaled", "partial", "shared"]), default="scaled",
     )
     noise: str = option(
-        "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
-        show_default=True, help="Noise of the force; auto takes what the residuals show.",
+        "Noise of the force; auto takes what the residuals show.",
+        type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
     )
     sampler: str = option(
-        "--sampler", type=click.Choice(["emcee", "none"]), default="emcee", show_default=True,
-        help="How the posterior is sampled; none gives standard errors only.",
+        "How the posterior is sampled; none gives standard errors only.",
+        type=click.Choice(["emcee", "none"]), default="emcee",
     )
     draws: int = option(
-        "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
-        help="Effective posterior draws to go on for.",
+        "Effective posterior draws to go on for.", type=click.IntRange(min=100), default=2_000
     )
     require: tuple[str, ...] = option(
-        "--require", multiple=True, type=click.Choice(REQUIRED),
-        help="What must be identified for exit code 0. [default: viscosity and static]",
+        "What must be identified for exit code 0. [default: viscosity and static]",
+        type=click.Choice(REQUIRED),
     )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
-    )
+    seed: int = option("Seed of everything random.", type=FROM_0, default=0)
     workers: int | None = option(
-        "--workers", type=click.IntRange(min=1), metavar="N",
-        help="Processes that compute specimens. [default: as many as processors, where the work is worth it]",
+        "Processes that compute specimens. [default: as many as processors, where the work is worth it]",
+        type=FROM_1, metavar="N",
     )
     scheduler: str = option(
-        "--scheduler", metavar="ADDRESS", default="local", show_default=True,
-        help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
+        "Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
+        metavar="ADDRESS", default="local",
     )
     population: str = option(
-        "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
-        help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of "
-            "five.",
+        "What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
+        type=click.Choice(["auto", "yes", "no"]), default="auto",
     )
-    mix_states: bool = option(
-        "--mix-states", is_flag=True, help="Let a population pool thawed specimens with fresh ones.",
-    )
+    mix_states: bool = option("Let a population pool thawed specimens with fresh ones.")
     study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE",
-        help="Study file. [default: study.toml of the folder that is fitted]",
+        "Study file. [default: study.toml of the folder that is fitted]", type=PATH, metavar="FILE"
     )
-    no_study: bool = option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
+    no_study: bool = option("Fit without the folder's study.toml.")
     # fmt: on
 
 
-@click.command("fit", epilog=EPILOG)
-@click.option("--contact-law", hidden=True, expose_value=False, callback=_moved, help="Moved to --model.")
-@takes(FitFlags)
-def command(flags: FitFlags) -> int:
+@subcommand("fit", EXAMPLES)
+def command(flags: _FitFlags) -> int:
     """Identify the tissue behind recordings.
 
     PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
@@ -185,7 +168,7 @@ def command(flags: FitFlags) -> int:
     return exit_code({found.exit.code, _population(flags, study, found.fitted)})
 
 
-def _population(flags: FitFlags, study: Study | None, fitted: int) -> int:
+def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     """Write the population of the specimens beside them where it is wanted; its exit code."""
     wanted = flags.population
     if wanted == "auto":
@@ -223,7 +206,7 @@ def _refuse_foreign(out: Path) -> None:
         raise UsageError(msg)
 
 
-def _posterior_options(flags: FitFlags) -> PosteriorOptions | None:
+def _posterior_options(flags: _FitFlags) -> PosteriorOptions | None:
     from tissueid.inference.posterior import PosteriorOptions
 
     if flags.sampler == "none":
@@ -236,7 +219,7 @@ def _posterior_options(flags: FitFlags) -> PosteriorOptions | None:
     )
 
 
-def _checked_model(flags: FitFlags) -> FitFlags:
+def _checked_model(flags: _FitFlags) -> _FitFlags:
     """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
 
@@ -264,7 +247,7 @@ def _checked_model(flags: FitFlags) -> FitFlags:
     return flags
 
 
-def _identify_options(flags: FitFlags) -> IdentifyOptions:
+def _identify_options(flags: _FitFlags) -> IdentifyOptions:
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 

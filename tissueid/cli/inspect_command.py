@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
 from msgspec import structs
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
@@ -19,60 +17,45 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection
 
-EPILOG = """\b
-Examples:
-  tissueid inspect Specimen_RawData_1.csv
-  tissueid inspect lab_data/ --html inspection.html
-  tissueid inspect lab_data/study.toml --html inspection.html
-  tissueid inspect lab_data/ --serve
-  tissueid inspect lab_data/ --json
-  tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
-  tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
+EXAMPLES = """
+tissueid inspect Specimen_RawData_1.csv
+tissueid inspect lab_data/ --html inspection.html
+tissueid inspect lab_data/study.toml --html inspection.html
+tissueid inspect lab_data/ --serve
+tissueid inspect lab_data/ --json
+tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
+tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
 """
 
 SECONDS_PER_MINUTE = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class InspectFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid inspect``."""
-
+class _InspectFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
     html: str | None = option(
-        "--html", type=click.Path(dir_okay=False), metavar="FILE",
-        help="Write a page that draws every recording, with its flags and the lines of study.toml to change "
-            "it.",
+        "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
+        type=FILE, metavar="FILE",
     )
-    csv: str | None = option(
-        "--csv", type=click.Path(dir_okay=False), metavar="FILE",
-        help="Write what was measured as a table, one row a hold.",
-    )
-    xlsx: str | None = option(
-        "--xlsx", type=click.Path(dir_okay=False), metavar="FILE", help="The same table as a workbook.",
-    )
+    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
+    xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
     study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE",
-        help="Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
+        "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
+        type=PATH, metavar="FILE",
     )
-    no_study: bool = option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
+    no_study: bool = option("Leave the folder's study.toml aside.")
     serve: bool = option(
-        "--serve", is_flag=True,
-        help="Serve that page on this machine: what is corrected on it is written into study.toml.",
+        "Serve that page on this machine: what is corrected on it is written into study.toml."
     )
-    no_browser: bool = option(
-        "--no-browser", is_flag=True, help="With --serve: print the page's address, open nothing.",
-    )
+    no_browser: bool = option("With --serve: print the page's address, open nothing.")
     viewer_port: int | None = option(
-        "--viewer-port", type=click.IntRange(1, 65535), metavar="N",
-        help="With --serve: its port. [default: 8765, or a free one]",
+        "With --serve: its port. [default: 8765, or a free one]", type=PORT, metavar="N"
     )
     # fmt: on
 
 
-@click.command("inspect", epilog=EPILOG)
-@takes(InspectFlags)
-def command(flags: InspectFlags) -> int:
+@subcommand("inspect", EXAMPLES)
+def command(flags: _InspectFlags) -> int:
     """Say what recordings hold, one line each: peak, depth, speed, forces in the hold, keep it or look.
 
     -v says how each was read and divided: format, columns, phases, first, last and peak samples, and every
@@ -98,7 +81,7 @@ def command(flags: InspectFlags) -> int:
     return exit_code({7 if found.read else 3}) if found.refused else 0
 
 
-def inspected(flags: InspectFlags, *, drawn: bool) -> Inspection:
+def inspected(flags: _InspectFlags, *, drawn: bool) -> Inspection:
     """Everything that the command line names, by the study file as it stands."""
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection, study_folder
@@ -114,7 +97,7 @@ def inspected(flags: InspectFlags, *, drawn: bool) -> Inspection:
     return found
 
 
-def _write_tables(read: list[Trial], flags: InspectFlags) -> None:
+def _write_tables(read: list[Trial], flags: _InspectFlags) -> None:
     from tissueid.cli.inspect_table import measured_csv, measured_xlsx
 
     for path, written in ((flags.csv, measured_csv), (flags.xlsx, measured_xlsx)):

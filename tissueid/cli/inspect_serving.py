@@ -14,10 +14,10 @@ from tissueid.cli.reading import read_options
 _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
 
 if TYPE_CHECKING:
-    from tissueid.cli.inspect_command import InspectFlags
+    from tissueid.cli.inspect_command import _InspectFlags
 
 
-def serve(flags: InspectFlags, inspected: Callable[[InspectFlags], Any]) -> int:
+def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> int:
     """Serve until Ctrl-C what is inspected again after each correction.
 
     Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
@@ -55,7 +55,7 @@ def serve(flags: InspectFlags, inspected: Callable[[InspectFlags], Any]) -> int:
     return 0
 
 
-def _manifest(flags: InspectFlags) -> Path:
+def _manifest(flags: _InspectFlags) -> Path:
     """The study file that is followed and written."""
     from tissueid.ingest.manifest import MANIFEST
     from tissueid.study.inspected import study_folder

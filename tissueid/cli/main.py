@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid import __version__
+from tissueid.cli.flags import example_lines
 from tissueid.cli.output import echo, terminal_line
 from tissueid.errors import EXIT_INTERRUPTED, TissueidError
 
@@ -72,11 +73,10 @@ EXIT_OUTPUT = 6
 UNSET = frozenset({"completion", "config", "doctor", "explain", "models"})
 HELP = frozenset({"-h", "--help"})
 
-EPILOG = """\b
-Examples:
-  tissueid lab_data/*.csv
-  tissueid fit lab_data/ -o out
-  tissueid report out
+EXAMPLES = """
+tissueid lab_data/*.csv
+tissueid fit lab_data/ -o out
+tissueid report out
 """
 
 
@@ -131,7 +131,9 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=17, col_spacing=2)
 
 
-@click.command(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    cls=LazyGroup, epilog=example_lines(EXAMPLES), context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, "--version", prog_name="tissueid", message="%(prog)s %(version)s")
 @click.pass_context
 def cli(context: click.Context) -> None:

@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.flags import OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json, echo_lines
 from tissueid.errors import UsageError
 
 WIDTH, MARGIN = 98, 16
 
-EPILOG = """\b
-Examples:
-  tissueid models
-  tissueid models fractional
-  tissueid models --json
+EXAMPLES = """
+tissueid models
+tissueid models fractional
+tissueid models --json
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelsFlags(OutputFlags):
-    """Flags of ``tissueid models``."""
-
-    # fmt: off
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...")
-    # fmt: on
+class _ModelsFlags(OutputFlags):
+    names: tuple[str, ...] = argument(metavar="[NAME]...")
 
 
-@click.command("models", epilog=EPILOG)
-@takes(ModelsFlags)
-def command(flags: ModelsFlags) -> int:
+@subcommand("models", EXAMPLES)
+def command(flags: _ModelsFlags) -> int:
     """List the laws that contact models are made of, for fit --model.
 
     A model is kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING; NAME is the word of one

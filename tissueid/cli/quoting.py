@@ -2,43 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import option
+from tissueid.cli.flags import Flags, option
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.measured.geometry import Geometry
 
 
-@dataclass(frozen=True, kw_only=True)
-class QuotingFlags:
+class QuotingFlags(Flags):
     """Flags that say which numbers are quoted beside those of the model."""
 
     # fmt: off
-    unloading: bool = option(
-        "--unloading", is_flag=True, help="Fit retracts and cycles as well, with the law of contact loss.",
-    )
+    unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
     frequencies: str | None = option(
-        "--frequencies", metavar="LIST",
-        help="Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+        "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+        metavar="LIST",
     )
-    depths: str | None = option(
-        "--depths", metavar="LIST", help="Depths [mm] at which each loop's stiffness is given.",
-    )
+    depths: str | None = option("Depths [mm] at which each loop's stiffness is given.", metavar="LIST")
     tip: str | None = option(
-        "--tip", metavar="SHAPE:SIZE",
-        help="Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].",
+        "Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].", metavar="SHAPE:SIZE"
     )
-    thickness: float | None = option(
-        "--thickness", type=float, metavar="MM", help="Thickness of the layer under --tip.",
-    )
+    thickness: float | None = option("Thickness of the layer under --tip.", metavar="MM")
     poisson: float = option(
-        "--poisson", type=click.FloatRange(0.0, 0.5), default=0.5, show_default=True,
-        help="Poisson's ratio behind the moduli.",
+        "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
     )
     # fmt: on
 

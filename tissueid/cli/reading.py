@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from tissueid.cli.completing import readers
-from tissueid.cli.flags import option
+from tissueid.cli.flags import Flags, option
 from tissueid.cli.output import echo
 from tissueid.errors import UsageError
 
@@ -37,60 +37,51 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 DECIMALS = {"point": ".", "comma": ","}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadingFlags:
+class ReadingFlags(Flags):
     """Flags that say how recordings are read and cut."""
 
     # fmt: off
     columns: str | None = option(
-        "--columns", metavar="MAP", help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
+        'Which column is what: "time=Zeit,displacement=Weg,force=Kraft".', metavar="MAP"
     )
     units: str | None = option(
-        "--units", metavar="MAP", help='Units, where the file has none or wrong ones: "displacement=um".',
+        'Units, where the file has none or wrong ones: "displacement=um".', metavar="MAP"
     )
-    axes: str | None = option(
-        "--axes", metavar="MAP", help='Normalised channels: "displacement=strain,force=stress".',
-    )
+    axes: str | None = option('Normalised channels: "displacement=strain,force=stress".', metavar="MAP")
     specimen_by: str | None = option(
-        "--specimen-by", metavar="PATTERN",
-        help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
+        "Regular expression on the path (path::sheet in a workbook) that names the specimen.",
+        metavar="PATTERN",
     )
     recipe: str | None = option(
-        "--recipe", metavar="KEY", shell_complete=readers,
-        help="Reader to use, not the detected one; a KEY that is none lists them.",
+        "Reader to use, not the detected one; a KEY that is none lists them.",
+        metavar="KEY", shell_complete=readers,
     )
     sheet: str | None = option(
-        "--sheet", metavar="NAME",
-        help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one "
-            "file.",
+        "Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one file.",
+        metavar="NAME",
     )
     delimiter: str | None = option(
-        "--delimiter", type=click.Choice(list(DELIMITERS)),
-        help="What parts the cells, where the text leaves it open.",
+        "What parts the cells, where the text leaves it open.", type=click.Choice(list(DELIMITERS))
     )
     decimal: str | None = option(
-        "--decimal", type=click.Choice(list(DECIMALS)), help="Decimal mark, where the numbers leave it open.",
+        "Decimal mark, where the numbers leave it open.", type=click.Choice(list(DECIMALS))
     )
     compression: str | None = option(
-        "--compression", type=click.Choice(["positive", "negative"]),
-        help="Which direction of displacement is compression, where the guess is wrong.",
+        "Which direction of displacement is compression, where the guess is wrong.",
+        type=click.Choice(["positive", "negative"]),
     )
     contact: float | None = option(
-        "--contact", type=float, metavar="MM",
-        help="Displacement at contact as recorded [mm], where the detected one is wrong.",
+        "Displacement at contact as recorded [mm], where the detected one is wrong.", metavar="MM"
     )
     hold_from: float | None = option(
-        "--hold-from", type=float, metavar="S",
-        help="Time at which the hold begins as recorded [s], where the detected one is wrong.",
+        "Time at which the hold begins as recorded [s], where the detected one is wrong.", metavar="S"
     )
     hold_to: float | None = option(
-        "--hold-to", type=float, metavar="S",
-        help="Time at which the hold ends as recorded [s]; what follows doesn't count.",
+        "Time at which the hold ends as recorded [s]; what follows doesn't count.", metavar="S"
     )
-    no_rupture: bool = option("--no-rupture", is_flag=True, help="No fall of force is a rupture.")
+    no_rupture: bool = option("No fall of force is a rupture.")
     exclude: tuple[str, ...] = option(
-        "--exclude", multiple=True, metavar="PATTERN",
-        help="Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).",
+        "Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).", metavar="PATTERN"
     )
     # fmt: on
 

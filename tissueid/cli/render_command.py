@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid.cli.completing import presets, scenes
-from tissueid.cli.flags import argument, option, takes
+from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
 from tissueid.cli.viewer_serving import ViewerFlags, served, telling_stop
 
@@ -24,19 +24,18 @@ if TYPE_CHECKING:
     from tissueid.rendering.session_plan import SessionPlan
     from tissueid.viewer.serving import ServedViewer
 
-EPILOG = """\b
-Examples:
-  tissueid render bundle.h5
-  tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
-  tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
-  tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
-  tissueid render a.h5 --against b.h5 --blind --log P17.h5
-  tissueid render bundle.h5 --replay out.h5
-  tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
-  tissueid render out/population.h5 --draw-specimen 7
-  tissueid render bundle.h5 --twin --against hold-8-1.csv
-  tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
-  tissueid render                                  a tissue that comes along, moved by the mouse
+EXAMPLES = """
+tissueid render bundle.h5
+tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
+tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
+tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
+tissueid render a.h5 --against b.h5 --blind --log P17.h5
+tissueid render bundle.h5 --replay out.h5
+tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
+tissueid render out/population.h5 --draw-specimen 7
+tissueid render bundle.h5 --twin --against hold-8-1.csv
+tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
+tissueid render                                  a tissue that comes along, moved by the mouse
 """
 
 #: Options that choose among the draws of bundles.
@@ -48,156 +47,104 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 #: Groups of options, each applied to the command in this order.
-@dataclass(frozen=True, kw_only=True)
-class _TissueFlags:
+class _TissueFlags(Flags):
     """Flags of the tissue that is felt."""
 
     # fmt: off
     preset: str | None = option(
-        "--preset", metavar="NAME", shell_complete=presets, help="A tissue that comes along: paper-a, meat.",
+        "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
-    draw: int | None = option(
-        "--draw", type=int, metavar="N", help="Feel posterior draw N instead of the fitted values.",
-    )
+    draw: int | None = option("Feel posterior draw N instead of the fitted values.", metavar="N")
     draw_specimen: str | None = option(
-        "--draw-specimen", metavar="[SEED]", is_flag=False, flag_value="new",
-        help="Feel a specimen drawn from a population.h5; without a seed another each time.",
+        "Feel a specimen drawn from a population.h5; without a seed another each time.",
+        metavar="[SEED]", is_flag=False, flag_value="new",
     )
-    quantile: float | None = option(
-        "--quantile", type=float, metavar="Q", help="Feel the draw nearest this quantile of --of.",
-    )
+    quantile: float | None = option("Feel the draw nearest this quantile of --of.", metavar="Q")
     of: str = option(
-        "--of", metavar="TEXT", default="force at 6 mm, 250 mm/min", show_default=True,
-        help="Which number the quantile, and the comparison of two tissues, is of.",
+        "Which number the quantile, and the comparison of two tissues, is of.",
+        metavar="TEXT", default="force at 6 mm, 250 mm/min",
     )
     against: Path | None = option(
-        "--against", type=_FILE, metavar="BUNDLE",
-        help="A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
+        "A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
+        metavar="BUNDLE",
     )
-    against_draw: int | None = option("--against-draw", type=int, metavar="N", help="... of this draw.")
-    against_quantile: float | None = option(
-        "--against-quantile", type=float, metavar="Q", help="... of this quantile.",
-    )
-    environment: str | None = option(
-        "--environment", metavar="NAME", help="An installed force law instead of a tissue.",
-    )
+    against_draw: int | None = option("... of this draw.", metavar="N")
+    against_quantile: float | None = option("... of this quantile.", metavar="Q")
+    environment: str | None = option("An installed force law instead of a tissue.", metavar="NAME")
     scene: str | None = option(
-        "--scene", metavar="NAME|FILE", shell_complete=scenes,
-        help="A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
+        "A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
+        metavar="NAME|FILE", shell_complete=scenes,
     )
     plan: Path | None = option(
-        "--plan", type=_FILE, metavar="FILE",
-        help="Axis and entry point to be guided to, instead of the scene's.",
+        "Axis and entry point to be guided to, instead of the scene's.", metavar="FILE"
     )
     # fmt: on
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ScaleFlags:
+class _ScaleFlags(Flags):
     """Flags of scale and surface."""
 
-    # fmt: off
-    force_scale: float | None = option(
-        "--force-scale", type=float, metavar="S", help="Device force over tissue force.",
-    )
-    motion_scale: float | None = option(
-        "--motion-scale", type=float, metavar="S", help="Device travel over tissue depth. [default: 5]",
-    )
+    force_scale: float | None = option("Device force over tissue force.", metavar="S")
+    motion_scale: float | None = option("Device travel over tissue depth. [default: 5]", metavar="S")
     surface: str | None = option(
-        "--surface", metavar="TEXT",
-        help="'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]",
+        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]", metavar="TEXT"
     )
     tip_radius: float | None = option(
-        "--tip-radius", type=click.FloatRange(min=0.0, min_open=True), metavar="MM",
-        help="Radius of the tool tip; another than identified is refused.",
+        "Radius of the tool tip; another than identified is refused.", type=ABOVE_0, metavar="MM"
     )
-    no_control: bool = option("--no-control", is_flag=True, help="The passivity controller only watches.")
-    # fmt: on
+    no_control: bool = option("The passivity controller only watches.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _SessionFlags:
+class _SessionFlags(Flags):
     """Flags of the session."""
 
     # fmt: off
     name: str = option(
-        "--device", default="auto", show_default=True, metavar="NAME",
-        help="auto, sim, emulator, falcon, forcedimension, or an installed one.",
+        "auto, sim, emulator, falcon, forcedimension, or an installed one.",
+        "--device", default="auto", metavar="NAME",
     )
-    firmware: str | None = option(
-        "--firmware", type=click.Path(), metavar="FILE", help="Firmware of a Falcon without any.",
-    )
-    port: str | None = option("--port", metavar="PATH", help="Serial port of a Falcon instead of USB.")
-    calibration: str | None = option(
-        "--calibration", type=click.Path(), metavar="FILE", help="Calibration of a Falcon.",
-    )
-    script: str | None = option(
-        "--script", metavar="TEXT", help="Strokes of the simulated grip, see docs/render.md.",
-    )
-    seconds: float | None = option(
-        "--seconds", type=float, metavar="S", help="End after this time; else with Ctrl-C.",
-    )
-    virtual: bool = option("--virtual", is_flag=True, help="Run a script as fast as it can be computed.")
-    log: Path | None = option(
-        "--log", type=_FILE, metavar="FILE", help="Record the session to this HDF5 file.",
-    )
-    replay: Path | None = option(
-        "--replay", type=_FILE, metavar="LOG", help="Render the motion of a recorded session.",
-    )
-    bridge: str | None = option(
-        "--bridge", metavar="PORT", help="Send positions to PORT by UDP, hear parameters on the next.",
-    )
+    firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
+    port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")
+    calibration: str | None = option("Calibration of a Falcon.", type=PATH, metavar="FILE")
+    script: str | None = option("Strokes of the simulated grip, see docs/render.md.", metavar="TEXT")
+    seconds: float | None = option("End after this time; else with Ctrl-C.", metavar="S")
+    virtual: bool = option("Run a script as fast as it can be computed.")
+    log: Path | None = option("Record the session to this HDF5 file.", metavar="FILE")
+    replay: Path | None = option("Render the motion of a recorded session.", metavar="LOG")
+    bridge: str | None = option("Send positions to PORT by UDP, hear parameters on the next.", metavar="PORT")
     bridge_token: str | None = option(
-        "--bridge-token", metavar="TEXT",
-        help="What requests to the bridge must carry. [default: drawn, and printed]",
+        "What requests to the bridge must carry. [default: drawn, and printed]", metavar="TEXT"
     )
-    viewer: bool = option(
-        "--viewer", is_flag=True, help="Show the session in a browser; a mouse leads --device sim.",
-    )
-    selftest: bool = option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave.")
-    yes: bool = option("--yes", is_flag=True, help="Do not ask for consent: it was given.")
-    twin: bool = option(
-        "--twin", is_flag=True,
-        help="Drive the program of a test machine on an emulated device, and fit what is felt.",
-    )
+    viewer: bool = option("Show the session in a browser; a mouse leads --device sim.")
+    selftest: bool = option("Measure the servo on this machine, and leave.")
+    yes: bool = option("Do not ask for consent: it was given.")
+    twin: bool = option("Drive the program of a test machine on an emulated device, and fit what is felt.")
     felt: Path | None = option(
-        "--felt", type=_FILE, metavar="RECORDING",
-        help="With --twin, what a test machine recorded at the grip of a real device.",
+        "With --twin, what a test machine recorded at the grip of a real device.", metavar="RECORDING"
     )
     out: Path | None = option(
-        "--out", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
-        help="Where --twin writes. [default: twin, beside the BUNDLE]",
+        "Where --twin writes. [default: twin, beside the BUNDLE]",
+        type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
     )
     # fmt: on
 
 
-@dataclass(frozen=True, kw_only=True)
-class _BlindFlags:
+class _BlindFlags(Flags):
     """Flags of a blind comparison."""
 
-    # fmt: off
-    blind: bool = option("--blind", is_flag=True, help="Compare without telling which is felt.")
-    presentations: int | None = option(
-        "--presentations", type=int, metavar="N", help="How many, evenly shared. [default: 10]",
-    )
-    pseudonym: str | None = option("--pseudonym", metavar="P17", help="Letters and a number; never a name.")
-    key: Path | None = option(
-        "--key", type=_FILE, metavar="FILE", help="Where the answers go. [default: beside the log]",
-    )
-    # fmt: on
+    blind: bool = option("Compare without telling which is felt.")
+    presentations: int | None = option("How many, evenly shared. [default: 10]", metavar="N")
+    pseudonym: str | None = option("Letters and a number; never a name.", metavar="P17")
+    key: Path | None = option("Where the answers go. [default: beside the log]", metavar="FILE")
 
 
-@dataclass(frozen=True, kw_only=True)
 class RenderFlags(_TissueFlags, _ScaleFlags, _SessionFlags, _BlindFlags, ViewerFlags):
-    """Flags of ``tissueid render``."""
+    """Everything that a session is asked for with."""
 
-    # fmt: off
-    bundle: Path | None = argument(required=False, type=_FILE)
-    # fmt: on
+    bundle: Path | None = argument(required=False)
 
 
-@click.command("render", epilog=EPILOG)
-@takes(RenderFlags)
+@subcommand("render", EXAMPLES)
 def command(flags: RenderFlags) -> int:
     """Feel the tissue of a BUNDLE.
 

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_json, note, write_output
 
-EPILOG = """\b
-Examples:
-  tissueid report out
-  tissueid report out -o for-a-colleague.html
+EXAMPLES = """
+tissueid report out
+tissueid report out -o for-a-colleague.html
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReportFlags(OutputFlags):
-    """Flags of ``tissueid report``."""
-
-    # fmt: off
-    out: str = argument(type=click.Path(exists=True))
-    output: str | None = option(
-        "-o", "--output", type=click.Path(), help="File to write instead of OUT/report.html.",
-    )
-    # fmt: on
+class _ReportFlags(OutputFlags):
+    out: str = argument(type=THERE)
+    output: str | None = option("File to write instead of OUT/report.html.", "-o", type=PATH)
 
 
-@click.command("report", epilog=EPILOG)
-@takes(ReportFlags)
-def command(flags: ReportFlags) -> int:
+@subcommand("report", EXAMPLES)
+def command(flags: _ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
     from pathlib import Path
 

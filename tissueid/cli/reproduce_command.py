@@ -3,51 +3,42 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
+from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.documents import typed
 from tissueid.documents.reproduction import Reproduction
 from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid reproduce all
-  tissueid reproduce sadeghnejad -o paper-a --json
-  tissueid reproduce sadeghnejad --set stiffness=linear --set criterion=weighted-force
-  tissueid reproduce pires --set surface=cone
+EXAMPLES = """
+tissueid reproduce all
+tissueid reproduce sadeghnejad -o paper-a --json
+tissueid reproduce sadeghnejad --set stiffness=linear --set criterion=weighted-force
+tissueid reproduce pires --set surface=cone
 """
 FILES = ("reproduction.json", "reproduction.html")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReproduceFlags(OutputFlags):
-    """Flags of ``tissueid reproduce``."""
-
+class _ReproduceFlags(OutputFlags):
     # fmt: off
     paper: str = argument(type=click.Choice(["sadeghnejad", "pires", "all"]))
     out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-reproduction", show_default=True,
-        help="Folder for reproduction.json and reproduction.html.",
+        "Folder for reproduction.json and reproduction.html.",
+        "-o", type=FOLDER, default="tissueid-reproduction",
     )
     settings: tuple[str, ...] = option(
-        "--set", multiple=True, metavar="NAME=CHOICE",
-        help="Read a lost equation otherwise; the page lists names and choices.",
+        "Read a lost equation otherwise; the page lists names and choices.", "--set", metavar="NAME=CHOICE"
     )
-    seed: int | None = option(
-        "--seed", type=click.IntRange(min=0), help="Seed of everything random. [default: fixed]",
-    )
+    seed: int | None = option("Seed of everything random. [default: fixed]", type=FROM_0)
     # fmt: on
 
 
-@click.command("reproduce", epilog=EPILOG)
-@takes(ReproduceFlags)
-def command(flags: ReproduceFlags) -> int:
+@subcommand("reproduce", EXAMPLES)
+def command(flags: _ReproduceFlags) -> int:
     """Recompute tables and figures of the two papers this project starts from.
 
     PAPER is sadeghnejad (sinus surgery: model, identification, adaptive controller), pires (hip resurfacing:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json
 
-EPILOG = """\b
-Examples:
-  tissueid validate out
-  tissueid validate kidney.h5 --json
+EXAMPLES = """
+tissueid validate out
+tissueid validate kidney.h5 --json
 """
 
 
@@ -25,18 +22,12 @@ class Validated:
     problem: str | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ValidateFlags(OutputFlags):
-    """Flags of ``tissueid validate``."""
-
-    # fmt: off
-    targets: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    # fmt: on
+class _ValidateFlags(OutputFlags):
+    targets: tuple[str, ...] = argument(required=True, type=PATH)
 
 
-@click.command("validate", epilog=EPILOG)
-@takes(ValidateFlags)
-def command(flags: ValidateFlags) -> int:
+@subcommand("validate", EXAMPLES)
+def command(flags: _ValidateFlags) -> int:
     """Check output folders or single bundles: whole, of one run, readable, passive.
 
     An interrupted refresh is finished first. Exit code 6 where something is wrong.

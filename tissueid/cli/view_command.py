@@ -2,43 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from tissueid.cli.flags import argument, option, takes
+from tissueid.cli.flags import argument, option, subcommand
 from tissueid.cli.output import echo, note
 from tissueid.cli.viewer_serving import ViewerFlags, open_browser, served
 from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid view out.h5
-  tissueid view out/twin/felt.h5 --beside hold-8-1.csv
-  tissueid view 192.0.2.7:8765 --token ABC
+EXAMPLES = """
+tissueid view out.h5
+tissueid view out/twin/felt.h5 --beside hold-8-1.csv
+tissueid view 192.0.2.7:8765 --token ABC
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ViewFlags(ViewerFlags):
-    """Flags of ``tissueid view``."""
-
+class _ViewFlags(ViewerFlags):
     # fmt: off
     what: str = argument(metavar="LOG|HOST:PORT")
     beside: Path | None = option(
-        "--beside", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
-        help="A test machine's recording, drawn beside the LOG from contact on.",
+        "A test machine's recording, drawn beside the LOG from contact on.",
+        type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
     )
-    token: str | None = option(
-        "--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.",
-    )
+    token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
     # fmt: on
 
 
-@click.command("view", epilog=EPILOG)
-@takes(ViewFlags)
-def command(flags: ViewFlags) -> int:
+@subcommand("view", EXAMPLES)
+def command(flags: _ViewFlags) -> int:
     """Look at a recorded LOG, or at the session that HOST:PORT serves.
 
     A log is played as it was felt; the session elsewhere must have been started with --viewer and --host.
@@ -57,7 +49,7 @@ def _is_address(text: str) -> bool:
     return bool(colon) and port.isascii() and port.isdigit()
 
 
-def _play(flags: ViewFlags, path: Path) -> int:
+def _play(flags: _ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
     from tissueid.errors import DeviceError
     from tissueid.viewer.showing import check_log, recording_beside, show_log
@@ -76,7 +68,7 @@ def _play(flags: ViewFlags, path: Path) -> int:
     raise DeviceError(msg)
 
 
-def _open_elsewhere(flags: ViewFlags, what: str) -> int:
+def _open_elsewhere(flags: _ViewFlags, what: str) -> int:
     """Open the page of a session that is served already, once it answers."""
     from tissueid.viewer.serving import reach
 

@@ -6,13 +6,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import OutputFlags, option
+from tissueid.cli.flags import PORT, OutputFlags, option
 from tissueid.cli.output import echo, note
 
 if TYPE_CHECKING:
@@ -24,26 +23,18 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-@dataclass(frozen=True, kw_only=True)
 class ViewerFlags(OutputFlags):
     """Flags of a viewer's address and audience."""
 
     # fmt: off
-    no_browser: bool = option("--no-browser", is_flag=True, help="Print the viewer's address, open nothing.")
+    no_browser: bool = option("Print the viewer's address, open nothing.")
     host: str = option(
-        "--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
-        help="Serve the viewer to other machines, with a token in its address.",
+        "Serve the viewer to other machines, with a token in its address.",
+        metavar="ADDRESS", default="127.0.0.1",
     )
-    viewer_port: int | None = option(
-        "--viewer-port", type=click.IntRange(1, 65535), metavar="N",
-        help="Of the viewer. [default: 8765, or a free one]",
-    )
-    certificate: Path | None = option(
-        "--certificate", type=_FILE, metavar="FILE", help="Serve the viewer by TLS ...",
-    )
-    certificate_key: Path | None = option(
-        "--certificate-key", type=_FILE, metavar="FILE", help="... with this key.",
-    )
+    viewer_port: int | None = option("Of the viewer. [default: 8765, or a free one]", type=PORT, metavar="N")
+    certificate: Path | None = option("Serve the viewer by TLS ...", metavar="FILE")
+    certificate_key: Path | None = option("... with this key.", metavar="FILE")
     # fmt: on
 
 
