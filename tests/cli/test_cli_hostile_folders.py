@@ -53,12 +53,12 @@ def test_many_specimens_that_are_not_identified_are_all_named(
 ) -> None:
     from types import SimpleNamespace
 
-    from tissueid.cli import fit_summary
+    from tissueid.cli import fit_command
 
     reasons = tuple(f"cow {k}: not identified: viscosity_Ns_per_mm" for k in range(40))
     reasons += ("goat: not identified: static_N_per_mm", "cow 7: Levenberg-Marquardt did not converge")
     ended = SimpleNamespace(refused=(), exit=SimpleNamespace(reasons=reasons))
-    fit_summary.print_reasons(ended, quiet=0)  # type: ignore[arg-type]
+    fit_command.print_reasons(ended, quiet=0)  # type: ignore[arg-type]
     said = capfd.readouterr().err
     assert all(f"cow {k};" in said or f"cow {k}:" in said for k in range(40))
     assert said.count("viscosity_Ns_per_mm") == 1

@@ -12,9 +12,9 @@ import pytest
 from command_line import run, start
 from session_heads import head_of, records_of, summary_of
 
-from tissueid.cli import viewer_serving
+from tissueid.cli import view_command
 from tissueid.cli.render_command import RenderFlags, _demonstrated
-from tissueid.cli.viewer_serving import open_browser, telling_stop
+from tissueid.cli.view_command import open_browser, telling_stop
 from tissueid.rendering.recorder import Recorder
 
 
@@ -77,8 +77,8 @@ def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch: pytest.MonkeyP
 
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", lambda url: bool(opened.append(url)))
-    monkeypatch.setattr(viewer_serving.sys, "platform", "linux")
-    for name in viewer_serving.SCREENS:
+    monkeypatch.setattr(view_command.sys, "platform", "linux")
+    for name in view_command.SCREENS:
         monkeypatch.delenv(name, raising=False)
     open_browser("http://127.0.0.1:1/")
     assert opened == []

@@ -10,7 +10,7 @@ from fit_factory import specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
-from tissueid.cli.fit_summary import _print_specimens
+from tissueid.cli.fit_command import _print_specimens
 from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
 from tissueid.report.uncertainty_lines import WIDTH, block_lines
 from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines

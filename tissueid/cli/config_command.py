@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 import click
 
-from tissueid.cli.completing import subcommands
+from tissueid.cli.completion_command import subcommands
 from tissueid.cli.flags import OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json
 from tissueid.errors import UsageError
+from tissueid.manifest import TomlTable
 
 EXAMPLES = """
 tissueid config
@@ -31,7 +38,6 @@ def command(flags: _ConfigFlags) -> int:
     ./pyproject.toml), then ~/.config/tissueid/config.toml. Both files are checked whole.
     """
     from tissueid.cli.main import cli
-    from tissueid.cli.settings import Setting, settings_files, settings_of, user_file
 
     files = settings_files()
     settings: dict[tuple[str, ...], Setting] = {}
@@ -60,7 +66,6 @@ def command(flags: _ConfigFlags) -> int:
 def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Every option of one command with its value: set, or the default."""
     from tissueid.cli.main import cli
-    from tissueid.cli.settings import settable
 
     found: click.Command | None = cli
     for part in name:
@@ -91,3 +96,312 @@ def _print(rows: list[dict[str, Any]]) -> None:
     for name, row in zip(named, rows, strict=True):
         value = "-" if row["value"] is None else str(row["value"])
         echo(f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}")
+
+
+#: Options that stand for a consent, a secret or a check that is left out: they are typed each time.
+TYPED_ONLY = frozenset({"because", "force", "help", "no-control", "pseudonym", "token", "version", "yes"})
+#: Keys that may stand above all tables: they are options of every command.
+GENERAL = ("quiet", "verbose")
+PREFIX = "TISSUEID_"
+#: Names another user file; empty for none.
+USER_FILE = "TISSUEID_CONFIG"
+PROJECT_FILE = "tissueid.toml"
+PYPROJECT = "pyproject.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A value that was not typed."""
+
+    value: Any  # as click takes it
+    source: str  # file with line, or name of the environment variable
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsFile:
+    """A configuration file."""
+
+    path: Path
+    table: TomlTable  # its settings
+    inside: tuple[str, ...]  # where they stand in the file: empty, or ``("tool", "tissueid")``
+    text: str
+
+    def at(self, key: tuple[str, ...]) -> str:
+        """File and line of a key."""
+        from tissueid.ingest.toml_lines import line_of, lines_of_toml
+
+        line = line_of(lines_of_toml(self.text), (*self.inside, *key))
+        return str(self.path) if line is None else f"{self.path}, line {line}"
+
+
+def user_file() -> Path | None:
+    """Place of the user's own file; ``None`` where the environment says there is none."""
+    named = os.environ.get(USER_FILE)
+    if named is not None:
+        return Path(named) if named else None
+    home = os.environ.get("XDG_CONFIG_HOME")
+    if not home:
+        try:
+            home = str(Path.home() / ".config")
+        except RuntimeError:
+            # a user without a home, as in a container
+            return None
+    return Path(home) / "tissueid" / "config.toml"
+
+
+def settings_files() -> list[SettingsFile]:
+    """The files that are there, the one that counts less first.
+
+    Raises UsageError: a file can't be read, is no TOML, or the folder has two.
+    """
+    found = []
+    user = user_file()
+    if user is not None and (user.exists() or USER_FILE in os.environ):
+        found.append(_parsed(user, ()))
+    project = [_parsed(Path(PROJECT_FILE), ())] if Path(PROJECT_FILE).is_file() else []
+    if Path(PYPROJECT).is_file():
+        # most are no concern of ours: one that can't be parsed is refused only where it speaks of tissueid
+        inside = ("tool", "tissueid")
+        text = Path(PYPROJECT).read_text(encoding="utf-8", errors="replace")
+        if "tool.tissueid" in text:
+            project.append(_parsed(Path(PYPROJECT), inside))
+    project = [one for one in project if one.table or not one.inside]
+    if len(project) > 1:
+        msg = f"this folder has settings in {PROJECT_FILE} and in {PYPROJECT}: keep them in one of the two"
+        raise UsageError(msg)
+    return found + project
+
+
+def _parsed(path: Path, inside: tuple[str, ...]) -> SettingsFile:
+    try:
+        text = path.read_text(encoding="utf-8")
+        table: Any = tomllib.loads(text)
+    except OSError as error:
+        msg = f"{path}: can't be read ({error.strerror})"
+        raise UsageError(msg) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        msg = f"{path}: is no valid TOML ({error}); correct it, or move it away"
+        raise UsageError(msg) from error
+    for part in inside:
+        table = table.get(part, {})
+    if not isinstance(table, Mapping):
+        msg = f"{path}: [{'.'.join(inside)}] must be a table"
+        raise UsageError(msg)
+    return SettingsFile(path, table, inside, text)
+
+
+def option_name(parameter: click.Parameter) -> str:
+    """The long name of an option, without dashes: the key of a file."""
+    return max(parameter.opts, key=len).lstrip("-")
+
+
+def settable(command: click.Command) -> dict[str, click.Option]:
+    """Options of a command that may be set, by key."""
+    options = (one for one in command.params if isinstance(one, click.Option))
+    return {option_name(one): one for one in options if option_name(one) not in TYPED_ONLY}
+
+
+def settings_of(
+    command: click.Command, name: tuple[str, ...], files: list[SettingsFile], root: click.Group
+) -> dict[tuple[str, ...], Setting]:
+    """Everything that is set for a command, and for those below it where it is a group.
+
+    ``name``: names from below ``tissueid`` to it; ``files``: the later counts more; ``root``: for the names
+    that a table may have.  Returns path of the command with the key of the option -> its setting.  Raises
+    UsageError: a key is unknown, or a value does not fit its option.
+    """
+    found: dict[tuple[str, ...], Setting] = {}
+    leaves = list(_leaves(command, name))
+    for file in files:
+        _check_root(file, root)
+        for path, leaf in leaves:
+            for key in (key for key in GENERAL if key in file.table and key in settable(leaf)):
+                found[*path, key] = _from_file(file, (key,), settable(leaf)[key], file.table[key])
+        found |= _from_table(file, command, name, _descend(file, name))
+    for path, leaf in leaves:
+        found |= _from_environment(path, leaf)
+    return found
+
+
+def as_default_map(
+    settings: Mapping[tuple[str, ...], Setting], root: click.Command, name: tuple[str, ...]
+) -> dict[str, Any]:
+    """Defaults as click takes them: values by the names of its parameters, nested as commands are.
+
+    ``settings``: from :func:`settings_of`; ``root``: the command whose settings they are; ``name``: its
+    names.
+    """
+    tree: dict[str, Any] = {}
+    for path, leaf in _leaves(root, name):
+        place = tree
+        for part in path:
+            place = place.setdefault(part, {})
+        for key, option in settable(leaf).items():
+            if (*path, key) in settings:
+                place[str(option.name)] = settings[*path, key].value
+    return tree
+
+
+def _leaves(command: click.Command, name: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """A command, or all commands of a group, each with its names."""
+    if not isinstance(command, click.Group):
+        yield name, command
+        return
+    context = click.Context(command)
+    for part in command.list_commands(context):
+        below = command.get_command(context, part)
+        if below is not None:
+            yield from _leaves(below, (*name, part))
+
+
+def _check_root(file: SettingsFile, root: click.Group) -> None:
+    names = root.list_commands(click.Context(root))
+    for key, value in file.table.items():
+        if key in GENERAL:
+            continue
+        if key not in names:
+            raise UsageError(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
+        if not isinstance(value, Mapping):
+            msg = f"{file.at((key,))}: {key} is a command; its settings stand in a table [{key}]"
+            raise UsageError(msg)
+
+
+def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: str) -> str:
+    typed = key[-1]
+    if typed in TYPED_ONLY:
+        return f"{file.at(key)}: {typed} must be typed each time and can't be set in a file"
+    near = get_close_matches(typed.replace("_", "-"), names, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(sorted(names))}"
+    return f"{file.at(key)}: {typed!r} {words}; {hint}"
+
+
+def _descend(file: SettingsFile, name: tuple[str, ...]) -> TomlTable:
+    table: Any = file.table
+    for end, part in enumerate(name, start=1):
+        table = table.get(part, {})
+        if not isinstance(table, Mapping):
+            msg = f"{file.at(name[:end])}: {part} is a command; its settings stand in a table"
+            raise UsageError(msg)
+    return table  # type: ignore[no-any-return]
+
+
+def _from_table(
+    file: SettingsFile, command: click.Command, name: tuple[str, ...], table: TomlTable
+) -> dict[tuple[str, ...], Setting]:
+    found: dict[tuple[str, ...], Setting] = {}
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        names = command.list_commands(context)
+        for key in table:
+            below = command.get_command(context, key) if key in names else None
+            if below is None:
+                raise UsageError(_unknown(file, (*name, key), names, f"is no part of {' '.join(name)}"))
+            found |= _from_table(file, below, (*name, key), _descend(file, (*name, key)))
+        return found
+    options = settable(command)
+    for key, value in table.items():
+        if key not in options:
+            raise UsageError(
+                _unknown(file, (*name, key), list(options), f"is no option of tissueid {' '.join(name)}")
+            )
+        found[*name, key] = _from_file(file, (*name, key), options[key], value)
+    return found
+
+
+def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, value: Any) -> Setting:
+    try:
+        return Setting(_fitting(option, value), file.at(key))
+    except ValueError as error:
+        msg = f"{file.at(key)}: {key[-1]} = {value!r}: {error}"
+        raise UsageError(msg) from error
+
+
+def _fitting(option: click.Option, value: Any) -> Any:
+    """A value of a file as the option takes it; ``ValueError`` with the reason where it does not fit."""
+    if option.count:
+        if not isinstance(value, int) or value < 0:
+            msg = "must be true, false or a number from 0"
+            raise ValueError(msg)
+        return int(value)
+    if option.is_flag:
+        if not isinstance(value, bool):
+            msg = "must be true or false, without quotes"
+            raise ValueError(msg)
+        return value
+    if option.multiple:
+        if not isinstance(value, list):
+            msg = 'must be a list, as ["a", "b"]'
+            raise ValueError(msg)
+        return [_one(option, each) for each in value]
+    return _one(option, value)
+
+
+def _one(option: click.Option, value: Any) -> Any:
+    kind = option.type
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(kind, click.types.IntParamType) and not (number and isinstance(value, int)):
+        msg = "must be a whole number, without quotes"
+        raise ValueError(msg)
+    if isinstance(kind, click.types.FloatParamType) and not number:
+        msg = "must be a number, without quotes"
+        raise ValueError(msg)
+    if not isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+        if not isinstance(value, str) and not (number and isinstance(kind, click.Choice)):
+            msg = "must be text in quotes"
+            raise ValueError(msg)
+        value = str(value)
+    _converted(option, value)
+    return value
+
+
+def _converted(option: click.Option, value: Any) -> None:
+    """Refuse what the type of the option refuses."""
+    try:
+        option.type.convert(value, option, None)
+    except click.BadParameter as error:
+        raise ValueError(error.message) from error
+
+
+def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tuple[str, ...], Setting]:
+    """Settings of one command from the environment; names that begin as its do and are none are refused."""
+    start = PREFIX + "_".join(path).replace("-", "_").upper() + "_"
+    options = settable(command)
+    names = {start + key.replace("-", "_").upper(): key for key in options}
+    found = {}
+    for variable, text in os.environ.items():
+        if not variable.startswith(start) or _of_longer(variable, path):
+            continue
+        if variable not in names:
+            near = get_close_matches(variable, names, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            msg = f"environment variable {variable}: tissueid {' '.join(path)} takes no such setting{hint}"
+            raise UsageError(msg)
+        option = options[names[variable]]
+        try:
+            found[*path, names[variable]] = Setting(_from_text(option, text), variable)
+        except ValueError as error:
+            msg = f"environment variable {variable} = {text!r}: {error}"
+            raise UsageError(msg) from error
+    return found
+
+
+def _of_longer(variable: str, path: tuple[str, ...]) -> bool:
+    """True where a variable is of ``calibrate-frame`` and not of ``calibrate``."""
+    return path == ("calibrate",) and variable.startswith(f"{PREFIX}CALIBRATE_FRAME_")
+
+
+def _from_text(option: click.Option, text: str) -> Any:
+    """A value of the environment; several are parted by commas."""
+    if option.count and text.isdecimal():
+        return int(text)
+    if option.count or option.is_flag:
+        try:
+            told = bool(click.BOOL.convert(text, option, None))
+        except click.BadParameter as error:
+            msg = "must be 1 or 0"
+            raise ValueError(msg) from error
+        return int(told) if option.count else told
+    values = text.split(",") if option.multiple else [text]
+    for value in values:
+        _converted(option, value)
+    return values if option.multiple else text

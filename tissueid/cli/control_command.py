@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.completing import presets
+from tissueid.cli.completion_command import presets
 from tissueid.cli.flags import ABOVE_0, FROM_0, REAL_FROM_0, Flags, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo_json, echo_lines
 from tissueid.documents import typed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.fit_summary import print_summary
-from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_json_text, note, progress_bar
-from tissueid.cli.quoting import QuotingFlags, quoting_values
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, Flags, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, echo_json_text, note, progress_bar
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
@@ -23,12 +22,20 @@ from tissueid.cli.reading import (
     refuse_same_folder,
     segment_options,
 )
+from tissueid.digits import with_error
+from tissueid.documents import typed
+from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
+from tissueid.report.specimen_lines import specimen_lines
+from tissueid.report.warning_lines import shared_codes, shared_lines
+from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
     from tissueid.inference.posterior import PosteriorOptions
     from tissueid.manifest import Study
+    from tissueid.measured.geometry import Geometry
     from tissueid.pipeline import IdentifyOptions
+    from tissueid.study.assembly import Assembled
 
 EXAMPLES = """
 tissueid fit lab_data/ -o out
@@ -56,6 +63,26 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
     if value is not None:
         msg = f'--contact-law {value}: name 1 model instead, as --model "power * impact"'
         raise UsageError(msg)
+
+
+class QuotingFlags(Flags):
+    """Flags that say which numbers are quoted beside those of the model."""
+
+    # fmt: off
+    unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
+    frequencies: str | None = option(
+        "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+        metavar="LIST",
+    )
+    depths: str | None = option("Depths [mm] at which each loop's stiffness is given.", metavar="LIST")
+    tip: str | None = option(
+        "Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].", metavar="SHAPE:SIZE"
+    )
+    thickness: float | None = option("Thickness of the layer under --tip.", metavar="MM")
+    poisson: float = option(
+        "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
+    )
+    # fmt: on
 
 
 class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
@@ -176,7 +203,7 @@ def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
         wanted = "yes" if named else "no"
     if wanted == "no" or not fitted:
         return 0
-    from tissueid.cli.population_lines import print_population
+    from tissueid.cli.cohort_command import print_population
     from tissueid.study.cohort import PopulationRequest, write_population
 
     quiet = flags.quiet
@@ -266,3 +293,134 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
         required=required if flags.require else DEFAULT_REQUIRED,
         seed=flags.seed,
     )
+
+
+def _numbers(text: str | None, option: str) -> tuple[float, ...]:
+    """A list of positive numbers as typed."""
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or not all(0.0 < value < float("inf") for value in values):
+        msg = f"{option} takes positive numbers with commas between, as 0.1,1,10; got {text!r}"
+        raise UsageError(msg)
+    return values
+
+
+def _geometry(flags: QuotingFlags) -> Geometry | None:
+    """Tip and thickness as typed."""
+    from tissueid.measured.geometry import Geometry
+    from tissueid.model.moduli import Indenter
+
+    if flags.tip is None:
+        if flags.thickness is not None:
+            msg = "--thickness needs --tip; a study.toml may hold both, a thickness for each specimen"
+            raise UsageError(msg)
+        return None
+    shape, _, size = flags.tip.partition(":")
+    try:
+        number = float(size)
+        tip = Indenter(shape, half_angle_deg=number) if shape == "cone" else Indenter(shape, number)
+        return Geometry(tip, flags.thickness, flags.poisson)
+    except ValueError as error:
+        msg = f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
+        raise UsageError(msg) from error
+
+
+def quoting_values(flags: QuotingFlags) -> dict[str, Any]:
+    """The fields of ``FitOptions`` that these options fill.
+
+    Raises UsageError: a list or a tip that can't be understood.
+    """
+    return {
+        "unloading": flags.unloading,
+        "frequencies_Hz": _numbers(flags.frequencies, "--frequencies"),
+        "depths_mm": _numbers(flags.depths, "--depths"),
+        "geometry": _geometry(flags),
+        "poisson": flags.poisson,
+    }
+
+
+#: Specimens from which on each gets one line of what was measured.
+MANY = 4
+_COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
+
+
+def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
+    """Numbers to stdout, what was left out and what is missing to stderr.
+
+    ``out``: output folder as the user named it.
+    """
+    if 0 < found.beside < found.trials:
+        note(
+            f"{found.beside} of {found.trials} trials are not named by the study and were fitted as well "
+            "(only_listed = true leaves them out)",
+            quiet=quiet,
+        )
+    if not quiet:
+        _print(found, out, verbose=verbose)
+    print_reasons(found, quiet=quiet)
+
+
+def _print(found: Assembled, out: str, *, verbose: int) -> None:
+    if found.large:
+        echo(f"{found.fitted} of {found.jobs} specimens fitted")
+    elif found.fitted:
+        _print_specimens(load_identification(found.document).specimens, verbose=verbose)
+    for row in found.exclusions:
+        _print_exclusion(typed(row, Exclusion))
+    if found.fitted:
+        echo()
+        echo(f"Report: {out}/report.html")
+
+
+def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
+    shared = () if verbose else shared_codes(specimens)
+    brief = len(specimens) >= MANY and not verbose
+    for specimen in specimens:
+        _print_specimen(specimen, shared, verbose=verbose, brief=brief)
+    if shared:
+        echo()
+        echo(f"all {len(specimens)} specimens")
+        for line in shared_lines(specimens, shared):
+            echo(f"  ! {line}", fg="yellow")
+    if not verbose and any(specimen.sampler is not None for specimen in specimens):
+        echo("In brackets: 95 % intervals, with what is not known of the machine; -v prints both kinds.")
+
+
+def _print_exclusion(row: Exclusion) -> None:
+    """A trial that was left out, why, and what the specimen's numbers would be with it."""
+    where = row.path if row.sheet is None else f"{row.path} [{row.sheet}]"
+    echo()
+    echo(f"excluded  {where}: {row.because}")
+    if row.note:
+        echo(f"  {row.note}")
+    for one in row.with_it:
+        before = with_error(one.without, one.without_stderr)
+        after = with_error(one.with_it, one.with_stderr)
+        echo(f"  {one.symbol:<6} with it {after} {one.unit} (without: {before})")
+
+
+def print_reasons(found: Assembled, *, quiet: int) -> None:
+    """On stderr: every refused input, and why else the exit code is not 0."""
+    for one in found.refused:
+        echo(f"refused ({one.code})  {one}", fg="red", err=True)
+    told = {str(one) for one in found.refused}
+    same: dict[str, list[str]] = {}
+    for reason in found.exit.reasons:
+        if reason not in told:
+            specimen, separator, missing = reason.rpartition(": not identified: ")
+            same.setdefault(missing if separator else "", []).append(specimen if separator else reason)
+    for reason in same.pop("", []):
+        note(reason, quiet=quiet)
+    for missing, specimens in same.items():
+        # each is named, however many they are
+        note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)
+
+
+def _print_specimen(fit: Specimen, shared: Sequence[str], *, verbose: int, brief: bool) -> None:
+    echo()
+    for line in specimen_lines(fit, shared, verbose=verbose, brief=brief):
+        echo(line.text, fg=_COLOURS.get(line.kind), bold=line.kind in {"title", "alarm"})

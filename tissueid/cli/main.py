@@ -154,7 +154,7 @@ def cli(context: click.Context) -> None:
 
 def _settings(name: str) -> dict[str, Any]:
     """Defaults of a command from configuration files and the environment, as click takes them."""
-    from tissueid.cli.settings import as_default_map, settings_files, settings_of
+    from tissueid.cli.config_command import as_default_map, settings_files, settings_of
 
     command = cli.get_command(click.Context(cli), name)
     if command is None:

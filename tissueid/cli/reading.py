@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.completing import readers
+from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
 from tissueid.cli.output import echo
 from tissueid.errors import UsageError

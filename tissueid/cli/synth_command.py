@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from tissueid.cli.completing import recipes
+from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
 

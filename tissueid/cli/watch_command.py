@@ -186,7 +186,7 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
 
 def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
     """The line of ``inspect``: what was measured, and what to do."""
-    from tissueid.cli.inspect_lines import recording_lines, recording_name
+    from tissueid.cli.inspect_command import recording_lines, recording_name
 
     name = recording_name(one, os.path.join(flags.folder, ""))  # noqa: PTH118
     level = one.verdict.level
@@ -215,7 +215,7 @@ def _estimate(entry: Parameter) -> str:
 
 
 def _summary(session: WatchSession) -> None:
-    from tissueid.cli.inspect_lines import recording_name
+    from tissueid.cli.inspect_command import recording_name
 
     verdicts = [typed(one, Watch) for one in session.verdicts]
     count = {level: sum(one.verdict.level == level for one in verdicts) for level in COLOURS}
