@@ -157,8 +157,7 @@ def fit(
         depths_mm=options.depths_mm, unloading=options.unloading,
     )  # fmt: skip
     if not found.groups:
-        first = found.left_out[0]
-        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+        raise found.left_out[0].as_error()
     if any(one.code == "mixed_axes" for one in found.left_out):
         msg = "recordings of lengths and of strains can't be fitted together; fit each kind by itself"
         raise UsageError(msg)
@@ -381,8 +380,7 @@ def _handle_of(trial: Trial, setting: _Setting) -> LogHandle:
         [trial], setting.segment, TrialCache(None), lambda *_: None, unloading=setting.options.unloading
     )
     if not found.groups:
-        first = found.left_out[0]
-        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+        raise found.left_out[0].as_error()
     return found.groups[trial.specimen][0]
 
 

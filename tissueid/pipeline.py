@@ -292,9 +292,7 @@ def _fit_all(
         except InputError as error:
             if error.code != NO_CONTACT:
                 raise
-            collected.left_out.append(
-                Refusal(path=error.path, sheet=error.sheet, code=error.code, message=error.message)
-            )
+            collected.left_out.append(Refusal.of(error))
             continue
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.cli.output import (
+    created_now,
+    made_folder,
+    note,
+    progress_bar,
+    refuse_foreign,
+    tell,
+)
 from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
-from tissueid.errors import UsageError
+from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from tissueid.priors import Priors
@@ -101,7 +107,8 @@ def command(flags: _CalibrateFlags) -> int:
             stated=found.stated,
             defects=flags.interval == "total",
         )
-        out = _folder(flags.out)
+        out = made_folder(flags.out)
+        refuse_foreign(out, _FILES[:2], _FILES[2], f"without the {_FILES[2]} they come from")
         digest = fingerprint({"check": described(check), "seed": flags.seed})
         with Checkpoint(out / _FILES[2], digest) as checkpoint:
             records = run_simulations(
@@ -116,40 +123,18 @@ def command(flags: _CalibrateFlags) -> int:
     written, verdict = check_document(asked, found.protocol, check, records)
     document: dict[str, Any] = plain_json(written)
     check_schema(document, "selfcheck", where=_FILES[0])
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     write_file(out / _FILES[0], json_bytes(document))
-    write_file(out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created).encode("utf-8"))
-    if flags.as_json:
-        echo_json(document)
-    elif not quiet:
-        _print(check, found.protocol, verdict, flags.out)
+    write_file(
+        out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created_now()).encode("utf-8")
+    )
+    tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=quiet)
     return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
 
 
-def _folder(name: str) -> Path:
-    """The output folder, made where it is missing; files of these names that no check made are refused."""
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    foreign = [file for file in _FILES[:2] if (out / file).exists()]
-    if foreign and not (out / _FILES[2]).exists():
-        msg = (
-            f"{name} holds {', '.join(foreign)} without the {_FILES[2]} they come from: choose another "
-            "folder with -o, or move them away"
-        )
-        raise UsageError(msg)
-    return out
-
-
 def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
     """The noise the user asked for, or that of the source."""
-    from dataclasses import replace
-
     if flags.noise == "auto":
         return centre
     if flags.noise == "white":
@@ -161,35 +146,35 @@ def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
     return replace(centre, phi=phi, white_share=0.0)
 
 
-def _print(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> None:
+def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> Iterator[str]:
     from tissueid.selfcheck.truth import prior_words
 
-    echo(
+    yield (
         f"{protocol.words}: {len(protocol.logs)} log{'s' * (len(protocol.logs) > 1)}, "
-        f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations",
+        f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations"
     )
     words = prior_words(
         check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
     )
-    echo()
-    echo("priors")
+    yield ""
+    yield "priors"
     for name, said in words.items():
-        echo(f"  {name}: {said}")
+        yield f"  {name}: {said}"
     width = max(len(one.name) for one in verdict.parameters)
     levels = "".join(f"{100 * row.level:>7g} %" for row in verdict.parameters[0].coverage)
-    echo()
-    echo(f"{'coverage of':<{width}}{levels}   mean z   spread")
+    yield ""
+    yield f"{'coverage of':<{width}}{levels}   mean z   spread"
     for one in verdict.parameters:
         shares = "".join(f"{100 * row.fraction:>9.1f}" for row in one.coverage)
         mark = "" if one.calibrated else "   outside its band"
-        echo(f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}")
+        yield f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}"
     bands = "".join(
         f"{100 * row.low / row.simulations:>4.0f}-{100 * row.high / row.simulations:<4.0f}"
         for row in verdict.parameters[0].coverage
     )
-    echo(f"{'band':<{width}}{bands}")
-    echo()
-    echo(f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}")
+    yield f"{'band':<{width}}{bands}"
+    yield ""
+    yield f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}"
 
 
 _Progress = Callable[[str, int, int], None]
@@ -278,7 +263,6 @@ def bundle_file(path: Path) -> Path | None:
 
 
 def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
-    from dataclasses import replace
 
     from tissueid.selfcheck.protocol import of_bundle, pooled
     from tissueid.selfcheck.recorded import inputs_there
@@ -296,7 +280,6 @@ def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
 
 def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
     """The measured x(t) behind a bundle, read as it was read then."""
-    from tissueid.errors import InputError
     from tissueid.selfcheck.recorded import inputs_there, of_bundle_inputs
     from tissueid.study.recordings import locate_study
 

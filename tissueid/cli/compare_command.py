@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+from tissueid.cli.output import (
+    created_now,
+    echo_lines,
+    made_folder,
+    note,
+    progress_bar,
+    tell,
+    write_output,
+)
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
+from tissueid.digits import with_error
 from tissueid.documents import typed
-from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair, Side
+from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -82,37 +94,27 @@ def command(flags: _CompareFlags) -> int:
     except UsageError:
         # models that share no speed can't be compared; what was measured at any time may
         if not flags.as_json and not flags.quiet:
-            _print_measured(typed(plain_json(measured), tuple[MeasuredPair, ...]))
+            echo_lines(_measured_lines(typed(plain_json(measured), tuple[MeasuredPair, ...])))
         raise
     plain = plain_json(found) | ({"measured": plain_json(measured)} if measured else {})
     check(plain, "contrast", where="contrast.json")
     document = typed(plain, Contrast)
     if flags.output is not None:
         _write(plain, Path(flags.output), quiet=flags.quiet)
-    if flags.as_json:
-        echo_json(plain)
-    elif not flags.quiet:
-        _print(document)
+    tell(flags, plain, _lines(document))
     return 0
 
 
 def _write(plain: Any, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
-    from datetime import UTC, datetime
-
     from tissueid.report.contrast_page import render_contrast
     from tissueid.store.files import json_bytes
 
     if target.suffix not in {".json", ".html"}:
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            msg = f"{target}: can't be made ({error.strerror}); choose another place with -o"
-            raise UsageError(msg) from error
-        target = target / "contrast.html"
-    page = render_contrast(typed(plain, Contrast), created=datetime.now(UTC).isoformat(timespec="seconds"))
-    write_output(str(target.with_suffix(".json")), json_bytes(plain))
-    write_output(str(target.with_suffix(".html")), page.encode("utf-8"))
+        target = made_folder(target) / "contrast.html"
+    page = render_contrast(typed(plain, Contrast), created=created_now())
+    write_output(target.with_suffix(".json"), json_bytes(plain))
+    write_output(target.with_suffix(".html"), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
 
@@ -158,9 +160,6 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
 
 def _apart(tissues: list[Compared]) -> list[Compared]:
     """Tissues of one name told apart by a number."""
-    from collections import Counter
-    from dataclasses import replace
-
     often = Counter(tissue.name for tissue in tissues)
     seen: Counter[str] = Counter()
     named = []
@@ -171,27 +170,25 @@ def _apart(tissues: list[Compared]) -> list[Compared]:
     return named
 
 
-def _print_measured(pairs: Sequence[MeasuredPair]) -> None:
+def _measured_lines(pairs: Sequence[MeasuredPair]) -> Iterator[str]:
     for pair in pairs:
-        for line in measured_pair_lines(pair):
-            echo(line)
-        echo()
+        yield from [*measured_pair_lines(pair), ""]
 
 
-def _print(document: Contrast) -> None:
-    _print_measured(document.measured or ())
+def _lines(document: Contrast) -> Iterator[str]:
+    yield from _measured_lines(document.measured or ())
     common = document.common
     slow, fast = common.speeds_mm_s
-    echo(f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
+    yield f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s"
     for pair in document.pairs:
         verdict = "differ" if pair.difference.different else "not shown to differ"
         probability = pair.difference.probability
-        echo()
-        echo(f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})")
+        yield ""
+        yield f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})"
         width = max(len(row.name) for row in pair.numbers)
         for row in pair.numbers:
             ratio = "" if row.ratio is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row.ratio)
-            echo(
+            yield (
                 f"  {row.name:<{width}}  {row.one[1]:>9.4g}  {row.other[1]:>9.4g}  {ratio:<32} "
                 f"larger: {row.larger:.3f}"
             )
@@ -201,9 +198,9 @@ def _print(document: Contrast) -> None:
             limit = most.limit
             times = f"{most.times:.2g} times the just-noticeable difference"
             source = f"{limit.source}, doi {limit.doi}: {limit.conditions}"
-            echo(f"  a hand could tell: {most.name}, {times} ({source})")
+            yield f"  a hand could tell: {most.name}, {times} ({source})"
         else:
-            echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")
+            yield "  a hand would hardly tell: no difference exceeds a published just-noticeable one"
 
 
 #: Folders with one of these were written by a fit.
@@ -231,7 +228,6 @@ def _is_fit(path: Path) -> bool:
 
 def compare_recordings(flags: _CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
-    from tissueid import __version__
     from tissueid.measured.comparison import measured_pairs
     from tissueid.store.files import json_bytes, plain_json
 
@@ -245,22 +241,14 @@ def compare_recordings(flags: _CompareFlags) -> int:
         "pairs": measured_pairs(sides),
     }
     if flags.output is not None:
-        target = str(Path(flags.output).with_suffix(".json"))
-        write_output(target, json_bytes(written))
-        note(f"wrote {target}", quiet=flags.quiet)
-    if flags.as_json:
-        echo_json(written)
-    elif not flags.quiet:
-        for pair in typed(plain_json(written), MeasuredContrast).pairs:
-            echo()
-            for line in measured_pair_lines(pair):
-                echo(line)
+        write_output(Path(flags.output).with_suffix(".json"), json_bytes(written), quiet=flags.quiet)
+    pairs = typed(plain_json(written), MeasuredContrast).pairs
+    tell(flags, written, (line for pair in pairs for line in ("", *measured_pair_lines(pair))))
     return 0
 
 
 def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
     """Measured pushes of the recordings of one path."""
-    from tissueid.errors import InputError
     from tissueid.inspection import measured_of, segmented
     from tissueid.measured import spread
     from tissueid.result import Refusal
@@ -268,11 +256,11 @@ def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
     options = segment_options(flags)
     found = []
     for item in read_in_order((path,), read_options(flags)):
-        divided = item if isinstance(item, Refusal) else segmented(item, options=options)
-        if isinstance(item, Refusal) or isinstance(divided, Refusal):
-            refused = item if isinstance(item, Refusal) else divided
-            assert isinstance(refused, Refusal)  # noqa: S101 -- one of the two is
-            raise InputError(refused.code, refused.message, path=refused.path, sheet=refused.sheet)
+        if isinstance(item, Refusal):
+            raise item.as_error()
+        divided = segmented(item, options=options)
+        if isinstance(divided, Refusal):
+            raise divided.as_error()
         found.append(measured_of(item, divided))
     return spread(found)
 
@@ -283,7 +271,7 @@ def measured_pair_lines(pair: MeasuredPair) -> list[str]:
     known = [row for row in pair.numbers if row.reason is None]
     width = max((len(_name(row)) for row in known), default=0)
     for row in known:
-        one, other = _value(row.one), _value(row.other)
+        one, other = (with_error(side.mean, side.sd) for side in (row.one, row.other))
         ratio = "" if row.ratio is None else f"ratio {row.ratio:.3g}"
         lines.append(f"  {_name(row):<{width}}  {one:>14}  {other:>14}  {ratio}".rstrip())
     refused = [row for row in pair.numbers if row.reason is not None]
@@ -299,9 +287,3 @@ def _name(row: MeasuredNumber) -> str:
     number = f", program {row.program}" if row.program > 1 else ""
     number += f", hold {row.hold}" if row.hold > 1 else ""
     return f"{row.name.replace('_', ' ')}{time}{number}{unit}"
-
-
-def _value(side: Side) -> str:
-    from tissueid.digits import with_error
-
-    return with_error(side.mean, side.sd)

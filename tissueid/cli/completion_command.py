@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from importlib import resources
 from pathlib import Path
 
 import click
 from click.shell_completion import CompletionItem
 
 from tissueid.cli.flags import OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, note, write_output
+from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, write_output
 from tissueid.errors import UsageError
 
 EXAMPLES = """
@@ -47,11 +48,7 @@ def command(flags: _CompletionFlags) -> int:
             echo_bytes(script.encode(), safe=True)
         return 0
     target = _target(flags.shell)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{target.parent}: can't be made ({error.strerror}); print the script and place it yourself"
-        raise UsageError(msg) from error
+    made_folder(target.parent, "print the script and place it yourself")
     write_output(str(target), script.encode("utf-8"))
     if flags.as_json:
         echo_json({"shell": flags.shell, "path": str(target)})
@@ -133,8 +130,6 @@ def _presets() -> Iterable[str]:
 
 
 def _scenes() -> Iterable[str]:
-    from importlib import resources
-
     folder = resources.files("tissueid.rendering") / "scenes"
     return sorted(one.name.removesuffix(".toml") for one in folder.iterdir() if one.name.endswith(".toml"))
 

@@ -14,7 +14,7 @@ import click
 
 from tissueid.cli.completion_command import subcommands
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import echo, echo_json
+from tissueid.cli.output import tell
 from tissueid.errors import UsageError
 from tissueid.manifest import TomlTable
 
@@ -53,13 +53,10 @@ def command(flags: _ConfigFlags) -> int:
         rows = _of_command(flags.name, rows)
     user = user_file()
     read = [str(file.path) for file in files]
-    if flags.as_json:
-        echo_json({"files": read, "settings": rows})
-    elif not flags.quiet:
-        echo(f"files read: {', '.join(read) or 'none'}")
-        if user is not None and str(user) not in read:
-            echo(f"your own would be {user}")
-        _print(rows)
+    head = [f"files read: {', '.join(read) or 'none'}"]
+    if user is not None and str(user) not in read:
+        head.append(f"your own would be {user}")
+    tell(flags, {"files": read, "settings": rows}, [*head, *_lines(rows)])
     return 0
 
 
@@ -88,14 +85,14 @@ def _default(option: click.Option) -> Any:
     return value if isinstance(value, str | int | float | bool) else None
 
 
-def _print(rows: list[dict[str, Any]]) -> None:
+def _lines(rows: list[dict[str, Any]]) -> Iterator[str]:
     if not rows:
-        echo("nothing is set: every option has its default")
+        yield "nothing is set: every option has its default"
         return
     named = [f"{row['command']} --{row['option']}" for row in rows]
     for name, row in zip(named, rows, strict=True):
         value = "-" if row["value"] is None else str(row["value"])
-        echo(f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}")
+        yield f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}"
 
 
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +11,10 @@ import click
 
 from tissueid.cli.completion_command import presets
 from tissueid.cli.flags import ABOVE_0, FROM_0, REAL_FROM_0, Flags, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_json, echo_lines
+from tissueid.cli.output import tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
+from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
@@ -121,15 +123,11 @@ def command(flags: _ControlFlags) -> int:
         on_device = render_on_simulated(tissue, stiffness_scale=flags.stiffness_scale).as_json()
     written = as_document(runs, source=source, device=on_device)
     document = typed(written, Control)
-    if flags.as_json:
-        echo_json(written)
-    elif not flags.quiet:
-        echo_lines(_lines(document))
+    tell(flags, written, _lines(document))
     return 0 if document.runs[0].measures.diverged_s is None else DIVERGED
 
 
 def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
-    from tissueid.errors import UsageError
     from tissueid.rendering.choice import as_tissue
     from tissueid.rendering.options import preset_tissue
     from tissueid.store.bundle import load_bundle
@@ -144,7 +142,6 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
 
 
 def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
-    import math
 
     from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
     from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool

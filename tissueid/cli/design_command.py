@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import Column, echo, echo_json, echo_table, note, progress_bar
+from tissueid.cli.output import (
+    Column,
+    created_now,
+    echo,
+    echo_json,
+    echo_table,
+    made_folder,
+    note,
+    progress_bar,
+    refuse_foreign,
+)
 from tissueid.documents import typed
 from tissueid.documents.design import Design, Protocol
 from tissueid.errors import UsageError
@@ -100,7 +112,11 @@ def command(flags: _DesignFlags) -> int:
     from tissueid.store.schema import check
 
     machine, tissues, asked, given = _prepared(flags)
-    out = None if flags.out is None else _folder(flags.out)
+    out = None
+    if flags.out is not None:
+        out = made_folder(flags.out)
+        # a study file that no plan wrote is not written over
+        refuse_foreign(out, _FILES[1:], _FILES[0], "that no plan wrote")
     with progress_bar(show=not flags.quiet) as progress:
         started = datetime.now(UTC)
         plan = planned(machine, tissues, asked, progress)
@@ -125,8 +141,6 @@ def command(flags: _DesignFlags) -> int:
 
 def _prepared(flags: _DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
     """Machine, tissues, wants and limits, and the protocol to compare with."""
-    from dataclasses import replace
-
     from tissueid.design.given import given_protocol, given_recipe
     from tissueid.design.machine import found_machine
     from tissueid.design.plan import against, matched_wants
@@ -207,8 +221,6 @@ def _positive(value: float | None, name: str) -> float | None:
 
 def _time(text: str) -> float:
     """``90min`` in seconds."""
-    import re
-
     match = re.fullmatch(r"\s*([0-9.]+)\s*(s|min|h)\s*", text)
     try:
         seconds = float(match.group(1)) * _UNITS[match.group(2)] if match else 0.0
@@ -220,31 +232,15 @@ def _time(text: str) -> float:
     return seconds
 
 
-def _folder(name: str) -> Path:
-    """The output folder, made where it is missing; a study file that no plan wrote is not written over."""
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    foreign = [file for file in _FILES[1:] if (out / file).exists()]
-    if foreign and not (out / _FILES[0]).exists():
-        msg = f"{name} holds {', '.join(foreign)} that no plan wrote: choose another folder with -o"
-        raise UsageError(msg)
-    return out
-
-
 def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> None:
     """All files of the plan, design.json last."""
     from tissueid.design.sheets import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
     from tissueid.store.files import json_bytes, write_file
 
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     title = f"Plan for {tissues.name}"
     texts = {
-        "design.html": render_design(typed(plain, Design), created=created),
+        "design.html": render_design(typed(plain, Design), created=created_now()),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }

@@ -7,21 +7,22 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.output import note, tell
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.devices import Info
 from tissueid.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
+    from tissueid.cli.render_command import RenderFlags
     from tissueid.haptics.device import AskedDevice, HapticDevice
 
 HANDS_OFF = (
@@ -32,32 +33,20 @@ HANDS_OFF = (
 HANG_S = 20.0
 
 
-FIRMWARE_HELP = "Firmware of a Falcon that has none running. [default: $TISSUEID_FALCON_FIRMWARE]"
-CALIBRATION_HELP = "Calibration of a Falcon. [default: falcon.toml in the user's configuration directory]"
-
-
-class WayLike(Protocol):
-    """Anything that names the way to a device."""
-
-    @property
-    def firmware(self) -> str | None:
-        """Firmware of a device that has none running."""
-
-    @property
-    def port(self) -> str | None:
-        """Serial port or pseudo-terminal."""
-
-    @property
-    def calibration(self) -> str | None:
-        """File of the calibration."""
-
-
 class WayFlags(Flags):
     """Flags of the way to a device."""
 
-    firmware: str | None = option(FIRMWARE_HELP, type=PATH, metavar="FILE")
+    # fmt: off
+    firmware: str | None = option(
+        "Firmware of a Falcon that has none running. [default: $TISSUEID_FALCON_FIRMWARE]",
+        type=PATH, metavar="FILE",
+    )
     port: str | None = option("Serial port or pseudo-terminal instead of USB.", metavar="PATH")
-    calibration: str | None = option(CALIBRATION_HELP, type=PATH, metavar="FILE")
+    calibration: str | None = option(
+        "Calibration of a Falcon. [default: falcon.toml in the user's configuration directory]",
+        type=PATH, metavar="FILE",
+    )
+    # fmt: on
 
 
 class DeviceFlags(WayFlags, OutputFlags):
@@ -99,7 +88,7 @@ def made_device(
     return device
 
 
-def asked_device(flags: WayLike, *, hands_off: bool = False) -> AskedDevice:
+def asked_device(flags: WayFlags | RenderFlags, *, hands_off: bool = False) -> AskedDevice:
     """Options of the way to a device, of those on the command line."""
     from tissueid.haptics.device import AskedDevice
 
@@ -157,20 +146,20 @@ def hang_mass(mass_g: float, *, quiet: int) -> Callable[[], None]:
     return ask
 
 
-def made_for_calibration(flags: DeviceFlags | MovedFlags) -> HapticDevice:
-    """The device that was named, for a measurement of the free grip that its calibration keeps."""
-    device = made_device(flags, hands_off=True)
-    if "calibration" not in device.takes:
-        msg = f"the device {device.name} has no calibration that could keep a measurement; name a falcon"
-        raise UsageError(msg)
-    return device
+@contextlib.contextmanager
+def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
+    """The device that was named, open and homed, for a measurement that its calibration keeps.
 
-
-def check_savable(device: HapticDevice, flags: DeviceFlags | MovedFlags, *, wanted: bool) -> None:
-    """Refuse to keep the measurement of a device that has no calibration of its own, before it is made."""
-    if wanted and not device.keeps(asked_device(flags).calibration):
-        msg = f"--save keeps the calibration of a real device, and the device is {device.name}"
+    Its grip is free and may move by itself: that is consented to before it is opened.
+    """
+    made = made_device(flags, hands_off=True)
+    if "calibration" not in made.takes:
+        msg = f"the device {made.name} has no calibration that could keep a measurement; name a falcon"
         raise UsageError(msg)
+    ask_consent(made, flags)
+    with opened(made) as device:
+        device.home()
+        yield device
 
 
 def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
@@ -213,18 +202,12 @@ def list_devices(flags: OutputFlags) -> int:
     from tissueid.haptics.registry import detect_all, device_names
 
     found = list(detect_all())
-    if flags.as_json:
-        echo_json({"known": device_names(), "found": [asdict(one) for one in found]})
-        return 0
-    if flags.quiet:
-        return 0
-    for one in found:
-        echo(f"{one.name:16}{one.where}")
-        if one.note:
-            echo(f"{'':16}{one.note}")
+    lines = [
+        line for one in found for line in (f"{one.name:16}{one.where}", f"{'':16}{one.note}") if line.strip()
+    ]
     missing = sorted(set(device_names()) - {one.name for one in found})
-    if missing:
-        echo(f"not found: {', '.join(missing)}")
+    lines += [f"not found: {', '.join(missing)}"] if missing else []
+    tell(flags, {"known": device_names(), "found": [asdict(one) for one in found]}, lines)
     return 0
 
 
@@ -232,22 +215,21 @@ def list_devices(flags: OutputFlags) -> int:
 def info(flags: DeviceFlags) -> int:
     """Say what a device can do, and how much of it was measured."""
     device = made_device(flags, stand_in=True)
-    described = _described(device)
-    if flags.as_json:
-        echo_json(described)
-        return 0
-    if flags.quiet:
-        return 0
-    document = typed(described, Info)
-    echo(f"{document.name}: force at most {document.clamp_N:.2f} N, nominal")
-    echo(f"damping {document.damping_N_s_per_m:g} N s/m, delay {document.delay_ticks:g} ticks")
-    for axis, (low, high) in zip("xyz", document.workspace_mm, strict=True):
-        echo(f"{axis} from {low:.0f} to {high:.0f} mm")
-    for key, value in described.get("calibration", {}).items():
-        echo(f"{key} = {value}")
-    if document.hardware and not document.calibrated:
-        echo("not calibrated: a newton of this device may be anything from 0.5 to 2 N")
+    described = asdict(device.capabilities)
+    described["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in described.pop("workspace_m")]
+    described |= device.facts()
+    tell(flags, described, _info_lines(typed(described, Info), described.get("calibration", {})))
     return 0
+
+
+def _info_lines(document: Info, calibration: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{document.name}: force at most {document.clamp_N:.2f} N, nominal"
+    yield f"damping {document.damping_N_s_per_m:g} N s/m, delay {document.delay_ticks:g} ticks"
+    for axis, (low, high) in zip("xyz", document.workspace_mm, strict=True):
+        yield f"{axis} from {low:.0f} to {high:.0f} mm"
+    yield from (f"{key} = {value}" for key, value in calibration.items())
+    if document.hardware and not document.calibrated:
+        yield "not calibrated: a newton of this device may be anything from 0.5 to 2 N"
 
 
 class _HomeFlags(DeviceFlags):
@@ -267,10 +249,10 @@ def home(flags: _HomeFlags) -> int:
         device.home()
         place = device.read().position_m
     millimetres = [round(1e3 * float(value), 2) for value in place]
-    if flags.as_json:
-        echo_json({"name": device.name, "homed": True, "position_mm": millimetres})
-    elif not flags.quiet:
-        echo(f"{device.name} is homed; the grip is at {millimetres} mm")
+    lines = [
+        f"{device.name} is homed; the grip is at {millimetres} mm",
+    ]
+    tell(flags, {"name": device.name, "homed": True, "position_mm": millimetres}, lines)
     return 0
 
 
@@ -293,19 +275,21 @@ def test(flags: _TestFlags) -> int:
     from tissueid.haptics.measure.link import measure_link
 
     made = made_device(flags)
-    check_savable(made, flags, wanted=flags.save)
+    if flags.save and not made.keeps(asked_device(flags).calibration):
+        msg = f"--save keeps the calibration of a real device, and the device is {made.name}"
+        raise UsageError(msg)
     with opened(made) as device:
         report = measure_link(device, flags.seconds)
     document = {"name": device.name, **asdict(report)}
-    if flags.as_json:
-        echo_json(document)
-    elif not flags.quiet:
-        median, high, largest = report.round_trip_ms
-        echo(f"{report.rate_hz:.0f} replies a second, each command waiting for its answer")
-        echo(f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms")
-        echo(f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself")
-        unanswered = report.commands - report.replies
-        echo(f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies")
+    median, high, largest = report.round_trip_ms
+    unanswered = report.commands - report.replies
+    lines = [
+        f"{report.rate_hz:.0f} replies a second, each command waiting for its answer",
+        f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms",
+        f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself",
+        f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies",
+    ]
+    tell(flags, document, lines)
     if flags.save:
         save(device, flags, delay_ticks=report.delay_ticks, delay_measured=True)
     return 0
@@ -331,22 +315,19 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     """
     from tissueid.haptics.measure.weighing import weigh
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = weigh(device, flags.mass * GRAM, hang_mass(flags.mass, quiet=flags.quiet))
-    before = float(made.facts()["calibration"]["units_per_Nm"])
+    before = float(device.facts()["calibration"]["units_per_Nm"])
     units = before * found.ratio
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}
-    if flags.as_json:
-        echo_json(document)
-    elif not flags.quiet:
-        ratio = with_error(found.ratio, found.stderr)
-        echo(f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N")
-        echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
+    ratio = with_error(found.ratio, found.stderr)
+    lines = [
+        f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N",
+        f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m",
+    ]
+    tell(flags, document, lines)
     # a weight in the newtons of before is none
-    save(made, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
+    save(device, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
     return 0
 
 
@@ -363,18 +344,15 @@ def calibrate_damping(flags: MovedFlags) -> int:
     from tissueid.haptics.measure.motion import TICK_S
     from tissueid.haptics.measure.ring_down import ring_down
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = ring_down(device, device.capabilities.delay_ticks * TICK_S)
-    if flags.as_json:
-        echo_json({**asdict(found), "safe_damping_N_s_per_m": found.safe_damping})
-    elif not flags.quiet:
-        damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
-        echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
-        echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
-    save(made, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
+    damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
+    lines = [
+        f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on",
+        f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N",
+    ]
+    tell(flags, {**asdict(found), "safe_damping_N_s_per_m": found.safe_damping}, lines)
+    save(device, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
     return 0
 
 
@@ -391,19 +369,16 @@ def calibrate_weight(flags: MovedFlags) -> int:
     """
     from tissueid.haptics.measure.gravity import weigh_poses
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = weigh_poses(device)
-    if flags.as_json:
-        echo_json(asdict(found))
-    elif not flags.quiet:
-        words = ", ".join(f"{value:.3f}" for value in found.weight_N)
-        echo(f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N")
-        echo(f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N")
+    words = ", ".join(f"{value:.3f}" for value in found.weight_N)
+    lines = [
+        f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N",
+        f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N",
+    ]
+    tell(flags, asdict(found), lines)
     slope = tuple(value for row in found.slope_N_per_m for value in row)
-    save(made, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
+    save(device, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
     return 0
 
 
@@ -443,11 +418,3 @@ def emulate(flags: _EmulateFlags) -> int:
     for fault in flags.fault:
         words += ["--fault", fault]
     return main(words)
-
-
-def _described(device: HapticDevice) -> dict[str, Any]:
-    """Facts of a device."""
-    found = device.capabilities
-    document = asdict(found)
-    document["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in document.pop("workspace_m")]
-    return document | device.facts()

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import CompletionItem
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import echo, echo_json, echo_lines
+from tissueid.cli.output import tell
 
 #: Columns, and where texts begin.
 WIDTH, MARGIN = 98, 16
+
+if TYPE_CHECKING:
+    from tissueid.explanations import Explanation
 
 EXAMPLES = """
 tissueid explain not_identified
@@ -46,28 +51,22 @@ def command(flags: _ExplainFlags) -> int:
     from tissueid.explanations import explain, explanations
 
     entries = [explain(name) for name in flags.names] or list(explanations().values())
-    if flags.as_json:
-        echo_json([entry.as_json() for entry in entries])
-    elif flags.names and not flags.quiet:
-        _print_each(flags.names)
-    elif not flags.quiet:
-        width = max(len(entry.name) for entry in entries)
-        for entry in entries:
-            echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
+    width = max(len(entry.name) for entry in entries)
+    listed = (f"{one.kind:<9}  {one.name:<{width}}  {one.title or one.meaning}" for one in entries)
+    tell(flags, [one.as_json() for one in entries], _each(entries) if flags.names else listed)
     return 0
 
 
-def _print_each(names: tuple[str, ...]) -> None:
-    from tissueid.explanations import explain, gravity
+def _each(entries: Sequence[Explanation]) -> Iterator[str]:
+    from tissueid.explanations import gravity
 
-    for position, name in enumerate(names):
-        entry = explain(name)
+    for position, entry in enumerate(entries):
         if position:
-            echo()
+            yield ""
         title = f": {entry.title}" if entry.title else ""
         how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
-        echo(f"{entry.kind} {entry.symbol or entry.name}{title}{how}")
-        echo(f"  {entry.meaning}")
+        yield f"{entry.kind} {entry.symbol or entry.name}{title}{how}"
+        yield f"  {entry.meaning}"
         for label, text in (
             ("unit", f"{entry.unit}; {entry.name} in identification.json" if entry.unit else ""),
             ("depends", entry.depends),
@@ -76,7 +75,7 @@ def _print_each(names: tuple[str, ...]) -> None:
             ("what to do", entry.remedy),
         ):
             if text:
-                echo_lines(_wrapped(f"{label}:", text))
+                yield from _wrapped(f"{label}:", text)
 
 
 def _wrapped(label: str, text: str) -> list[str]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, note, write_output
-from tissueid.errors import printable
+from tissueid.cli.output import echo_bytes, echo_json, write_output
+from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
@@ -79,17 +80,18 @@ def command(flags: _ExportFlags) -> int:
     # the bytes of identification.json have one spelling, so this is the hash of the file
     digest = hashlib.sha256(whole).hexdigest()
     content = whole if as_json else csv_bytes(tidy_table(document, flags.form, digest=digest))
-    if flags.output is not None:
-        write_output(flags.output, content)
-        note(f"wrote {flags.output}", quiet=flags.quiet)
-        return 0
-    echo_bytes(content)
+    _write(content, flags)
     return 0
 
 
-def _write_tissues(flags: _ExportFlags) -> int:
-    from tissueid.errors import UsageError
+def _write(content: bytes, flags: _ExportFlags) -> None:
+    if flags.output is None:
+        echo_bytes(content)
+    else:
+        write_output(flags.output, content, quiet=flags.quiet)
 
+
+def _write_tissues(flags: _ExportFlags) -> int:
     bundles = _bundles(flags)
     if flags.form == "mat":
         from tissueid.export.matlab import mat_bytes
@@ -105,11 +107,7 @@ def _write_tissues(flags: _ExportFlags) -> int:
         raise UsageError(msg + (" ..." if len(bundles) > LISTED else ""))
     else:
         content = _tissue_bytes(bundles[0], flags)
-    if flags.output is None:
-        echo_bytes(content)
-        return 0
-    write_output(flags.output, content)
-    note(f"wrote {flags.output}", quiet=flags.quiet)
+    _write(content, flags)
     return 0
 
 
@@ -127,9 +125,6 @@ def _tissue_bytes(bundle: Bundle, flags: _ExportFlags) -> bytes:
 
 def _bundles(flags: _ExportFlags) -> list[Bundle]:
     """The bundle that was named, or those of a folder."""
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
@@ -146,9 +141,6 @@ def _bundles(flags: _ExportFlags) -> list[Bundle]:
 
 
 def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) -> int:
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.exchange import netcdf_bytes
     from tissueid.store.files import file_names
 
@@ -162,6 +154,5 @@ def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) ->
     names = file_names((one.specimen for one in posteriors), first.stem, first.suffix)
     for one in posteriors:
         path = first if len(posteriors) == 1 else first.with_name(names[one.specimen])
-        write_output(str(path), netcdf_bytes(one.to_arviz()))
-        note(f"wrote {path}", quiet=flags.quiet)
+        write_output(path, netcdf_bytes(one.to_arviz()), quiet=flags.quiet)
     return 0

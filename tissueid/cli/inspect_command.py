@@ -20,6 +20,7 @@ from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segm
 from tissueid.digits import with_error
 from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredLoop, MeasuredPush
+from tissueid.errors import UsageError, exit_code, printable
 from tissueid.flags import FLAGS, harm_rank
 
 if TYPE_CHECKING:
@@ -72,15 +73,14 @@ def command(flags: _InspectFlags) -> int:
     --serve. `tissueid FILE...` is the same. Exit code 0 if all were read, 7 if some were refused, 3 if all
     were.
     """
-    from tissueid.errors import exit_code
-
     if flags.serve:
         return serve(flags, lambda asked: inspected(asked, drawn=True))
     found = inspected(flags, drawn=flags.html is not None)
     if flags.html is not None:
-        write_output(flags.html, found.page().encode("utf-8"))
-        note(f"wrote {flags.html}", quiet=flags.quiet)
-    _write_tables(found.read, flags)
+        write_output(flags.html, found.page().encode("utf-8"), quiet=flags.quiet)
+    for path, written in ((flags.csv, measured_csv), (flags.xlsx, measured_xlsx)):
+        if path is not None:
+            write_output(path, written(found.read), quiet=flags.quiet)
     if flags.as_json:
         echo_json(found.printed)
     else:
@@ -102,13 +102,6 @@ def inspected(flags: _InspectFlags, *, drawn: bool) -> Inspection:
             progress(item.path if isinstance(item, Refusal) else item.name, len(found.described), 0)
             found.add(item)
     return found
-
-
-def _write_tables(read: list[Trial], flags: _InspectFlags) -> None:
-    for path, written in ((flags.csv, measured_csv), (flags.xlsx, measured_xlsx)):
-        if path is not None:
-            write_output(path, written(read))
-            note(f"wrote {path}", quiet=flags.quiet)
 
 
 def print_all(described: list[Trial | Refusal], *, quiet: int, verbose: int) -> None:
@@ -342,7 +335,6 @@ def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> in
     Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
     """
     from tissueid.cli.view_command import open_browser
-    from tissueid.errors import UsageError
     from tissueid.study.correcting import CorrectedInspection
     from tissueid.viewer.page_server import PageServer
 
@@ -463,8 +455,6 @@ def _of_hold(hold: MeasuredHold) -> dict[str, Cell]:
 
 def measured_csv(described: Sequence[Trial]) -> bytes:
     """The table as CSV in UTF-8: numbers to their last digit, text without what could steer a reader."""
-    from tissueid.errors import printable
-
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(HEAD)

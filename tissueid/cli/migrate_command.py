@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from tissueid.cli.flags import THERE, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo_json, note
 
@@ -22,8 +24,6 @@ def command(flags: _MigrateFlags) -> int:
     A file is replaced by its new version once that was read back whole. What is of this version already is
     not touched.
     """
-    from pathlib import Path
-
     from tissueid.store.migrate import migrate_bundle, migrate_folder
 
     found = []

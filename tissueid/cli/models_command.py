@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from textwrap import wrap
 from typing import Any
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import echo, echo_json, echo_lines
+from tissueid.cli.output import tell
 from tissueid.errors import UsageError
 
 WIDTH, MARGIN = 98, 16
@@ -39,29 +40,26 @@ def command(flags: _ModelsFlags) -> int:
             msg = f"no law {missing[0]!r}; there are {', '.join(known)}"
             raise UsageError(msg)
         rows = [known[name] for name in flags.names]
-    if flags.as_json:
-        echo_json(rows)
-    elif not flags.quiet:
-        (_each if flags.names else _table)(rows)
+    tell(flags, rows, (_each if flags.names else _table)(rows))
     return 0
 
 
-def _table(rows: list[dict[str, Any]]) -> None:
+def _table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """One line a law, under its kind."""
     kind = ""
     for row in rows:
         if row["kind"] != kind:
             kind = row["kind"]
-            echo(f"{kind}:")
-        echo(f"  {row['key']:<{MARGIN - 4}}  {row['equation']}")
+            yield f"{kind}:"
+        yield f"  {row['key']:<{MARGIN - 4}}  {row['equation']}"
 
 
-def _each(rows: list[dict[str, Any]]) -> None:
+def _each(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Everything of some laws."""
     for position, row in enumerate(rows):
         if position:
-            echo()
-        echo(f"{row['key']} ({row['kind']}): {row['equation']}")
+            yield ""
+        yield f"{row['key']} ({row['kind']}): {row['equation']}"
         names = ", ".join(f"{one['symbol']} [{one['unit']}]" for one in row["parameters"])
         for label, text in (
             ("parameters", names or "none of its own"),
@@ -70,4 +68,4 @@ def _each(rows: list[dict[str, Any]]) -> None:
             ("source", f"doi {row['source']}" if row["source"][:3] == "10." else row["source"]),
         ):
             first = f"  {label + ':':<{MARGIN - 2}}"
-            echo_lines(wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN))
+            yield from wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN)

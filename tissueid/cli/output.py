@@ -8,12 +8,17 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from tissueid.digits import plain_exponents, typeset
-from tissueid.errors import printable
+from tissueid.errors import UsageError, printable
+
+if TYPE_CHECKING:
+    from tissueid.cli.flags import OutputFlags
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,20 +135,25 @@ def echo_bytes(content: bytes, *, safe: bool = False) -> None:
         stream.flush()
 
 
+def tell(flags: OutputFlags, document: Any, lines: Iterable[str]) -> None:
+    """The JSON document where it was asked for, else lines of it; neither where it shall be quiet."""
+    if flags.as_json:
+        echo_json(document)
+    elif not flags.quiet:
+        echo_lines(lines)
+
+
 def note(message: str, *, quiet: int = 0) -> None:
     """A line on stderr."""
     if not quiet:
         echo(message, err=True)
 
 
-def write_output(path: str, content: bytes) -> None:
-    """Write a file the user named, whole or not at all.
+def write_output(path: str | Path, content: bytes, *, quiet: int = 1) -> None:
+    """Write a file the user named, whole or not at all, and say so where not ``quiet``.
 
     Raises UsageError: if it can't be written there.
     """
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.store.files import write_file
 
     try:
@@ -151,6 +161,34 @@ def write_output(path: str, content: bytes) -> None:
     except OSError as error:
         msg = f"{path}: can't be written ({error.strerror}); choose another place"
         raise UsageError(msg) from error
+    note(f"wrote {path}", quiet=quiet)
+
+
+def made_folder(path: str | Path, way_out: str = "choose another folder with -o") -> Path:
+    """The folder the user named, made where it is missing.
+
+    Raises UsageError: it can't be made; ``way_out`` is said.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{path}: can't be made ({error.strerror}); {way_out}"
+        raise UsageError(msg) from error
+    return folder
+
+
+def refuse_foreign(folder: Path, names: Iterable[str], maker: str, why: str) -> None:
+    """Refuse to write over files of our names that stand there without the one that goes with them."""
+    foreign = [name for name in names if (folder / name).exists()]
+    if foreign and not (folder / maker).exists():
+        msg = f"{folder} holds {', '.join(foreign)} {why}: choose another folder with -o"
+        raise UsageError(msg)
+
+
+def created_now() -> str:
+    """Time at which a page is written, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 @contextmanager

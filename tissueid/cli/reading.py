@@ -14,10 +14,9 @@ import click
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
 from tissueid.cli.output import echo
-from tissueid.errors import UsageError
+from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
     from tissueid.result import Refusal
@@ -145,19 +144,6 @@ def segment_options(flags: ReadingFlags) -> SegmentOptions:
     )
 
 
-def _refusal(error: InputError) -> Refusal:
-    from tissueid.result import Refusal
-
-    return Refusal(
-        path=error.path,
-        sheet=error.sheet,
-        code=error.code,
-        message=error.message,
-        line=error.line,
-        column=error.column,
-    )
-
-
 def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
     """Refuse an output folder that is an input as well, also through a link.
 
@@ -207,19 +193,18 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
 
 
 def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
-    from tissueid.errors import InputError
     from tissueid.ingest import each_input
+    from tissueid.result import Refusal
 
     try:
         for file in each_input([name]):
-            yield _refusal(file) if isinstance(file, InputError) else (file, sheet)
+            yield Refusal.of(file) if isinstance(file, InputError) else (file, sheet)
     except InputError as error:
         # a folder without recordings does not stop the others
-        yield _refusal(error)
+        yield Refusal.of(error)
 
 
 def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:
-    from tissueid.errors import InputError
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
@@ -232,7 +217,7 @@ def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterato
         own = options if sheet is None else replace(options, sheet=sheet)
         for item in read_decided(path, own, study):
             if isinstance(item, InputError):
-                yield _refusal(item)
+                yield Refusal.of(item)
             else:
                 by_pattern.add(item.source.path, item.source.sheet)
                 yield item

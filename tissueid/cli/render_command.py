@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +15,11 @@ import click
 
 from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json, note
+from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.documents import typed
 from tissueid.documents.session import Summary
-from tissueid.errors import UsageError
+from tissueid.errors import DeviceError, UsageError, exit_code
 from tissueid.store.files import plain_json
 
 if TYPE_CHECKING:
@@ -48,6 +48,12 @@ tissueid render                                  a tissue that comes along, move
 
 #: Options that choose among the draws of bundles.
 _CHOICES = ("draw", "draw_specimen", "quantile", "against", "against_draw", "against_quantile")
+#: Options of a tissue, which a scene may have too, and those that go to the session under their own name.
+_TISSUE = ("bundle", "preset", "force_scale", "motion_scale", "surface")
+_ALIKE = (
+    *_CHOICES, "of", "script", "seconds", "environment", "blind", "presentations", "pseudonym", "replay",
+    "virtual",
+)  # fmt: skip
 #: What is felt where nothing was asked for.
 DEMONSTRATED = "paper-a"
 
@@ -160,8 +166,6 @@ def command(flags: RenderFlags) -> int:
     Scale and stability are checked, and printed, before any force. No real device has confirmed this
     software: hardware starts at 2 N with the dead-man button on. Without a device, --device sim tries it all.
     """
-    from tissueid.errors import DeviceError, UsageError, exit_code
-
     if flags.selftest:
         return _selftest(flags)
     if flags.twin:
@@ -201,8 +205,6 @@ def _demonstrated(flags: RenderFlags) -> RenderFlags:
 @contextmanager
 def _viewer(flags: RenderFlags) -> Iterator[ServedViewer | None]:
     """The viewer, where one is wanted."""
-    from tissueid.errors import UsageError
-
     if not flags.viewer:
         yield None
         return
@@ -227,7 +229,6 @@ def _waiting_servo(flags: RenderFlags) -> Iterator[SpawnedServo | None]:
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
     """Everything that can be refused before a force."""
-    from tissueid.errors import DeviceError, UsageError
     from tissueid.rendering.bridge import UdpBridge, parse_address
     from tissueid.rendering.plan import plan_session
     from tissueid.rendering.recorder import Recorder
@@ -276,44 +277,26 @@ def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, b
 
 
 def _asked(flags: RenderFlags) -> RenderOptions:
+    from tissueid.cli.devices_command import asked_device
+    from tissueid.haptics.registry import configured
     from tissueid.rendering.options import RenderOptions
 
     scene = _scene(flags)
     if scene is not None and scene.device is not None and flags.name == "auto":
         flags = replace(flags, name=scene.device)
-    asked: dict[str, Any] = {
-        "bundle": flags.bundle,
-        "preset": flags.preset,
-        "force_scale": flags.force_scale,
-        "motion_scale": flags.motion_scale,
-        "tip_radius_mm": flags.tip_radius,
-        "surface": flags.surface,
-    }
-    if scene is not None:
-        # what is said on the command line comes before what the scene says
-        asked = {**scene.tissue, **{key: value for key, value in asked.items() if value is not None}}
-    given: dict[str, Any] = {key: value for key, value in asked.items() if value is not None}
+    asked = {key: getattr(flags, key) for key in _TISSUE} | {"tip_radius_mm": flags.tip_radius}
+    # what is said on the command line comes before what the scene says
+    said = {} if scene is None else {key: one for key, one in scene.tissue.items() if one is not None}
+    said |= {key: value for key, value in asked.items() if value is not None}
+    alike: dict[str, Any] = {key: getattr(flags, key) for key in _ALIKE}
     return RenderOptions(
-        **{"surface": "plane", **given},
+        **{"surface": "plane", **said},
+        **alike,
         scene=scene,
-        draw=flags.draw,
-        draw_specimen=flags.draw_specimen,
-        quantile=flags.quantile,
-        of=flags.of,
-        against=flags.against,
-        against_draw=flags.against_draw,
-        against_quantile=flags.against_quantile,
         device=flags.name,
-        device_options=_device_options(flags),
-        script=flags.script,
-        seconds=flags.seconds,
-        environment=flags.environment,
+        # the device itself is made where it is used, in the servo's process
+        device_options=configured(flags.name, asked_device(flags)),
         control=not flags.no_control,
-        blind=flags.blind,
-        presentations=flags.presentations,
-        pseudonym=flags.pseudonym,
-        replay=flags.replay,
-        virtual=flags.virtual,
         bridge=flags.bridge is not None,
         led=flags.viewer,
     )
@@ -321,8 +304,6 @@ def _asked(flags: RenderFlags) -> RenderOptions:
 
 def _scene(flags: RenderFlags) -> Scene | None:
     """The scene that was asked for; it brings its own tissue, or guidance in its place."""
-    from tissueid.errors import UsageError
-
     if flags.scene is None:
         if flags.plan is not None:
             msg = "--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own"
@@ -336,18 +317,8 @@ def _scene(flags: RenderFlags) -> Scene | None:
     return load_scene(flags.scene, plan=flags.plan)
 
 
-def _device_options(flags: RenderFlags) -> dict[str, Any]:
-    """Options of a driver; the device itself is made where it is used, in the servo's process."""
-    from tissueid.cli.devices_command import asked_device
-    from tissueid.haptics.registry import configured
-
-    return configured(flags.name, asked_device(flags))
-
-
 def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
     """A device's refusal, with what works without a device."""
-    from tissueid.errors import DeviceError
-
     if "--device sim" in error.message or (plan is not None and not plan.capabilities.hardware):
         return error
     return DeviceError(f"{error.message.rstrip('.')}; without a device: --device sim")
@@ -399,9 +370,6 @@ def _report(flags: RenderFlags, plan: SessionPlan, outcome: Outcome) -> None:
 
 def _selftest(flags: RenderFlags) -> int:
     """Figures of the servo on this machine."""
-    from dataclasses import asdict
-
-    from tissueid.cli.output import progress_bar
     from tissueid.rendering.selftest import DEFAULT_SECONDS, run_selftest
 
     seconds = flags.seconds or DEFAULT_SECONDS

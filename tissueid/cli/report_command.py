@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from pathlib import Path
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_json, note, write_output
+from tissueid.cli.output import created_now, echo_json, note, write_output
+from tissueid.errors import BundleError
 
 EXAMPLES = """
 tissueid report out
@@ -21,9 +22,6 @@ class _ReportFlags(OutputFlags):
 @subcommand("report", EXAMPLES)
 def command(flags: _ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
-    from pathlib import Path
-
-    from tissueid.errors import BundleError
     from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_plain, read_results, read_twin
@@ -44,9 +42,10 @@ def command(flags: _ReportFlags) -> int:
             msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
             raise BundleError(msg)
         _, curves, posteriors = read_results(out)
-        created = datetime.now(UTC).isoformat(timespec="seconds")
         twin = read_twin(out)
-        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
+        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created_now()).encode(
+            "utf-8"
+        )
         if target is not None:
             write_output(target, page)
         else:

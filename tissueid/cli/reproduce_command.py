@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import replace
 
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.cli.output import created_now, made_folder, note, progress_bar, tell
 from tissueid.documents import typed
 from tissueid.documents.reproduction import Reproduction
-from tissueid.errors import UsageError
 
 EXAMPLES = """
 tissueid reproduce all
@@ -46,8 +45,6 @@ def command(flags: _ReproduceFlags) -> int:
     what stands behind it: reproduced, recomputed (no number is printed beside it), given (an input), a round
     trip (the number was among the inputs), assumed, or not reproducible.
     """
-    from dataclasses import replace
-
     from tissueid.report.reproduction_page import render_reproduction
     from tissueid.reproduce.document import PAPERS, reproduction
     from tissueid.reproduce.readings import readings_from
@@ -57,7 +54,7 @@ def command(flags: _ReproduceFlags) -> int:
 
     quiet: int = flags.quiet
     readings = readings_from(flags.settings)
-    out = _folder(flags.out)
+    out = made_folder(flags.out)
     papers = PAPERS if flags.paper == "all" else (flags.paper,)
     with progress_bar(show=not quiet) as progress:
         effort = Effort(progress=lambda message: progress(message, 0, 0))
@@ -66,36 +63,22 @@ def command(flags: _ReproduceFlags) -> int:
         written = plain_json(reproduction(papers, readings, effort))
     check_schema(written, "reproduction", where=FILES[0])
     document = typed(written, Reproduction)
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     write_file(out / FILES[0], json_bytes(written))
-    write_file(out / FILES[1], render_reproduction(document, created=created).encode("utf-8"))
-    if flags.as_json:
-        echo_json(written)
-    elif not quiet:
-        _print(document)
+    write_file(out / FILES[1], render_reproduction(document, created=created_now()).encode("utf-8"))
+    tell(flags, written, _lines(document))
     note(f"{out / FILES[1]}", quiet=quiet)
     return 0
 
 
-def _folder(name: str) -> Path:
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    return out
-
-
-def _print(document: Reproduction) -> None:
+def _lines(document: Reproduction) -> Iterator[str]:
     for item in document.items:
         agrees = {None: "", True: "agrees", False: "differs"}[item.agrees]
-        echo(
+        yield (
             f"{item.item:<32} {_value(item.published):>16} {_value(item.recomputed):>18}  "
-            f"{agrees:<8} {item.kind}",
+            f"{agrees:<8} {item.kind}"
         )
     counts = Counter(item.kind for item in document.items)
-    echo("  ".join(f"{kind}: {count}" for kind, count in counts.items()))
+    yield "  ".join(f"{kind}: {count}" for kind, count in counts.items())
 
 
 def _value(value: float | tuple[float, ...] | None) -> str:

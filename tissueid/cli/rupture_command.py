@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, REAL_FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, echo_lines, note, progress_bar
+from tissueid.cli.output import echo, note, progress_bar, tell
 from tissueid.cli.reading import (
     ReadingFlags,
     read_all,
@@ -65,10 +65,7 @@ def command(flags: _RuptureFlags) -> int:
     with progress_bar(show=not quiet) as progress:
         written = write_rupture(Path(flags.out), lambda: _run(flags, progress))
     document = typed(written, Rupture)
-    if flags.as_json:
-        echo_json(written)
-    elif not quiet:
-        echo_lines(_lines(document))
+    tell(flags, written, _lines(document))
     for row in document.left_out:
         echo(f"left out  {row.path}: {row.reason}", fg="red", err=True)
     note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=quiet)

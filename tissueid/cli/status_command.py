@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from tissueid.cli.flags import FOLDER_THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_json, echo_lines
+from tissueid.cli.output import tell
 from tissueid.documents import typed
 from tissueid.documents.folder import Status
 
@@ -43,10 +43,7 @@ def command(flags: _StatusFlags) -> int:
     while True:
         read = read_status(Path(flags.out))
         status = typed(read, Status)
-        if flags.as_json:
-            echo_json(read)
-        elif not flags.quiet:
-            echo_lines(_lines(status))
+        tell(flags, read, _lines(status))
         if not flags.watch or status.state != "running":
             return 7 if status.specimens.failed or status.files.refused else 0
         time.sleep(WATCH_S)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -208,9 +210,6 @@ class _ExportFlags(ReadingFlags, OutputFlags):
 )
 def export(flags: _ExportFlags) -> int:
     """Publish a study: recordings, study file and metadata in one folder."""
-    from dataclasses import replace
-    from datetime import UTC, date, datetime
-
     from tissueid.collection import display_names
     from tissueid.study.crate import Anonymiser, crate_files, crate_metadata, read_salt, write_crate
     from tissueid.study.recordings import locate_study

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import click
 
 from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
+from tissueid.errors import UsageError
 
 EXAMPLES = """
 tissueid synth paper-a-30 -o synthetic --rate 100
@@ -53,10 +57,6 @@ def command(flags: _SynthFlags) -> int:
 
     RECIPE is a name (paper-a-30, paper-a-30-k1, paper-a-22) or a recipe.toml.
     """
-    from dataclasses import replace
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.synth import RECIPES, load_recipe, recipe, write_set
 
     named = flags.recipe

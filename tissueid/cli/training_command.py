@@ -9,9 +9,10 @@ from typing import Any, Literal
 from msgspec.structs import asdict
 
 from tissueid.cli.flags import ABOVE_0, FILE, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_json, echo_lines, note, write_output
+from tissueid.cli.output import note, tell, write_output
 from tissueid.documents import plain
 from tissueid.documents.session import Attempt, Learning, Refused, Training
+from tissueid.errors import BundleError, UsageError, exit_code
 
 EXAMPLES = """
 tissueid training hip-*.h5
@@ -44,8 +45,6 @@ def command(flags: _TrainingFlags) -> int:
     orientation: the angle is that of the chord from the cone's entry to the end of the drilling. Exit code 7
     where a log holds no attempt. For research: no number here says that somebody may operate.
     """
-    from tissueid.errors import UsageError, exit_code
-
     document, tracks = _measured(flags)
     if not document.attempts and not document.refused:
         msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
@@ -53,12 +52,8 @@ def command(flags: _TrainingFlags) -> int:
     if flags.html is not None:
         from tissueid.report.training_page import render_training
 
-        write_output(flags.html, render_training(document, tracks).encode())
-        note(f"wrote {flags.html}", quiet=flags.quiet)
-    if flags.as_json:
-        echo_json(plain(document))
-    elif not flags.quiet:
-        echo_lines(_lines(document))
+        write_output(flags.html, render_training(document, tracks).encode(), quiet=flags.quiet)
+    tell(flags, plain(document), _lines(document))
     for one in document.refused:
         note(f"{one.file}: {one.reason}")
     return exit_code({7} if document.refused else set())
@@ -66,7 +61,6 @@ def command(flags: _TrainingFlags) -> int:
 
 def _measured(flags: _TrainingFlags) -> tuple[Training, dict[str, Any]]:
     """The document, and the ways of attempts where a page is wanted."""
-    from tissueid.errors import BundleError
     from tissueid.store.session_log import read_session_log
     from tissueid.training.measures import measured, track
 

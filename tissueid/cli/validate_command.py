@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json
+from tissueid.errors import BundleError, UsageError
 
 EXAMPLES = """
 tissueid validate out
 tissueid validate kidney.h5 --json
 """
-
-
-@dataclass(frozen=True, slots=True)
-class Validated:
-    """A target, and what is wrong with it."""
-
-    path: str
-    valid: bool
-    problem: str | None
 
 
 class _ValidateFlags(OutputFlags):
@@ -32,13 +24,10 @@ def command(flags: _ValidateFlags) -> int:
 
     An interrupted refresh is finished first. Exit code 6 where something is wrong.
     """
-    from pathlib import Path
-
-    from tissueid.errors import BundleError, UsageError
     from tissueid.store.bundle import load_bundle
     from tissueid.store.results import validate_outputs
 
-    results: list[Validated] = []
+    results: list[dict[str, str | bool | None]] = []
     for target in flags.targets:
         if not Path(target).exists():
             msg = f"{target}: no such file or folder"
@@ -51,13 +40,12 @@ def command(flags: _ValidateFlags) -> int:
                 load_bundle(target)
         except BundleError as error:
             problem = error.message
-        results.append(Validated(str(target), problem is None, problem))
+        results.append({"path": target, "valid": problem is None, "problem": problem})
     if flags.as_json:
-        echo_json([asdict(one) for one in results])
-    else:
-        for one in results:
-            if one.valid and not flags.quiet:
-                echo(f"{one.path}: valid")
-            elif not one.valid:
-                echo(f"tissueid: {one.problem}", err=True)
-    return 0 if all(one.valid for one in results) else 6
+        echo_json(results)
+    for one in [] if flags.as_json else results:
+        if one["problem"] is not None:
+            echo(f"tissueid: {one['problem']}", err=True)
+        elif not flags.quiet:
+            echo(f"{one['path']}: valid")
+    return 0 if all(one["valid"] for one in results) else 6

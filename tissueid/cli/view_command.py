@@ -13,7 +13,7 @@ import click
 
 from tissueid.cli.flags import PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, note
-from tissueid.errors import UsageError
+from tissueid.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder
@@ -74,7 +74,6 @@ def _is_address(text: str) -> bool:
 
 def _play(flags: _ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
-    from tissueid.errors import DeviceError
     from tissueid.viewer.showing import check_log, recording_beside, show_log
 
     log = check_log(path)

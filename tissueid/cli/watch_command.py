@@ -9,23 +9,21 @@ from collections.abc import Iterator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json_text, note
+from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.inspect import Parameter, Watch
-from tissueid.errors import UsageError
+from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
-    from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
 
@@ -95,7 +93,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
     import_module("pandas")
     from tissueid.study.recordings import locate_study
     from tissueid.watch import FolderWatch, judge
-    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log
+    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log, quick_fit
 
     folder = Path(flags.folder)
     if not folder.is_dir():
@@ -103,14 +101,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
         raise UsageError(msg)
     reading = read_options(flags)
     segmenting = segment_options(flags)
-    log = None
-    if flags.out is not None:
-        log = Path(flags.out) / LOG
-        try:
-            log.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            msg = f"{log.parent}: can't be made a folder ({error.strerror}); choose another"
-            raise UsageError(msg) from error
+    log = None if flags.out is None else made_folder(flags.out) / LOG
     study, _ = locate_study([flags.folder], named=flags.study, ignore=flags.no_study)
     specimen = folder.resolve().name if flags.same_specimen else None
     watch = FolderWatch(lambda: _recordings(folder))
@@ -123,19 +114,12 @@ def _session(flags: _WatchFlags) -> WatchSession:
         lambda trial, earlier: judge(trial, earlier, options=segmenting, study=study),
         log,
         [] if log is None else load_log(log),
-        fit=(lambda trial: _fit(trial, segmenting, study)) if flags.fit else None,
+        fit=(lambda trial: quick_fit(trial, segmenting, study)) if flags.fit else None,
     )
-
-
-def _fit(trial: Trial, options: SegmentOptions, study: Study | None) -> dict[str, Any] | None:
-    from tissueid.watch.session import quick_fit
-
-    return quick_fit(trial, options, study)
 
 
 def _recordings(folder: Path) -> list[Path]:
     """The recordings of the folder now; an ``OSError`` where it can't be listed."""
-    from tissueid.errors import InputError
     from tissueid.ingest import each_input
 
     try:

@@ -207,9 +207,7 @@ class WatchSession:
     def _judged(self, path: Path) -> Iterator[Happening]:
         for item in self.read(path):
             if isinstance(item, InputError):
-                verdict = refused_verdict(
-                    Refusal(item.path, item.sheet, item.code, item.message, item.line, item.column)
-                )
+                verdict = refused_verdict(Refusal.of(item))
                 known = self._find(item.path, item.sheet)
                 if known is None or known["error"] != verdict["error"]:
                     yield self._keep(verdict, known)
