@@ -8,9 +8,8 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Any
 
 from tissueid import __version__
 from tissueid.extras import EXTRA_OF, installed
@@ -33,25 +32,11 @@ class Check:
     words: str
     way_out: str | None = None  # what to type or do
 
-    def as_json(self) -> dict[str, Any]:
-        """The check as an object."""
-        return asdict(self)
-
 
 def examine() -> Iterator[Check]:
     """Look at everything, one check at a time."""
-    for look in (
-        _program,
-        _machine,
-        _libraries,
-        _extras,
-        _loop,
-        _real_time,
-        _devices,
-        _page,
-        _browser,
-    ):
-        yield look()
+    looks = (_program, _machine, _libraries, _extras, _loop, _real_time, _devices, _page, _browser)
+    yield from (look() for look in looks)
 
 
 def _program() -> Check:

@@ -8,9 +8,9 @@
     +-- NotIdentifiedError     4  a required parameter is not identified, or no convergence
     +-- DeviceError            5  device or safety refusal
     +-- BundleError            6  a bundle or output set is invalid, mixed or not renderable
-    +-- IncompleteError        7  finished, but something was left out
 
-Where several apply, :data:`EXIT_PRECEDENCE` decides.  130 is reserved for an interrupt.
+7 says that a run finished and left something out.  Where several apply, :data:`EXIT_PRECEDENCE` decides.
+130 is reserved for an interrupt.
 """
 
 from __future__ import annotations
@@ -126,12 +126,6 @@ class BundleError(TissueidError):
     """A bundle or an output set is damaged, mixed, of another schema, or can't be rendered."""
 
     exit_status = 6
-
-
-class IncompleteError(TissueidError):
-    """The work finished, but something named in the message was left out."""
-
-    exit_status = 7
 
 
 def exit_code(codes: set[int]) -> int:

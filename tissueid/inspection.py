@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.collection import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.documents import plain
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.flags import Flag
@@ -22,6 +22,11 @@ from tissueid.measured.verdict import verdict_of
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
+
+#: What is told of a source, a contact and a corner.
+_READ = ("recipe", "recipe_reason", "recipe_confidence", "encoding", "delimiter", "decimal")
+_CONTACT = ("displacement_mm", "sd_mm", "baseline_N", "in_record")
+_CORNER = ("phase", "time_s", "duration_s", "overshoot_mm", "ringing_swings", "ringing_period_s")
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
@@ -89,12 +94,7 @@ def describe_segmented(
         "sheet": source.sheet,
         "specimen": trial.specimen,
         "excluded": excluded,
-        "recipe": source.recipe,
-        "recipe_reason": source.recipe_reason,
-        "recipe_confidence": source.recipe_confidence,
-        "encoding": source.encoding,
-        "delimiter": source.delimiter,
-        "decimal": source.decimal,
+        **{key: getattr(source, key) for key in _READ},
         "columns": dict(source.columns),
         "units": trial.axes.as_json(),
         "n_samples": int(trial.time_s.size),
@@ -104,26 +104,9 @@ def describe_segmented(
         "compression_sign": segmentation.compression_sign,
         "force_sign": segmentation.force_sign,
         "force_noise_N": segmentation.force_noise_N,
-        "contact": None
-        if contact is None
-        else {
-            "displacement_mm": contact.displacement_mm,
-            "sd_mm": contact.sd_mm,
-            "baseline_N": contact.baseline_N,
-            "in_record": contact.in_record,
-        },
+        "contact": None if contact is None else {key: getattr(contact, key) for key in _CONTACT},
         "phases": [_phase(trial, phase) for phase in segmentation.phases],
-        "corners": [
-            {
-                "phase": corner.phase,
-                "time_s": corner.time_s,
-                "duration_s": corner.duration_s,
-                "overshoot_mm": corner.overshoot_mm,
-                "ringing_swings": corner.ringing_swings,
-                "ringing_period_s": corner.ringing_period_s,
-            }
-            for corner in segmentation.corners
-        ],
+        "corners": [{key: getattr(corner, key) for key in _CORNER} for corner in segmentation.corners],
         "events": [
             {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
             for event in segmentation.events

@@ -18,16 +18,19 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
-from tissueid.collection import Collected, TrialCache, collect, display_names
-from tissueid.covariates import (
+from tissueid.collection import (
+    Collected,
     Refit,
+    TrialCache,
+    arithmetic_refusal,
+    collect,
+    display_names,
     exclusion_rows,
     study_flags,
     study_record,
     unmatched_sheets,
     without_excluded,
 )
-from tissueid.decided import arithmetic_refusal
 from tissueid.errors import InputError, exit_code
 from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
@@ -85,11 +88,6 @@ Checkpoints = Callable[[str], Path]
 _Progress = Callable[[str, int, int], None]
 
 
-def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
-    radii = set(protocol_radii)
-    return radii.pop() if len(radii) == 1 else None
-
-
 def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
     """Requested numbers that are not identified, or did not converge, in words."""
     reasons = []
@@ -138,24 +136,23 @@ def run_provenance(
     ``inputs``: one row a recording that was fitted; ``record``: the ``study`` of the run; ``extra``: what the
     caller adds.
     """
+    fit, posterior = options.fit, options.posterior
     return {
         "tissueid": __version__,
         "versions": dict(_versions()),
         "options": {
-            "model": options.fit.model,
-            "branches": options.fit.branches or "auto",
-            "stiffness_degree": (
-                "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
-            ),
-            "static": options.fit.static,
-            "noise": options.fit.noise,
-            "sampler": "none" if options.posterior is None else options.posterior.sampler,
-            "draws": 0 if options.posterior is None else options.posterior.draws,
-            "unloading": options.fit.unloading,
-            "frequencies_Hz": list(options.fit.frequencies_Hz),
-            "depths_mm": list(options.fit.depths_mm),
-            "tip": None if options.fit.geometry is None else str(options.fit.geometry),
-            "poisson": options.fit.poisson,
+            "model": fit.model,
+            "branches": fit.branches or "auto",
+            "stiffness_degree": "auto" if fit.stiffness_degree is None else fit.stiffness_degree,
+            "static": fit.static,
+            "noise": fit.noise,
+            "sampler": "none" if posterior is None else posterior.sampler,
+            "draws": 0 if posterior is None else posterior.draws,
+            "unloading": fit.unloading,
+            "frequencies_Hz": list(fit.frequencies_Hz),
+            "depths_mm": list(fit.depths_mm),
+            "tip": None if fit.geometry is None else str(fit.geometry),
+            "poisson": fit.poisson,
             "compression_sign": options.segment.compression_sign,
             "contact_displacement_mm": options.segment.contact_displacement_mm,
             "required": list(options.required),
@@ -301,7 +298,8 @@ def _fit_all(
                 if entry["specimen"] == specimen
             ]
             continue
-        radius_mm, tip = _tip_radius(collected.radii[specimen]), None
+        radii = set(collected.radii[specimen])
+        radius_mm, tip = radii.pop() if len(radii) == 1 else None, None
         if own.geometry is not None:
             said = own.geometry.indenter
             radius_mm, tip = radius_mm or said.radius_mm, TipShape(said.shape, said.half_angle_deg)

@@ -37,8 +37,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ended, Path]:
 
 
 def test_inspect_gives_first_last_and_peak_as_recorded(rows: list[tuple[float, float, float]]) -> None:
-    ended = run("inspect", LOG, "--json")
-    assert ended.code == 0
+    ended = run("inspect", LOG, "--json", code=0)
     (one,) = ended.json()
     peak = max(rows, key=lambda row: abs(row[2]))
     for key, expected in (("first", rows[0]), ("last", rows[-1]), ("peak_force", peak)):

@@ -146,8 +146,7 @@ def test_in_the_middle_of_a_function(
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(function, interrupted)
-    ended = run(*args)
-    assert ended.code == 130
+    ended = run(*args, code=130)
     assert ended.stderr.splitlines()[-1] + "\n" == SAID
     assert contents(place) == before
 

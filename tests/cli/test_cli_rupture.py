@@ -116,15 +116,12 @@ def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(
 
 def test_what_a_fit_wrote_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "identification.json").write_text("{}", encoding="utf-8")
-    ended = run("rupture", SET, "-o", tmp_path)
-    assert ended.code == 2
-    assert "choose another folder" in ended.stderr
+    run("rupture", SET, "-o", tmp_path, code=2, said="choose another folder")
     assert (tmp_path / "identification.json").read_text(encoding="utf-8") == "{}"
 
 
 def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: Path, tmp_path: Path) -> None:
-    ended = run("rupture", datasets / "paper-a-hold-100Hz" / "hold-8-1.csv", "-o", tmp_path / "out")
-    assert ended.code == 4
+    ended = run("rupture", datasets / "paper-a-hold-100Hz" / "hold-8-1.csv", "-o", tmp_path / "out", code=4)
     assert "0 of 1 tests end in a rupture, and 4 are needed" in ended.stderr
     assert not (tmp_path / "out" / "rupture.json").exists()
 
@@ -132,7 +129,5 @@ def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: 
 def test_recordings_that_can_not_be_read_are_named(tmp_path: Path) -> None:
     bad = tmp_path / "bad.csv"
     bad.write_text("nothing here\n", encoding="utf-8")
-    ended = run("rupture", bad, "-o", tmp_path / "out")
-    assert ended.code == 3
-    assert "bad.csv" in ended.stderr
+    run("rupture", bad, "-o", tmp_path / "out", code=3, said="bad.csv")
     assert not (tmp_path / "out" / "rupture.json").exists()

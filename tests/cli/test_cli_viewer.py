@@ -36,9 +36,7 @@ def recorded(folder: Path) -> Path:
     ],
 )
 def test_what_cannot_be_shown_is_refused(args: tuple[str, ...], code: int, said: str) -> None:
-    ended = run(*args)
-    assert ended.code == code, ended.stderr
-    assert said in ended.stderr
+    run(*args, code=code, said=said)
 
 
 def test_a_log_is_served_until_it_is_told_to_end(tmp_path: Path) -> None:

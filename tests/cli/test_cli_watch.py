@@ -310,8 +310,7 @@ def test_only_equal_tests_of_one_specimen_are_compared() -> None:
 def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
     write_log(tmp_path / "data" / "one.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
-    assert ended.code == 7
+    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out", code=7)
     lines = [json.loads(line) for line in ended.stdout.splitlines()]
     assert {Path(one["path"]).name: one["verdict"]["level"] for one in lines}["bad.csv"] == "refused"
     assert all(first_problem(one, "watch") is None for one in lines)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from tissueid.cli.flags import OutputFlags, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
 
@@ -40,5 +42,5 @@ def command(flags: _DoctorFlags) -> int:
             echo(f"{'':21}{check.way_out}")
     missing = [check.name for check in checks if check.state == "missing"]
     if flags.as_json:
-        echo_json({"checks": [check.as_json() for check in checks], "missing": missing})
+        echo_json({"checks": [asdict(check) for check in checks], "missing": missing})
     return EXIT_MISSING if missing else 0

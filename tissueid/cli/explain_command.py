@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -53,7 +54,7 @@ def command(flags: _ExplainFlags) -> int:
     entries = [explain(name) for name in flags.names] or list(explanations().values())
     width = max(len(entry.name) for entry in entries)
     listed = (f"{one.kind:<9}  {one.name:<{width}}  {one.title or one.meaning}" for one in entries)
-    tell(flags, [one.as_json() for one in entries], _each(entries) if flags.names else listed)
+    tell(flags, [asdict(one) for one in entries], _each(entries) if flags.names else listed)
     return 0
 
 
