@@ -315,10 +315,7 @@ def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception
 
 
 def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
-    """The run's options with what the study decides for this trial.
-
-    Raises UsageError: both together leave no window of time.
-    """
+    """The run's options with what the study decides for this trial."""
     said: dict[str, Any] = {
         name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
     }
@@ -388,10 +385,7 @@ class Refit:
 
 
 def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> SpecimenFit:
-    """The fit with the flags that need its trials together, the study, or both.
-
-    ``collected``: with the study's decision on every trial.
-    """
+    """The fit with the flags that need its trials together, the study, or both."""
     said = [collected.decisions.get((trial.path, trial.sheet)) for trial in fit.trials]
     rows: list[TomlTable] = [{} if one is None else one.trial for one in said]
     frame = None if study is None else study.calibration.frame
@@ -408,21 +402,14 @@ def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> 
 def study_record(
     study: Study, collected: Collected, names: Mapping[str, str], exclusions: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The ``study`` object of ``schemas/identification.schema.json``.
-
-    ``names``: names of specimens as shown; ``exclusions``: from :func:`exclusion_rows`.
-    """
+    """The ``study`` object of ``schemas/identification.schema.json``."""
     shown = [names[name] for name in collected.groups]
     trials = [_trial_row(collected, entry, names) for entry in collected.inputs]
     return study_document(study, shown, trials, list(exclusions))
 
 
 def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions: Any) -> dict[str, Any]:
-    """The ``study`` object from rows that are there.
-
-    ``fitted``: specimens as shown; those that the study names come after them; ``trials``, ``exclusions``:
-    rows, gathered from wherever they were made.
-    """
+    """The ``study`` object from rows that are there."""
     shown = dict.fromkeys([*fitted, *study.specimens])
     frame = study.calibration.frame
     calibration = {key: study.calibration.values.get(key) for key in Calibration.__struct_fields__}

@@ -1,16 +1,13 @@
 """Compilation of functions: for the disk, without the interpreter, and in a servo's tick without a heap.
 
-Compiled functions are kept in a folder that is named by a hash of all their sources
-(:mod:`tissueid.compiled`): numba's own key knows the caller's source and not its callees'.
+numba keeps a compiled function while the file that defines it stays the same, whatever it calls: the folder
+of kernels is therefore named by a hash of every source, version and flag that they are made with.
 
-In a tick numba's memory runtime is left out.  A function that allocates is then refused by the compiler, so
-that "nothing is allocated in the loop" is checked whenever the loop is built; and no array is counted on its
-way from function to function, which took more time than the arithmetic (an atomic operation for each array
-and call).  Arrays belong to whoever calls from Python and outlive every call.
-
-Floating point stays as it is written: no fast-math, no contraction, so that numba, Python and C agree bit
-for bit.  Without numba (the extra ``haptics``) functions stay as they are written, and a fit needs no more;
-a servo, or chains of a population, ask for it (:func:`tissueid.extras.require`).
+In a tick numba's memory runtime is left out: a function that allocates is refused by the compiler, and no
+array is counted on its way from function to function.  Floating point stays as it is written (no fast-math,
+no contraction), so that numba, Python and C agree bit for bit.  Without numba functions stay as they are
+written, and a fit needs no more; a servo, or chains of a population, ask for it
+(:func:`tissueid.extras.require`).
 """
 
 from __future__ import annotations
@@ -58,11 +55,7 @@ def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
 def kernel(
     *, error_model: str = "numpy", fastmath: set[str] | bool = False
 ) -> Callable[[Function], Function]:
-    """Compile a function of arrays and numbers, without the interpreter's lock.
-
-    ``error_model``: ``numpy`` divides by zero as arrays do, ``python`` raises; ``fastmath``: liberties with
-    floating point, as LLVM names them.
-    """
+    """Compile a function of arrays and numbers, without the interpreter's lock."""
     options = {"error_model": error_model, "fastmath": fastmath}
     return lambda function: _for_the_disk(function, options)
 
@@ -118,10 +111,7 @@ def _imported(text: str, root: Path) -> set[Path]:
 
 
 def kernel_sources(root: Path = _PACKAGE) -> dict[str, bytes]:
-    """Sources of all kernels and of what they import, by their path in the package.
-
-    ``root``: folder of the package.
-    """
+    """Sources of all kernels and of what they import, by their path in the package."""
     texts = {path: path.read_bytes() for path in sorted(root.rglob("*.py"))}
     waiting = [path for path, text in texts.items() if _KERNELS.search(text.decode())]
     found: set[Path] = set()
@@ -134,10 +124,7 @@ def kernel_sources(root: Path = _PACKAGE) -> dict[str, bytes]:
 
 
 def sources_key(root: Path = _PACKAGE) -> str:
-    """Hash of sources, versions and flags of all kernels.
-
-    ``root``: folder of the package.
-    """
+    """Hash of sources, versions and flags of all kernels."""
     import llvmlite
     import numba
     import numpy as np

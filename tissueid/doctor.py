@@ -151,10 +151,7 @@ def _browser() -> Check:
 
 
 def warm(tell: Callable[[str], None]) -> None:
-    """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built.
-
-    ``tell``: told what is being compiled.
-    """
+    """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built."""
     import numpy as np
 
     from tissueid.inference.posterior import PosteriorOptions

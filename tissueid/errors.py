@@ -128,12 +128,15 @@ class BundleError(TissueidError):
     exit_status = 6
 
 
-def exit_code(codes: set[int]) -> int:
-    """The one exit code of a run in which several conditions hold.
+def was_interrupted(error: BaseException | None) -> bool:
+    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
-    ``codes``: exit codes of the conditions met; 0 may be among them.  Returns the code that comes first in
-    :data:`EXIT_PRECEDENCE`, or 0.
-    """
+
+def exit_code(codes: set[int]) -> int:
+    """The first of the codes by :data:`EXIT_PRECEDENCE`, or 0."""
     for code in EXIT_PRECEDENCE:
         if code in codes:
             return code

@@ -87,11 +87,7 @@ def explanations() -> dict[str, Explanation]:
 
 
 def explain(name: str) -> Explanation:
-    """The entry of a name.
-
-    ``name``: a flag's code, a parameter by name or symbol (with or without its branch) or an exit code.
-    Raises UsageError: there is none; the nearest names are said.
-    """
+    """The entry of a name."""
     known = explanations()
     quantity = quantity_name(name)
     if quantity is not None:

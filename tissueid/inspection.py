@@ -30,10 +30,7 @@ _CORNER = ("phase", "time_s", "duration_s", "overshoot_mm", "ringing_swings", "r
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
-    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed.
-
-    Returns the object of ``schemas/inspect.schema.json``.
-    """
+    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed."""
     segmentation = segmented(trial, options=options)
     return segmentation if isinstance(segmentation, Refusal) else describe_segmented(trial, segmentation)
 
@@ -49,10 +46,7 @@ def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segment
 def as_decided(
     trial: Trial, options: SegmentOptions | None, study: Study | None
 ) -> tuple[Trial, SegmentOptions, str | None]:
-    """The trial, its options, and why it is excluded, after what a study says of it.
-
-    ``trial``: as read; ``options``: of the run.
-    """
+    """The trial, its options, and why it is excluded, after what a study says of it."""
     options = options or SegmentOptions()
     pattern = options.excludes(trial)
     by_hand = None if pattern is None else f"--exclude {pattern}"
@@ -80,11 +74,7 @@ def describe_segmented(
     measured: Measured | None = None,
     earlier: Sequence[MeasuredPush] = (),
 ) -> dict[str, Any]:
-    """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
-
-    ``excluded``: why the user took it out of the fit; ``measured``: as :func:`measured_of` gives it; measured
-    now where there is none; ``earlier``: of the same specimen, in the order of testing.
-    """
+    """The object of ``schemas/inspect.schema.json`` for a trial beside ``earlier`` ones of its specimen."""
     measured = measured or measured_of(trial, segmentation)
     source = trial.source
     flags: list[Flag] = [*trial.flags, *segmentation.flags]

@@ -45,10 +45,7 @@ def html_of(one: Any) -> str:
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of text; everything is escaped, and a long one is cut with the number of what is left out.
-
-    ``rows``: as many cells as headings.
-    """
+    """A table of text; everything is escaped, and a long one is cut with the number of what is left out."""
     head = "".join(f'<th scope="col" style="text-align:left">{escape(one)}</th>' for one in headings)
     body = "".join(
         "<tr>" + "".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) + "</tr>"
@@ -63,10 +60,7 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) 
 def drawing(
     curves: Sequence[tuple[str, FloatArray, FloatArray, str]], *, across: str, up: str, words: str
 ) -> str:
-    """Curves as an inline SVG that takes the colour of the text around it.
-
-    ``across``, ``up``: titles of the axes; ``words``: what is drawn, for who does not see it.
-    """
+    """Curves as an inline SVG that takes the colour of the text around it."""
     drawn = [(name, *_thinned(x, y), colour) for name, x, y, colour in curves]
     x_from, x_to = _ends([x for _, x, _, _ in drawn])
     y_from, y_to = _ends([y for _, _, y, _ in drawn])

@@ -106,10 +106,7 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
 
 
 def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
-    """End of a run.
-
-    ``fitted``: specimens; ``refused``: what was left out, and why; ``missing``: from :func:`unmet`.
-    """
+    """End of a run."""
     codes: set[int] = {0}
     reasons = list(refused)
     if refused:
@@ -198,11 +195,7 @@ def with_draws(
     key: str = "",
     tick: Callable[[str], None] | None = None,
 ) -> SpecimenFit:
-    """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why.
-
-    ``instrument``: give the total interval too; ``checkpoint``: file that the sampler goes on from; ``key``:
-    of everything that the posterior depends on.
-    """
+    """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why."""
     if options is None:
         return fitted.fit
     try:

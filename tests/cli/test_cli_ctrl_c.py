@@ -118,10 +118,7 @@ def contents(folder: Path) -> dict[str, str]:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(("args", "step"), AT_A_STEP, ids=lambda value: str(value)[:40])
 def test_at_a_step_of_the_work(
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    args: tuple[str, ...],
-    step: int,
+    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], step: int
 ) -> None:
     before = contents(place)
     interrupt_at(monkeypatch, args[0], step)
@@ -152,8 +149,7 @@ def test_in_the_middle_of_a_function(
 
 
 def test_an_interrupted_calibration_goes_on_where_it_was(
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
         interrupt_at(patched, "calibrate", 8)

@@ -26,13 +26,13 @@ from typed_call import typed_call
 
 from tissueid.documents.identification import Calibration, StatedSpecimen
 from tissueid.errors import UsageError
-from tissueid.exchange import netcdf_bytes
 from tissueid.result import SpecimenFit
 from tissueid.store.bundle import write_bundle
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
+from tissueid.uncertainty import netcdf_bytes
 
 tidy_table = typed_call(tidy_table)
 

@@ -90,11 +90,7 @@ def test_normalised_results_are_said_in_their_units() -> None:
 
 @pytest.mark.parametrize(
     "fit",
-    [
-        sampled(specimen_fit()),
-        sampled(specimen_fit(identified=False)),
-        sampled(specimen_fit(), misfit=True),
-    ],
+    [sampled(specimen_fit()), sampled(specimen_fit(identified=False)), sampled(specimen_fit(), misfit=True)],
 )
 def test_lines_of_numbers_fit_a_terminal_of_a_hundred_columns(fit: SpecimenFit) -> None:
     for line in (*parameter_lines(fit.as_json()), *sampling_lines(fit.as_json())):

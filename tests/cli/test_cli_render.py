@@ -213,10 +213,7 @@ def test_a_refused_option_leaves_no_log_behind(bundle: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("args", "said"),
-    [
-        (("--tip-radius", "5"), "identified with a tip of 2 mm"),
-        (("--surface", "sphere 5 mm"), "too small"),
-    ],
+    [(("--tip-radius", "5"), "identified with a tip of 2 mm"), (("--surface", "sphere 5 mm"), "too small")],
 )
 def test_what_the_law_is_not_meant_for_is_refused(bundle: Path, args: tuple[str, ...], said: str) -> None:
     run("render", bundle, "--device", "sim", *args, code=6, said=said)

@@ -23,19 +23,11 @@ ENTRY_M = np.array([0.0, 0.0, 0.12])
 
 
 def session(
-    path: Path,
-    *,
-    error_mm: float,
-    seconds: float,
-    pseudonym: str = "P7",
-    deep_mm: float = 21.0,
+    path: Path, *, error_mm: float, seconds: float, pseudonym: str = "P7", deep_mm: float = 21.0
 ) -> Path:
     """A log of a tip that comes down beside the axis."""
     options = RenderOptions(
-        device="sim",
-        seconds=1.0,
-        scene=load_scene("hip-resurfacing"),
-        pseudonym=pseudonym,
+        device="sim", seconds=1.0, scene=load_scene("hip-resurfacing"), pseudonym=pseudonym
     )
     plan = plan_session(options)
     head = plan.head

@@ -293,10 +293,7 @@ def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
 def test_only_equal_tests_of_one_specimen_are_compared() -> None:
     first = judge(ramp_hold("a.csv"))
     softer = {"gain": 0.8}
-    for other in (
-        ramp_hold("b.csv", specimen="liver", **softer),
-        ramp_hold("c.csv", speed=8.0, **softer),
-    ):
+    for other in (ramp_hold("b.csv", specimen="liver", **softer), ramp_hold("c.csv", speed=8.0, **softer)):
         assert judge(other, [first])["verdict"]["level"] == "good"
     assert (
         judge(ramp_hold("d.csv", **softer), [first | {"excluded": "slipped"}])["verdict"]["level"] == "good"

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import (
-    created_now,
-    made_folder,
-    note,
-    progress_bar,
-    refuse_foreign,
-    tell,
-)
+from tissueid.cli.output import created_now, made_folder, note, progress_bar, refuse_foreign, tell
 from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
@@ -195,11 +188,7 @@ class Found:
 
 
 def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
-    """Look at the source the user named.
-
-    Raises UsageError: it is none, or an option does not go with it; InputError, BundleError: it can't be
-    used.
-    """
+    """Look at the source the user named."""
     from tissueid.synth import RECIPES
 
     named: str = flags.source
@@ -290,10 +279,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
         study = locate_study((), named=manifest)[0] if manifest else None
         refused: list[Refusal] = []
         return of_bundle_inputs(
-            read_all(read_in_order(paths, reading, study), refused),
-            bundle,
-            study=study,
-            progress=progress,
+            read_all(read_in_order(paths, reading, study), refused), bundle, study=study, progress=progress
         )
     except (InputError, UsageError):
         # the study or a file has changed since: a program stands in, and that is said

@@ -69,10 +69,7 @@ def command(flags: _CohortFlags) -> int:
 
 
 def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
-    """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr.
-
-    ``out``: the output folder, as it was named; ``quiet``: 1 leaves the table out, 2 the specimens too.
-    """
+    """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr."""
     if not quiet:
         _print_table(written, out)
     for one in written.fit.left_out:
@@ -95,13 +92,13 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
         unit = "" if row.unit == "1" else f" {row.unit}"
         echo(
             f"  {row.words:<34} {median}{unit} (95 %: {low} to {high}{total}), "
-            f"between specimens CV {100 * row.cv:.1f} % ({100 * first:.1f} to {100 * last:.1f})",
+            f"between specimens CV {100 * row.cv:.1f} % ({100 * first:.1f} to {100 * last:.1f})"
         )
     if found.held_out is not None:
         by = found.held_out.nrmsd_range
         echo(
             f"  held-out specimens: NRMSD {100 * by.median:.1f} % of range "
-            f"(68 %: {100 * by.low68:.1f} to {100 * by.high68:.1f})",
+            f"(68 %: {100 * by.low68:.1f} to {100 * by.high68:.1f})"
         )
     for flag in document.flags:
         echo(f"  ! {warning_line(flag.code, flag.message)}", fg="yellow")

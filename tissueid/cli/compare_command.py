@@ -12,15 +12,7 @@ import click
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import (
-    created_now,
-    echo_lines,
-    made_folder,
-    note,
-    progress_bar,
-    tell,
-    write_output,
-)
+from tissueid.cli.output import created_now, echo_lines, made_folder, note, progress_bar, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -28,7 +20,7 @@ from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumb
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.contrast.document import Compared
+    from tissueid.contrast.decision import Compared
     from tissueid.documents.measured import Spread
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
@@ -75,7 +67,7 @@ def command(flags: _CompareFlags) -> int:
     """
     if are_recordings(flags.paths):
         return compare_recordings(flags)
-    from tissueid.contrast.document import contrast_document
+    from tissueid.contrast.decision import contrast_document
     from tissueid.measured.comparison import measured_pairs
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
@@ -144,7 +136,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
 
 
 def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "statistical") -> Compared:
-    from tissueid.contrast.document import Compared
+    from tissueid.contrast.decision import Compared
 
     bundle.require_renderable()
     model = bundle.contact_model()
@@ -208,10 +200,7 @@ _RESULT = "identification.json"
 
 
 def are_recordings(paths: Sequence[str]) -> bool:
-    """True where the paths are recordings, all of them.
-
-    Raises UsageError: recordings stand beside bundles or output folders.
-    """
+    """True where the paths are recordings, all of them."""
     raw = [path for path in paths if not _is_fit(Path(path.partition("::")[0]))]
     if raw and len(raw) < len(paths):
         msg = f"{raw[0]} is a recording and others are fits: compare recordings, or fits"

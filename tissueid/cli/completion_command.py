@@ -52,10 +52,7 @@ def command(flags: _CompletionFlags) -> int:
     write_output(str(target), script.encode("utf-8"))
     if flags.as_json:
         echo_json({"shell": flags.shell, "path": str(target)})
-    note(
-        f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}",
-        quiet=flags.quiet,
-    )
+    note(f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}", quiet=flags.quiet)
     return 0
 
 
@@ -92,11 +89,7 @@ _Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem
 
 
 def named(names: Callable[[], Iterable[str]], *, or_file: bool = False) -> _Completer:
-    """Offer names, and files where one may stand instead.
-
-    ``names``: called when a shell asks; it may import; ``or_file``: the shell completes files where no name
-    fits.
-    """
+    """Offer names, and files where one may stand instead."""
 
     def complete(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
         found = [CompletionItem(name) for name in names() if name.startswith(typed)]

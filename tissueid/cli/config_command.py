@@ -147,10 +147,7 @@ def user_file() -> Path | None:
 
 
 def settings_files() -> list[SettingsFile]:
-    """The files that are there, the one that counts less first.
-
-    Raises UsageError: a file can't be read, is no TOML, or the folder has two.
-    """
+    """The files that are there, the one that counts less first."""
     found = []
     user = user_file()
     if user is not None and (user.exists() or USER_FILE in os.environ):
@@ -201,12 +198,7 @@ def settable(command: click.Command) -> dict[str, click.Option]:
 def settings_of(
     command: click.Command, name: tuple[str, ...], files: list[SettingsFile], root: click.Group
 ) -> dict[tuple[str, ...], Setting]:
-    """Everything that is set for a command, and for those below it where it is a group.
-
-    ``name``: names from below ``tissueid`` to it; ``files``: the later counts more; ``root``: for the names
-    that a table may have.  Returns path of the command with the key of the option -> its setting.  Raises
-    UsageError: a key is unknown, or a value does not fit its option.
-    """
+    """Settings of a command and those below it, by path and key; the later of the files counts more."""
     found: dict[tuple[str, ...], Setting] = {}
     leaves = list(_leaves(command, name))
     for file in files:
@@ -223,11 +215,7 @@ def settings_of(
 def as_default_map(
     settings: Mapping[tuple[str, ...], Setting], root: click.Command, name: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Defaults as click takes them: values by the names of its parameters, nested as commands are.
-
-    ``settings``: from :func:`settings_of`; ``root``: the command whose settings they are; ``name``: its
-    names.
-    """
+    """Defaults as click takes them: values by the names of its parameters, nested as commands are."""
     tree: dict[str, Any] = {}
     for path, leaf in _leaves(root, name):
         place = tree

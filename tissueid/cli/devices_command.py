@@ -65,12 +65,7 @@ class MovedFlags(WayFlags, OutputFlags):
 def made_device(
     flags: DeviceFlags | MovedFlags, *, hands_off: bool = False, stand_in: bool = False
 ) -> HapticDevice:
-    """The device that was named, with its options; not opened.
-
-    ``flags``: of the command line; ``hands_off``: for measurements of the free grip; ``stand_in``: whether
-    the simulated device may be taken where none was named and none is there.  Raises UsageError: no such
-    device, or an option of another; DeviceError: none was named and none is there.
-    """
+    """The device that was named, not opened; ``stand_in``: sim may be taken where none is there."""
     from tissueid.haptics.registry import choose_device, configured, device_class, owners_of
 
     asked = asked_device(flags, hands_off=hands_off)
@@ -249,9 +244,7 @@ def home(flags: _HomeFlags) -> int:
         device.home()
         place = device.read().position_m
     millimetres = [round(1e3 * float(value), 2) for value in place]
-    lines = [
-        f"{device.name} is homed; the grip is at {millimetres} mm",
-    ]
+    lines = [f"{device.name} is homed; the grip is at {millimetres} mm"]
     tell(flags, {"name": device.name, "homed": True, "position_mm": millimetres}, lines)
     return 0
 

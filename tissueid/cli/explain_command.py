@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import CompletionItem
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import tell
-
-#: Columns, and where texts begin.
-WIDTH, MARGIN = 98, 16
+from tissueid.cli.output import labelled, tell
 
 if TYPE_CHECKING:
     from tissueid.explanations import Explanation
@@ -76,12 +72,4 @@ def _each(entries: Sequence[Explanation]) -> Iterator[str]:
             ("what to do", entry.remedy),
         ):
             if text:
-                yield from _wrapped(f"{label}:", text)
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    """A text behind its label, in lines that a terminal holds."""
-    if len(text) <= WIDTH - MARGIN:
-        return [f"  {label:<{MARGIN - 2}}{text}"]
-    first = f"  {label:<{MARGIN - 2}}"
-    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)
+                yield from labelled(label, text)

@@ -141,8 +141,8 @@ def _bundles(flags: _ExportFlags) -> list[Bundle]:
 
 
 def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) -> int:
-    from tissueid.exchange import netcdf_bytes
     from tissueid.store.files import file_names
+    from tissueid.uncertainty import netcdf_bytes
 
     if flags.output is None:
         msg = "netcdf is no text for a terminal: name a file with -o, as -o chains.nc"

@@ -239,10 +239,7 @@ def _posterior_options(flags: _FitFlags) -> PosteriorOptions | None:
     if flags.sampler == "none":
         return None
     return PosteriorOptions(
-        sampler=flags.sampler,
-        draws=flags.draws,
-        seed=flags.seed,
-        workers=os.cpu_count() or 1,
+        sampler=flags.sampler, draws=flags.draws, seed=flags.seed, workers=os.cpu_count() or 1
     )
 
 
@@ -330,10 +327,7 @@ def _geometry(flags: QuotingFlags) -> Geometry | None:
 
 
 def quoting_values(flags: QuotingFlags) -> dict[str, Any]:
-    """The fields of ``FitOptions`` that these options fill.
-
-    Raises UsageError: a list or a tip that can't be understood.
-    """
+    """The fields of ``FitOptions`` that these options fill."""
     return {
         "unloading": flags.unloading,
         "frequencies_Hz": _numbers(flags.frequencies, "--frequencies"),
@@ -349,10 +343,7 @@ _COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
 
 
 def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
-    """Numbers to stdout, what was left out and what is missing to stderr.
-
-    ``out``: output folder as the user named it.
-    """
+    """Numbers to stdout, what was left out and what is missing to stderr."""
     if 0 < found.beside < found.trials:
         note(
             f"{found.beside} of {found.trials} trials are not named by the study and were fitted as well "

@@ -211,12 +211,7 @@ MOST_SHARED = 5
 
 
 def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
-    """Heading, empty but before the first of several sheets of a file, and name of every recording.
-
-    The folder of all need not stand in every line, nor the file of its sheets.
-
-    ``described``: recordings of ``inspect --json``.
-    """
+    """Heading, empty but before the first of several sheets of a file, and name of every recording."""
     folder = _shared_folder(described)
     sheets = Counter(one.path for one in described)
     found = []
@@ -246,11 +241,7 @@ def _shared_folder(described: Sequence[Trial]) -> str:
 
 
 def recording_lines(one: Trial | Watch, name: str, *, alone: bool = True) -> list[str]:
-    """Name, peak, depth, speed, ramp time, forces in the hold, verdict with its reason, in 100 columns.
-
-    ``one``: a recording of ``inspect --json``; ``alone``: whether no summary follows that counts flags, and
-    says what was kept all the same.
-    """
+    """Numbers and verdict of a recording in 100 columns; ``alone``: no summary follows that counts flags."""
     verdict, flags = one.verdict, len(one.flags)
     word = WORDS[verdict.level]
     if one.excluded is not None:
@@ -330,10 +321,7 @@ _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xls
 
 
 def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> int:
-    """Serve until Ctrl-C what is inspected again after each correction.
-
-    Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
-    """
+    """Serve until Ctrl-C what is inspected again after each correction."""
     from tissueid.cli.view_command import open_browser
     from tissueid.study.correcting import CorrectedInspection
     from tissueid.viewer.page_server import PageServer
@@ -398,10 +386,7 @@ Cell = str | float | bool | None
 
 
 def measured_rows(described: Sequence[Trial]) -> list[list[Cell]]:
-    """Rows in the order of :data:`HEAD`.
-
-    ``described``: recordings of ``inspect --json``.
-    """
+    """Rows in the order of :data:`HEAD`."""
     return [[row.get(name) for name in HEAD] for one in described for row in _rows(one)]
 
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from textwrap import wrap
 from typing import Any
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import tell
+from tissueid.cli.output import MARGIN, labelled, tell
 from tissueid.errors import UsageError
-
-WIDTH, MARGIN = 98, 16
 
 EXAMPLES = """
 tissueid models
@@ -67,5 +64,4 @@ def _each(rows: list[dict[str, Any]]) -> Iterator[str]:
             ("refuses", row["refuses"]),
             ("source", f"doi {row['source']}" if row["source"][:3] == "10." else row["source"]),
         ):
-            first = f"  {label + ':':<{MARGIN - 2}}"
-            yield from wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN)
+            yield from labelled(label, text)

@@ -145,10 +145,7 @@ def segment_options(flags: ReadingFlags) -> SegmentOptions:
 
 
 def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
-    """Refuse an output folder that is an input as well, also through a link.
-
-    Raises UsageError: results would stand among recordings.
-    """
+    """Refuse an output folder that is an input as well, also through a link."""
     for path in paths:
         folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
         if folder.is_dir() and os.path.realpath(folder) == os.path.realpath(out):
@@ -159,20 +156,12 @@ def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
 def read_in_order(
     paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
 ) -> Iterator[Trial | Refusal]:
-    """Trials of all paths, one at a time; a refusal stands in the place of what was refused.
-
-    With a study, columns and units are those it decides, and what it names in vain is refused first.
-
-    Raises UsageError: at once, where a path does not exist.
-    """
+    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
     return _read(inputs_in_order(paths, study), options, study)
 
 
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
-    """Files of all paths, each with the sheet that was named; a refusal stands where something was refused.
-
-    Raises UsageError: where a path does not exist.
-    """
+    """Files of all paths with the sheet that was named; a refusal stands where something was refused."""
     from tissueid.ingest.manifest import unmatched_files
     from tissueid.study.file_list import FileList
     from tissueid.study.recordings import picked_sheet

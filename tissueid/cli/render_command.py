@@ -402,10 +402,7 @@ SMALLEST_SHARE = 5e-4
 
 
 def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
-    """Print what is to be agreed to, and ask; only motors and people need it.
-
-    Raises UsageError: nobody can be asked; click.Abort: it was refused.
-    """
+    """Print what is to be agreed to, and ask; only motors and people need it."""
     from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
@@ -423,10 +420,7 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
 
 
 class Keyboard:
-    """Enter asks for the next tissue, q and Enter for the end; where there is no terminal, nothing.
-
-    ``switches``: whether there is a tissue to switch to.
-    """
+    """Enter asks for the next tissue, q and Enter for the end; where there is no terminal, nothing."""
 
     def __init__(self, *, switches: bool) -> None:
         self._heard = sys.stdin is not None and sys.stdin.isatty()

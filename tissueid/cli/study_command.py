@@ -101,9 +101,7 @@ class _CheckFlags(OutputFlags):
 
 
 @subcommand(
-    "check",
-    "tissueid study check lab_data/\ntissueid study check lab_data/study.toml --json",
-    command,
+    "check", "tissueid study check lab_data/\ntissueid study check lab_data/study.toml --json", command
 )
 def check(flags: _CheckFlags) -> int:
     """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
@@ -240,7 +238,6 @@ def export(flags: _ExportFlags) -> int:
     note(f"wrote {len(files)} files and their metadata to {flags.crate}", quiet=flags.quiet)
     if anonymiser is not None:
         note(
-            "read the reasons and the machine's name once more: free text can name people",
-            quiet=flags.quiet,
+            "read the reasons and the machine's name once more: free text can name people", quiet=flags.quiet
         )
     return EXIT_INCOMPLETE if refused else 0
