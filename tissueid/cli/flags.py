@@ -77,23 +77,21 @@ def example_lines(examples: str) -> str:
 def _declared(kind: type[Any]) -> Iterator[Callable[[Any], Any]]:
     for part in kind.__mro__:
         for name, annotation in get_annotations(part).items():
-            declared, names, settings = kind.__dataclass_fields__[name].metadata[_DECLARED]
+            declared, names, given = kind.__dataclass_fields__[name].metadata[_DECLARED]
+            known = {"type": _TYPES.get(annotation.removesuffix(" | None"))}
+            several = annotation.startswith("tuple[") and annotation.endswith(", ...]")
             if declared is click.argument:
-                yield click.argument(name, **_of_many(annotation, "nargs", -1), **settings)
+                yield click.argument(name, **{**known, **({"nargs": -1} if several else {}), **given})
                 continue
-            said = {**_of_many(annotation, "multiple", True), **settings}
-            if annotation == "bool" and not any("/" in one for one in names):
-                said["is_flag"] = True
-            elif not {"count", "type"} & set(said):
-                said["type"] = _TYPES.get(annotation.removesuffix(" | None"))
+            if annotation == "bool":
+                known = {} if any("/" in one for one in names) else {"is_flag": True}
+            elif "count" in given:
+                known = {}
             if not any(one.startswith("--") for one in names):
                 names = (*names, f"--{name.replace('_', '-')}")
-            shown = said.get("default") is not None and annotation != "bool"
-            yield click.option(*names, name, **{"show_default": shown or None, **said})
-
-
-def _of_many(annotation: str, key: str, value: Any) -> dict[str, Any]:
-    return {key: value} if annotation.startswith("tuple[") and annotation.endswith(", ...]") else {}
+            shown = given.get("default") is not None and annotation != "bool"
+            settings = {**known, "multiple": several, "show_default": shown or None, **given}
+            yield click.option(*names, name, **settings)
 
 
 class OutputFlags(Flags):
