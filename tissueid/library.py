@@ -37,7 +37,7 @@ from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_sta
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
-from tissueid.notebook import Shown, drawing, html_of, svg_file
+from tissueid.notebook import MEASURED, MODEL, Shown, drawing, html_of, svg_file
 from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 #: Relative standard deviation of a parameter that is fixed.
 FIXED = 1e-6
-MEASURED, MODEL = "#56b4e9", "#d55e00"
 
 
 class Trials(list[Trial]):

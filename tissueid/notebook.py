@@ -28,6 +28,8 @@ POINTS = 400
 #: Rows of a table before the rest is counted.
 MOST_ROWS = 30
 _NOT_SAMPLED = "–"
+MEASURED, MODEL = "#56b4e9", "#d55e00"
+_CONTRADICTED = "<p>The residuals contradict the model: no interval can be believed.</p>"
 
 
 class Shown:
@@ -173,7 +175,7 @@ def _specimen(fit: SpecimenFit) -> str:
         f"{fit.specimen}: {len(fit.trials)} trial{'s' * (len(fit.trials) != 1)}, {branches}, to "
         f"{fit.depth_mm:.3g} mm, NRMSD {100.0 * fit.nrmsd.range:.2g} % of range"
     )
-    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    said = _CONTRADICTED if alarm else ""
     return (
         said
         + _parameters(caption, fit.parameters, believed=not alarm, unit=fit.axes.unit)
@@ -191,8 +193,8 @@ def _fitted(fit: SpecimenFit) -> str:
     if curve.time_s.size < 2:
         return ""
     curves = [
-        ("measured", curve.time_s, curve.force_N, "#56b4e9"),
-        ("model", curve.time_s, curve.model_N, "#d55e00"),
+        ("measured", curve.time_s, curve.force_N, MEASURED),
+        ("model", curve.time_s, curve.model_N, MODEL),
     ]
     return drawing(
         curves,
@@ -243,7 +245,7 @@ def _posterior(found: Posterior) -> str:
     caption = f"{found.sampler.name}, {found.sampler.draws:,} draws, {ended}; {noise}"
     headings = ("parameter", "mean", "sd", "95 % statistical", "95 % total", "R-hat", "ESS bulk")
     alarm = found.misfit is not None and found.misfit.raised
-    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    said = _CONTRADICTED if alarm else ""
     return said + table(caption, headings, [_sure_row(name, one) for name, one in found.parameters.items()])
 
 
@@ -257,10 +259,6 @@ def _sure_row(name: str, one: ParameterUncertainty) -> list[str]:
         _number(one.r_hat),
         _NOT_SAMPLED if not math.isfinite(one.ess_bulk) else f"{one.ess_bulk:.0f}",
     ]
-
-
-def _estimate(one: Estimate) -> str:
-    return _parameters("", [one], believed=True)
 
 
 def _bundle(held: Bundle) -> str:
@@ -288,7 +286,7 @@ def _trial(trial: Trial) -> str:
         ],
         ["force", f"{trial.force_N.min():.4g} to {trial.force_N.max():.4g} {trial.axes.force}"],
     ]
-    curves = [("force", trial.time_s, trial.force_N, "#56b4e9")]
+    curves = [("force", trial.time_s, trial.force_N, MEASURED)]
     drawn = drawing(
         curves, across="time [s]", up=f"[{trial.axes.force}]", words=f"Force of {where} against time"
     )
@@ -312,7 +310,7 @@ _WRITERS: Mapping[str, Callable[[Any], str]] = {
     "Identification": _identification,
     "SpecimenFit": _specimen,
     "Posterior": _posterior,
-    "Estimate": _estimate,
+    "Estimate": lambda one: _parameters("", [one], believed=True),
     "Bundle": _bundle,
     "Study": _study,
     "Trial": _trial,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -136,8 +137,5 @@ class Priors:
     def __reduce__(self) -> tuple[Any, ...]:
         # read-only mappings can't be pickled, and worker processes need priors
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return _unpickled, ({k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()},)
-
-
-def _unpickled(values: Mapping[str, Any]) -> Priors:
-    return Priors(**values)
+        plain: dict[str, Any] = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
+        return partial(Priors, **plain), ()

@@ -15,7 +15,7 @@ from tissueid.documents import plain
 from tissueid.documents.identification import Model, Nrmsd
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle
-from tissueid.errors import InputError, printable
+from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
 from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
@@ -361,10 +361,7 @@ class Refusal:
         return cls(error.path, error.sheet, error.code, error.message, error.line, error.column)
 
     def __str__(self) -> str:
-        where = self.path if self.sheet is None else f"{self.path} [{self.sheet}]"
-        line = "" if self.line is None else f", line {self.line}"
-        column = "" if self.column is None else f", column {self.column}"
-        return printable(f"{where}{line}{column}: {self.message}")
+        return str(self.as_error())
 
     def as_error(self) -> InputError:
         """The same as an error to raise."""

@@ -154,23 +154,6 @@ def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(
     assert gone["protocol"]["depth_mm"] == pytest.approx(there["protocol"]["depth_mm"], rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("args", "says"),
-    [
-        (("nowhere",), "no such file, folder or recipe; recipes are paper-a-22"),
-        (("paper-a-30", "--rate", "0"), "--rate is 0.0"),
-        (("paper-a-30", "--phi", "0.9"), "--phi is the correlation of --noise ar1"),
-        (("paper-a-30", "--noise", "ar1"), "needs its correlation here: add --phi"),
-        (("paper-a-30", "--simulations", "3"), "3 is not in the range x>=20"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_with_the_way_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], says: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    run("calibrate", *args, "-o", "out", code=2, said=says)
-
-
 def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path: Path, instant: None) -> None:
     write_log(tmp_path / "a.csv")
     assert "--rate is for recipes" in run("calibrate", tmp_path / "a.csv", "--rate", "10").stderr

@@ -82,14 +82,6 @@ def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, En
     assert "population.json" in changed
 
 
-@pytest.mark.slow
-def test_two_specimens_are_no_population_and_their_fit_stays(tmp_path: Path) -> None:
-    study = a_study(tmp_path / "heads", TIMES[:2])
-    run("fit", study, "-o", tmp_path / "out", *SMALL, "--population", "yes", code=4, said="no population")
-    assert not (tmp_path / "out" / "population.json").exists()
-    assert run("validate", tmp_path / "out").code == 0
-
-
 def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     run("cohort", tmp_path / "empty", code=6, said="tissueid fit")

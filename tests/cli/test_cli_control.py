@@ -83,21 +83,6 @@ def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused() -> No
     run("control", "--preset", "paper-a", "--device", "falcon", code=5, said="falcon has no force sensor")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "give a bundle, or --preset, and not both"),
-        (("--preset", "nonsense"), "there is no preset 'nonsense'"),
-        (("--preset", "paper-a", "--virtual-mass", "0.3"), "variant B bears from 0.396 kg on; take 0.594 kg"),
-        (("--preset", "paper-a", "--variant", "A", "--virtual-mass", "1.2"), "or variant B"),
-        (("--preset", "paper-a", "--interface", "0", "1", "1"), "the device needs a mass"),
-        (("--preset", "paper-a", "--kr", "4000"), "overshoots within one sample"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_with_the_way_out(arguments: tuple[str, ...], words: str) -> None:
-    run("control", *arguments, code=2, said=words)
-
-
 def test_too_little_margin_and_a_tissue_left_behind_are_said() -> None:
     ended = run("control", "--preset", "paper-a", "--virtual-mass", "0.5", "--stiffness-scale", "0.02")
 

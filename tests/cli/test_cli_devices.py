@@ -307,17 +307,6 @@ def test_hands_of_the_emulator_are_those_offered() -> None:
     assert HANDS == PRESETS
 
 
-@pytest.mark.parametrize(
-    "name", ["list", "info", "home", "test", "calibrate-force", "calibrate-damping", "emulate"]
-)
-def test_every_sub_command_has_examples(name: str) -> None:
-    ended = run("devices", name, "--help", code=0)
-    _, _, examples = ended.stdout.partition("Examples:")
-    lines = [line.strip() for line in examples.strip().splitlines()]
-    assert lines
-    assert all(line.startswith(f"tissueid devices {name}") for line in lines)
-
-
 @pytest.mark.slow
 def test_the_free_grip_of_an_emulator_gives_back_the_damping_it_has() -> None:
     ended = run("devices", "calibrate-damping", "emulator", "--yes", "--json", code=0)

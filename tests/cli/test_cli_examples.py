@@ -9,10 +9,11 @@ import click
 import pytest
 from command_line import REPOSITORY, run
 
+from tissueid.cli.flags import walk
 from tissueid.cli.main import cli, with_verb
-from tissueid.cli.options_page import every_command, examples_of, options_page
+from tissueid.cli.options_page import examples_of, options_page
 
-WALKED = list(every_command())
+WALKED = list(walk(cli))
 EXAMPLES = [(line, name) for name, command in WALKED for line in examples_of(command)]
 
 

@@ -31,6 +31,10 @@ def junk(tmp_path: Path) -> Path:
     return path
 
 
+PRESET = ("control", "--preset", "paper-a")
+CALIBRATE = ("calibrate", "paper-a-30", "-o", "out")
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [
@@ -50,6 +54,23 @@ def junk(tmp_path: Path) -> Path:
         (["synth", "paper-a-22", "-o", "out", "--seed", "-1"], "--seed"),
         (["synth", "paper-a-22", "-o", "out", "--dialect", "klingon"], "klingon"),
         (["fit", "x", "--branches", "4"], "--branches"),
+        (["fti"], "Did you mean 'fit'?"),
+        (["reports"], "Did you mean 'report'?"),
+        (["valdate"], "Did you mean 'validate'?"),
+        (["control"], "give a bundle, or --preset, and not both"),
+        (["control", "--preset", "nonsense"], "there is no preset 'nonsense'"),
+        ([*PRESET, "--virtual-mass", "0.3"], "variant B bears from 0.396 kg on; take 0.594 kg"),
+        ([*PRESET, "--variant", "A", "--virtual-mass", "1.2"], "or variant B"),
+        ([*PRESET, "--interface", "0", "1", "1"], "the device needs a mass"),
+        ([*PRESET, "--kr", "4000"], "overshoots within one sample"),
+        (["calibrate", "nowhere"], "no such file, folder or recipe; recipes are paper-a-22"),
+        ([*CALIBRATE, "--rate", "0"], "--rate is 0.0"),
+        ([*CALIBRATE, "--phi", "0.9"], "--phi is the correlation of --noise ar1"),
+        ([*CALIBRATE, "--noise", "ar1"], "needs its correlation here: add --phi"),
+        ([*CALIBRATE, "--simulations", "3"], "3 is not in the range x>=20"),
+        (["reproduce", "shakespeare"], "sadeghnejad"),
+        (["reproduce", "pires", "--set", "surface=torus"], "hyperboloid, cone"),
+        (["reproduce", "pires", "-o", "/dev/null/out"], "choose another folder"),
     ],
 )
 def test_wrong_usage_is_2(

@@ -72,18 +72,6 @@ def test_version_is_that_of_the_package() -> None:
     assert run("--version").stdout == f"tissueid {__version__}\n"
 
 
-@pytest.mark.parametrize(
-    ("typed", "meant"),
-    [("inspcet", "inspect"), ("fti", "fit"), ("reports", "report"), ("valdate", "validate")],
-)
-def test_a_slip_is_answered_with_the_nearest_command(
-    typed: str, meant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # a file or folder of that name would be looked at
-    monkeypatch.chdir(tmp_path)
-    assert f"Did you mean '{meant}'?" in run(typed).stderr
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_named_in_the_documentation(name: str) -> None:
     pages = [README, *(path.read_text(encoding="utf-8") for path in (REPOSITORY / "docs").rglob("*.md"))]

@@ -88,7 +88,3 @@ def test_two_specimens_are_refused_and_the_set_stays(tmp_path: Path) -> None:
 
 def test_an_unknown_covariate_names_those_there_are(out: Path) -> None:
     run("cohort", out, "--covariate", "weight", code=2, said="stated are donor, sex")
-
-
-def test_a_folder_without_a_run_says_how_one_is_made(tmp_path: Path) -> None:
-    run("cohort", tmp_path, code=6, said="tissueid fit")

@@ -30,15 +30,3 @@ def test_a_paper_is_recomputed_and_written(tmp_path: Path) -> None:
     assert document["readings"]["surface"]["choice"] == "cone"
     assert [paper["name"] for paper in document["papers"]] == ["pires"]
     assert "recomputed" in (tmp_path / "out" / "reproduction.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (("reproduce", "shakespeare"), "sadeghnejad"),
-        (("reproduce", "pires", "--set", "surface=torus"), "hyperboloid, cone"),
-        (("reproduce", "pires", "-o", "/dev/null/out"), "choose another folder"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(args: tuple[str, ...], said: str) -> None:
-    run(*args, code=2, said=said)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.flags import OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
 from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, write_output
 from tissueid.errors import UsageError
 
@@ -98,30 +98,6 @@ def named(names: Callable[[], Iterable[str]], *, or_file: bool = False) -> _Comp
     return complete
 
 
-def _readers() -> Iterable[str]:
-    from tissueid.ingest import RECIPES
-
-    return RECIPES
-
-
-def _recipes() -> Iterable[str]:
-    from tissueid.synth import RECIPES
-
-    return RECIPES
-
-
-def _dialects() -> Iterable[str]:
-    from tissueid.synth import EXPORTS
-
-    return EXPORTS
-
-
-def _presets() -> Iterable[str]:
-    from tissueid.rendering.options import PRESETS
-
-    return PRESETS
-
-
 def _scenes() -> Iterable[str]:
     folder = resources.files("tissueid.rendering") / "scenes"
     return sorted(one.name.removesuffix(".toml") for one in folder.iterdir() if one.name.endswith(".toml"))
@@ -131,17 +107,19 @@ def subcommands(context: click.Context, _parameter: click.Parameter, typed: str)
     """Names of commands below those that stand in ``name`` already."""
     from tissueid.cli.main import cli
 
-    found: click.Command | None = cli
-    for part in context.params.get("name") or ():
-        found = found.get_command(click.Context(found), part) if isinstance(found, click.Group) else None
+    found = below(cli, context.params.get("name") or ())
     if not isinstance(found, click.Group):
         return []
     names = found.list_commands(click.Context(found))
     return [CompletionItem(name) for name in names if name.startswith(typed)]
 
 
-readers = named(_readers)
-recipes = named(_recipes, or_file=True)
-dialects = named(_dialects)
-presets = named(_presets)
+def _of(module: str, table: str) -> Callable[[], Iterable[str]]:
+    return lambda: getattr(import_module(module), table)
+
+
+readers = named(_of("tissueid.ingest", "RECIPES"))
+recipes = named(_of("tissueid.synth", "RECIPES"), or_file=True)
+dialects = named(_of("tissueid.synth", "EXPORTS"))
+presets = named(_of("tissueid.rendering.options", "PRESETS"))
 scenes = named(_scenes, or_file=True)

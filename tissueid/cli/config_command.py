@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from tissueid.cli.completion_command import subcommands
-from tissueid.cli.flags import OutputFlags, argument, subcommand
+from tissueid.cli.flags import OutputFlags, argument, below, subcommand, walk
 from tissueid.cli.output import tell
 from tissueid.errors import UsageError
 from tissueid.manifest import TomlTable
@@ -42,9 +42,9 @@ def command(flags: _ConfigFlags) -> int:
     files = settings_files()
     settings: dict[tuple[str, ...], Setting] = {}
     for name in cli.list_commands(click.Context(cli)):
-        below = cli.get_command(click.Context(cli), name)
-        if below is not None:
-            settings |= settings_of(below, (name,), files, cli)
+        found = below(cli, (name,))
+        if found is not None:
+            settings |= settings_of(found, (name,), files, cli)
     rows = [
         {"command": " ".join(path), "option": key, "value": setting.value, "source": setting.source}
         for (*path, key), setting in settings.items()
@@ -64,18 +64,16 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
     """Every option of one command with its value: set, or the default."""
     from tissueid.cli.main import cli
 
-    found: click.Command | None = cli
-    for part in name:
-        found = found.get_command(click.Context(found), part) if isinstance(found, click.Group) else None
-        if found is None:
-            msg = f"{' '.join(name)}: there is no such command; `tissueid --help` lists them"
-            raise UsageError(msg)
+    found = below(cli, name)
+    if found is None:
+        msg = f"{' '.join(name)}: there is no such command; `tissueid --help` lists them"
+        raise UsageError(msg)
     if isinstance(found, click.Group):
         return [row for row in rows if row["command"].split()[: len(name)] == list(name)]
     told = {row["option"]: row for row in rows if row["command"] == " ".join(name)}
     return [
         told.get(key) or {"command": " ".join(name), "option": key, "value": _default(option), "source": None}
-        for key, option in settable(found or cli).items()
+        for key, option in settable(found).items()
     ]
 
 
@@ -200,7 +198,7 @@ def settings_of(
 ) -> dict[tuple[str, ...], Setting]:
     """Settings of a command and those below it, by path and key; the later of the files counts more."""
     found: dict[tuple[str, ...], Setting] = {}
-    leaves = list(_leaves(command, name))
+    leaves = [one for one in walk(command, name) if not isinstance(one[1], click.Group)]
     for file in files:
         _check_root(file, root)
         for path, leaf in leaves:
@@ -217,7 +215,9 @@ def as_default_map(
 ) -> dict[str, Any]:
     """Defaults as click takes them: values by the names of its parameters, nested as commands are."""
     tree: dict[str, Any] = {}
-    for path, leaf in _leaves(root, name):
+    for path, leaf in walk(root, name):
+        if isinstance(leaf, click.Group):
+            continue
         place = tree
         for part in path:
             place = place.setdefault(part, {})
@@ -225,18 +225,6 @@ def as_default_map(
             if (*path, key) in settings:
                 place[str(option.name)] = settings[*path, key].value
     return tree
-
-
-def _leaves(command: click.Command, name: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """A command, or all commands of a group, each with its names."""
-    if not isinstance(command, click.Group):
-        yield name, command
-        return
-    context = click.Context(command)
-    for part in command.list_commands(context):
-        below = command.get_command(context, part)
-        if below is not None:
-            yield from _leaves(below, (*name, part))
 
 
 def _check_root(file: SettingsFile, root: click.Group) -> None:
@@ -275,13 +263,12 @@ def _from_table(
 ) -> dict[tuple[str, ...], Setting]:
     found: dict[tuple[str, ...], Setting] = {}
     if isinstance(command, click.Group):
-        context = click.Context(command)
-        names = command.list_commands(context)
+        names = command.list_commands(click.Context(command))
         for key in table:
-            below = command.get_command(context, key) if key in names else None
-            if below is None:
+            part = below(command, (key,)) if key in names else None
+            if part is None:
                 raise UsageError(_unknown(file, (*name, key), names, f"is no part of {' '.join(name)}"))
-            found |= _from_table(file, below, (*name, key), _descend(file, (*name, key)))
+            found |= _from_table(file, part, (*name, key), _descend(file, (*name, key)))
         return found
     options = settable(command)
     for key, value in table.items():
@@ -354,7 +341,9 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
     names = {start + key.replace("-", "_").upper(): key for key in options}
     found = {}
     for variable, text in os.environ.items():
-        if not variable.startswith(start) or _of_longer(variable, path):
+        # a variable of ``calibrate-frame`` is none of ``calibrate``
+        longer = path == ("calibrate",) and variable.startswith(f"{PREFIX}CALIBRATE_FRAME_")
+        if not variable.startswith(start) or longer:
             continue
         if variable not in names:
             near = get_close_matches(variable, names, n=1)
@@ -368,11 +357,6 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
             msg = f"environment variable {variable} = {text!r}: {error}"
             raise UsageError(msg) from error
     return found
-
-
-def _of_longer(variable: str, path: tuple[str, ...]) -> bool:
-    """True where a variable is of ``calibrate-frame`` and not of ``calibrate``."""
-    return path == ("calibrate",) and variable.startswith(f"{PREFIX}CALIBRATE_FRAME_")
 
 
 def _from_text(option: click.Option, text: str) -> Any:

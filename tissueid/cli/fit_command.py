@@ -31,7 +31,6 @@ from tissueid.report.warning_lines import shared_codes, shared_lines
 from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
-    from tissueid.inference.posterior import PosteriorOptions
     from tissueid.manifest import Study
     from tissueid.measured.geometry import Geometry
     from tissueid.pipeline import IdentifyOptions
@@ -233,16 +232,6 @@ def _refuse_foreign(out: Path) -> None:
         raise UsageError(msg)
 
 
-def _posterior_options(flags: _FitFlags) -> PosteriorOptions | None:
-    from tissueid.inference.posterior import PosteriorOptions
-
-    if flags.sampler == "none":
-        return None
-    return PosteriorOptions(
-        sampler=flags.sampler, draws=flags.draws, seed=flags.seed, workers=os.cpu_count() or 1
-    )
-
-
 def _checked_model(flags: _FitFlags) -> _FitFlags:
     """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
@@ -272,10 +261,14 @@ def _checked_model(flags: _FitFlags) -> _FitFlags:
 
 
 def _identify_options(flags: _FitFlags) -> IdentifyOptions:
+    from tissueid.inference.posterior import PosteriorOptions
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags.require if name != "none")
+    posterior = None
+    if flags.sampler != "none":
+        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed, workers=os.cpu_count() or 1)
     return IdentifyOptions(
         fit=FitOptions(
             model=flags.model or KELVIN_VOIGT,
@@ -286,7 +279,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
             **quoting_values(flags),
         ),
         segment=segment_options(flags),
-        posterior=_posterior_options(flags),
+        posterior=posterior,
         required=required if flags.require else DEFAULT_REQUIRED,
         seed=flags.seed,
     )

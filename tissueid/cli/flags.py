@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import wraps
 from inspect import get_annotations
@@ -92,6 +92,26 @@ def _declared(kind: type[Any]) -> Iterator[Callable[[Any], Any]]:
             shown = given.get("default") is not None and annotation != "bool"
             settings = {**known, "multiple": several, "show_default": shown or None, **given}
             yield click.option(*names, name, **settings)
+
+
+def below(group: click.Command, names: Iterable[str]) -> click.Command | None:
+    """The command that names lead to from a group; ``None`` where there is none."""
+    found: click.Command | None = group
+    for part in names:
+        found = found.get_command(click.Context(found), part) if isinstance(found, click.Group) else None
+    return found
+
+
+def walk(
+    command: click.Command, name: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """A command with its names, and where it is a group all that stand below it."""
+    yield name, command
+    if isinstance(command, click.Group):
+        for part in command.list_commands(click.Context(command)):
+            found = below(command, (part,))
+            if found is not None:
+                yield from walk(found, (*name, part))
 
 
 class OutputFlags(Flags):

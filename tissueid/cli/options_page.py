@@ -13,25 +13,11 @@ import click
 
 import tissueid
 from tissueid.cli.config_command import TYPED_ONLY, option_name
+from tissueid.cli.flags import walk
 from tissueid.cli.main import cli
 
 #: Options that every command has; told once.
 COMMON = frozenset({"quiet", "verbose", "json"})
-
-
-def every_command() -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """Every command and group below ``tissueid``, and ``tissueid`` itself first, with its names."""
-    yield from _below((), cli)
-
-
-def _below(name: tuple[str, ...], command: click.Command) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    yield name, command
-    if isinstance(command, click.Group):
-        context = click.Context(command)
-        for part in command.list_commands(context):
-            found = command.get_command(context, part)
-            if found is not None:
-                yield from _below((*name, part), found)
 
 
 def examples_of(command: click.Command) -> list[str]:
@@ -51,7 +37,7 @@ def options_page() -> str:
         "† are typed each time.",
         "",
     ]
-    for name, command in every_command():
+    for name, command in walk(cli):
         if not name:
             continue
         lines += [f"## `tissueid {' '.join(name)}`", "", *_help(command), ""]

@@ -138,10 +138,13 @@ def check(flags: _CheckFlags) -> int:
     return 0 if found.usable else EXIT_INCOMPLETE
 
 
-class _ExcludeFlags(OutputFlags):
+class _IncludeFlags(OutputFlags):
     trial: str = argument()
-    because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
     study: str | None = option("Study file. [default: the nearest above TRIAL]", type=THERE)
+
+
+class _ExcludeFlags(_IncludeFlags):
+    because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
 
 
 @subcommand(
@@ -162,11 +165,6 @@ def exclude(flags: _ExcludeFlags) -> int:
     if replaced not in {None, flags.because}:
         echo(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
-
-
-class _IncludeFlags(OutputFlags):
-    trial: str = argument()
-    study: str | None = option("Study file. [default: the nearest above TRIAL]", type=THERE)
 
 
 @subcommand("include", "tissueid study include lab_data/run_7.csv", command)
