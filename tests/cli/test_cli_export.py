@@ -183,12 +183,9 @@ def test_a_posterior_fills_mean_sd_and_the_ends_of_both_intervals() -> None:
     assert second["relaxation_time_s_identified"] == "FALSE"
 
 
-def test_columns_of_the_posterior_are_empty_where_nothing_was_sampled() -> None:
+def test_columns_follow_the_posterior_and_the_branches() -> None:
     first, *_ = table("specimens")
     assert (first["viscosity_N_s_per_mm_ci95_low"], first["sampler"], first["misfit"]) == ("", "", "")
-
-
-def test_a_second_branch_gets_its_columns() -> None:
     two = document()
     two["specimens"][0]["model"]["branches"] = 2
     assert "relaxation_time_s_b2" in tidy_table(two, "specimens").columns

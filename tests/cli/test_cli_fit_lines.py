@@ -41,12 +41,16 @@ def test_a_parameter_stands_with_both_intervals_to_one_place() -> None:
     assert " ".join(first.replace("95 %", "").replace("total", "").split()) == f"eta {expected}"
 
 
-def test_without_a_posterior_the_standard_error_stands_as_before() -> None:
+def test_sampler_and_noise_are_one_line_each_and_without_them_the_standard_error_stands() -> None:
     lines = parameter_lines(specimen_fit().as_json())
     assert lines[0] == "tau    1.500 ± 0.030 s"
     assert "eta    9.00 ± 0.11 N s/mm" in lines
     assert sampling_lines(specimen_fit().as_json()) == []
     assert alarm_lines(specimen_fit().as_json()) == []
+    assert sampling_lines(sampled(specimen_fit()).as_json()) == [
+        "emcee  4,000 draws, R-hat at most 1.001, 34 % accepted, converged",
+        "noise  ar1, 0.3 N, correlation 0.6 over 0.01 s",
+    ]
 
 
 def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradicted() -> None:
@@ -71,13 +75,6 @@ def test_a_sampler_that_stopped_early_is_told_with_its_reason() -> None:
     (line,) = alarm_lines(fit.as_json())
     assert line.endswith("intervals are rough: R-hat of ln_tau_1 is 1.08 after 20,000 steps")
     assert "not converged" in sampling_lines(fit.as_json())[0]
-
-
-def test_sampler_and_noise_are_one_line_each() -> None:
-    assert sampling_lines(sampled(specimen_fit()).as_json()) == [
-        "emcee  4,000 draws, R-hat at most 1.001, 34 % accepted, converged",
-        "noise  ar1, 0.3 N, correlation 0.6 over 0.01 s",
-    ]
 
 
 def test_normalised_results_are_said_in_their_units() -> None:

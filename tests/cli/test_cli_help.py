@@ -28,17 +28,11 @@ def modules_after(code: str) -> set[str]:
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-def test_help_loads_click_and_nothing_heavy() -> None:
+def test_nothing_heavy_is_loaded_before_it_is_used() -> None:
     loaded = modules_after("from tissueid.cli.main import main; assert main(['--help']) == 0")
     assert "click" in loaded
     assert loaded.isdisjoint(HEAVY)
-
-
-def test_importing_tissueid_loads_nothing() -> None:
     assert modules_after("import tissueid; tissueid.__version__").isdisjoint({*HEAVY, "click"})
-
-
-def test_a_public_function_is_loaded_on_first_use() -> None:
     loaded = modules_after("import tissueid; tissueid.read_trials")
     assert "numpy" in loaded
     assert loaded.isdisjoint({"lmfit", "numba", "plotly"})

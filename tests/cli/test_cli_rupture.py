@@ -50,6 +50,18 @@ def test_it_prints_rupture_json_and_it_is_valid(done: tuple[Ended, Path]) -> Non
     assert first_problem(ended.json(), "rupture") is None
     assert json.loads((out / "rupture.json").read_text(encoding="utf-8")) == ended.json()
     assert "work" in (out / "rupture.html").read_text(encoding="utf-8")
+    ended, out = done
+    document = ended.json()
+    work = next(row for row in document["criteria"] if row["criterion"] == "work")
+    assert document["taken"] == "work"
+    for row in document["laws"]:
+        law = load_bundle(out / row["bundle"]).rupture
+        assert law is not None
+        assert law.as_json() == row["law"]
+        assert law.threshold == work["specimens"][row["specimen"]]
+        assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])
+        # the synthetic tissue keeps a fifth of its force
+        assert law.residual == pytest.approx(0.2, abs=0.02)
 
 
 def test_force_depth_and_work_at_failure_are_those_of_the_truth(done: tuple[Ended, Path]) -> None:
@@ -69,23 +81,6 @@ def test_an_excluded_recording_takes_no_part(done: tuple[Ended, Path]) -> None:
     document = done[0].json()
     assert not any("rupture-02-rupture-0600" in one["path"] for one in document["tests"])
     assert document["left_out"] == []
-
-
-def test_bundles_hold_the_criterion_that_was_asked_for_with_its_distribution(
-    done: tuple[Ended, Path],
-) -> None:
-    ended, out = done
-    document = ended.json()
-    work = next(row for row in document["criteria"] if row["criterion"] == "work")
-    assert document["taken"] == "work"
-    for row in document["laws"]:
-        law = load_bundle(out / row["bundle"]).rupture
-        assert law is not None
-        assert law.as_json() == row["law"]
-        assert law.threshold == work["specimens"][row["specimen"]]
-        assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])
-        # the synthetic tissue keeps a fifth of its force
-        assert law.residual == pytest.approx(0.2, abs=0.02)
 
 
 def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(

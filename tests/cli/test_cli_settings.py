@@ -177,11 +177,6 @@ def test_what_is_in_force_is_told_with_its_source(folder: Path, monkeypatch: pyt
     assert "tissueid.toml, line 2" in text
 
 
-def test_a_command_that_is_none_is_refused(folder: Path) -> None:
-    assert "there is no such command" in refused("config", "fti")
-    assert "there is no such command" in refused("config", "fit", "more")
-
-
 def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
     write_log(Path("lab/log.csv"))
     Path("tissueid.toml").write_text('[study.init]\nsheet = "absent"\n', encoding="utf-8")
@@ -200,7 +195,9 @@ def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.Mon
     assert "no home folder" in refused("completion", "bash", "--install")
 
 
-def test_nothing_set_is_told_so(folder: Path) -> None:
+def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder: Path) -> None:
     ended = run("config")
     assert "nothing is set" in ended.stdout
     assert str(Path.home() / ".config" / "tissueid" / "config.toml") in ended.stdout
+    assert "there is no such command" in refused("config", "fti")
+    assert "there is no such command" in refused("config", "fit", "more")
