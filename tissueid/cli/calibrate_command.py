@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, made_folder, note, progress_bar, refuse_foreign, tell
+from tissueid.cli.output import created_now, made_folder, note, progress_bar, refuse, refuse_foreign, tell
 from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
@@ -90,8 +90,7 @@ def command(flags: _CalibrateFlags) -> int:
 
     quiet: int = flags.quiet
     if flags.phi is not None and flags.noise != "ar1":
-        msg = "--phi is the correlation of --noise ar1: give both, or neither"
-        raise UsageError(msg)
+        refuse("--phi is the correlation of --noise ar1: give both, or neither")
     with progress_bar(show=not quiet) as progress:
         found = found_source(flags, progress)
         check = tissue_check(
@@ -134,8 +133,7 @@ def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
         return replace(centre, phi=0.0, white_share=0.0)
     phi = flags.phi or centre.phi
     if phi == 0.0:
-        msg = "--noise ar1 needs its correlation here: add --phi, as --phi 0.9"
-        raise UsageError(msg)
+        refuse("--noise ar1 needs its correlation here: add --phi, as --phi 0.9")
     return replace(centre, phi=phi, white_share=0.0)
 
 
@@ -194,16 +192,13 @@ def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
     named: str = flags.source
     recipe = named in RECIPES or _is_recipe(Path(named))
     if flags.model is not None and (recipe or bundle_file(Path(named)) is not None):
-        msg = "--model is for recordings: a recipe and a bundle have a law of their own"
-        raise UsageError(msg)
+        refuse("--model is for recordings: a recipe and a bundle have a law of their own")
     if recipe:
         return _recipe(named, flags)
     if flags.rate is not None:
-        msg = "--rate is for recipes: recordings and bundles have their own"
-        raise UsageError(msg)
+        refuse("--rate is for recipes: recordings and bundles have their own")
     if not Path(named).exists() and "::" not in named:
-        msg = f"{named}: no such file, folder or recipe; recipes are {', '.join(sorted(RECIPES))}"
-        raise UsageError(msg)
+        refuse(f"{named}: no such file, folder or recipe; recipes are {', '.join(sorted(RECIPES))}")
     bundle = bundle_file(Path(named))
     if bundle is not None:
         return _bundle(bundle, flags, progress)
@@ -230,8 +225,7 @@ def _recipe(named: str, flags: _CalibrateFlags) -> Found:
 
     rate = flags.rate
     if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
-        msg = f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
-        raise UsageError(msg)
+        refuse(f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
     plan = recipe(named) if named in RECIPES else load_recipe(named)
     protocol, centre = of_recipe(plan, rate_Hz=rate)
     return Found("recipe", plan.specimen, protocol, centre)

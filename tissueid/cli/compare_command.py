@@ -12,7 +12,16 @@ import click
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, echo_lines, made_folder, note, progress_bar, tell, write_output
+from tissueid.cli.output import (
+    created_now,
+    echo_lines,
+    made_folder,
+    note,
+    progress_bar,
+    refuse,
+    tell,
+    write_output,
+)
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -74,8 +83,7 @@ def command(flags: _CompareFlags) -> int:
 
     both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
     if len(both) < 2:
-        msg = "one tissue is nothing to compare: name a second bundle or output folder"
-        raise UsageError(msg)
+        refuse("one tissue is nothing to compare: name a second bundle or output folder")
     tissues = _apart([tissue for tissue, _ in both])
     measured = measured_pairs(
         [(tissue.name, rows) for tissue, (_, rows) in zip(tissues, both, strict=True) if rows]
@@ -116,8 +124,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
 
     if path.is_file():
         if interval == "total":
-            msg = f"{path}: a bundle holds no draws with the machine's calibration; name the output folder"
-            raise UsageError(msg)
+            refuse(f"{path}: a bundle holds no draws with the machine's calibration; name the output folder")
         return [(_compared(load_bundle(path), None), [])]
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
@@ -145,8 +152,7 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
         draws = None if stored is None else stored.draws_total
     if draws is None:
         kind = " with the machine's calibration" if interval == "total" else ""
-        msg = f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical"
-        raise UsageError(msg)
+        refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical")
     return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total")
 
 
@@ -203,15 +209,13 @@ def are_recordings(paths: Sequence[str]) -> bool:
     """True where the paths are recordings, all of them."""
     raw = [path for path in paths if not _is_fit(Path(path.partition("::")[0]))]
     if raw and len(raw) < len(paths):
-        msg = f"{raw[0]} is a recording and others are fits: compare recordings, or fits"
-        raise UsageError(msg)
+        refuse(f"{raw[0]} is a recording and others are fits: compare recordings, or fits")
     return bool(raw)
 
 
 def _is_fit(path: Path) -> bool:
     if path.suffix == ".h5" and not path.is_file():
-        msg = f"{path}: there is no such bundle"
-        raise UsageError(msg)
+        refuse(f"{path}: there is no such bundle")
     return (path / _RESULT).is_file() if path.is_dir() else path.suffix == ".h5"
 
 
@@ -221,8 +225,7 @@ def compare_recordings(flags: _CompareFlags) -> int:
     from tissueid.store.files import json_bytes, plain_json
 
     if len(flags.paths) < 2:
-        msg = "one side is nothing to compare: name a second recording or folder"
-        raise UsageError(msg)
+        refuse("one side is nothing to compare: name a second recording or folder")
     sides = [(path, _measured(path, flags)) for path in flags.paths]
     written = {
         "schema": "tissueid/measured-contrast/1",

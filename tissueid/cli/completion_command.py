@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, write_output
+from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, refuse, write_output
 from tissueid.errors import UsageError
 
 EXAMPLES = """
@@ -63,8 +63,7 @@ def _script(shell: str) -> str:
 
     kind = get_completion_class(shell)
     if kind is None:
-        msg = f"click {click.__version__} knows no completion for {shell}"
-        raise UsageError(msg)
+        refuse(f"click {click.__version__} knows no completion for {shell}")
     maker = kind(cli, {}, "tissueid", VARIABLE)
     return maker.source_template % maker.source_vars() + "\n"
 

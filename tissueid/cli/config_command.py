@@ -14,7 +14,7 @@ import click
 
 from tissueid.cli.completion_command import subcommands
 from tissueid.cli.flags import OutputFlags, argument, below, subcommand, walk
-from tissueid.cli.output import tell
+from tissueid.cli.output import refuse, tell
 from tissueid.errors import UsageError
 from tissueid.manifest import TomlTable
 
@@ -66,8 +66,7 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
 
     found = below(cli, name)
     if found is None:
-        msg = f"{' '.join(name)}: there is no such command; `tissueid --help` lists them"
-        raise UsageError(msg)
+        refuse(f"{' '.join(name)}: there is no such command; `tissueid --help` lists them")
     if isinstance(found, click.Group):
         return [row for row in rows if row["command"].split()[: len(name)] == list(name)]
     told = {row["option"]: row for row in rows if row["command"] == " ".join(name)}
@@ -159,8 +158,7 @@ def settings_files() -> list[SettingsFile]:
             project.append(_parsed(Path(PYPROJECT), inside))
     project = [one for one in project if one.table or not one.inside]
     if len(project) > 1:
-        msg = f"this folder has settings in {PROJECT_FILE} and in {PYPROJECT}: keep them in one of the two"
-        raise UsageError(msg)
+        refuse(f"this folder has settings in {PROJECT_FILE} and in {PYPROJECT}: keep them in one of the two")
     return found + project
 
 
@@ -177,8 +175,7 @@ def _parsed(path: Path, inside: tuple[str, ...]) -> SettingsFile:
     for part in inside:
         table = table.get(part, {})
     if not isinstance(table, Mapping):
-        msg = f"{path}: [{'.'.join(inside)}] must be a table"
-        raise UsageError(msg)
+        refuse(f"{path}: [{'.'.join(inside)}] must be a table")
     return SettingsFile(path, table, inside, text)
 
 
@@ -235,8 +232,7 @@ def _check_root(file: SettingsFile, root: click.Group) -> None:
         if key not in names:
             raise UsageError(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
         if not isinstance(value, Mapping):
-            msg = f"{file.at((key,))}: {key} is a command; its settings stand in a table [{key}]"
-            raise UsageError(msg)
+            refuse(f"{file.at((key,))}: {key} is a command; its settings stand in a table [{key}]")
 
 
 def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: str) -> str:
@@ -253,8 +249,7 @@ def _descend(file: SettingsFile, name: tuple[str, ...]) -> TomlTable:
     for end, part in enumerate(name, start=1):
         table = table.get(part, {})
         if not isinstance(table, Mapping):
-            msg = f"{file.at(name[:end])}: {part} is a command; its settings stand in a table"
-            raise UsageError(msg)
+            refuse(f"{file.at(name[:end])}: {part} is a command; its settings stand in a table")
     return table  # type: ignore[no-any-return]
 
 
@@ -288,22 +283,21 @@ def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, v
         raise UsageError(msg) from error
 
 
+def _require(words: str, *, fits: bool) -> None:
+    if not fits:
+        raise ValueError(words)
+
+
 def _fitting(option: click.Option, value: Any) -> Any:
     """A value of a file as the option takes it; ``ValueError`` with the reason where it does not fit."""
     if option.count:
-        if not isinstance(value, int) or value < 0:
-            msg = "must be true, false or a number from 0"
-            raise ValueError(msg)
+        _require("must be true, false or a number from 0", fits=isinstance(value, int) and value >= 0)
         return int(value)
     if option.is_flag:
-        if not isinstance(value, bool):
-            msg = "must be true or false, without quotes"
-            raise ValueError(msg)
+        _require("must be true or false, without quotes", fits=isinstance(value, bool))
         return value
     if option.multiple:
-        if not isinstance(value, list):
-            msg = 'must be a list, as ["a", "b"]'
-            raise ValueError(msg)
+        _require('must be a list, as ["a", "b"]', fits=isinstance(value, list))
         return [_one(option, each) for each in value]
     return _one(option, value)
 
@@ -311,16 +305,13 @@ def _fitting(option: click.Option, value: Any) -> Any:
 def _one(option: click.Option, value: Any) -> Any:
     kind = option.type
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(kind, click.types.IntParamType) and not (number and isinstance(value, int)):
-        msg = "must be a whole number, without quotes"
-        raise ValueError(msg)
-    if isinstance(kind, click.types.FloatParamType) and not number:
-        msg = "must be a number, without quotes"
-        raise ValueError(msg)
-    if not isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
-        if not isinstance(value, str) and not (number and isinstance(kind, click.Choice)):
-            msg = "must be text in quotes"
-            raise ValueError(msg)
+    if isinstance(kind, click.types.IntParamType):
+        _require("must be a whole number, without quotes", fits=number and isinstance(value, int))
+    elif isinstance(kind, click.types.FloatParamType):
+        _require("must be a number, without quotes", fits=number)
+    else:
+        chosen = number and isinstance(kind, click.Choice)
+        _require("must be text in quotes", fits=isinstance(value, str) or chosen)
         value = str(value)
     _converted(option, value)
     return value
@@ -348,8 +339,7 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
         if variable not in names:
             near = get_close_matches(variable, names, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
-            msg = f"environment variable {variable}: tissueid {' '.join(path)} takes no such setting{hint}"
-            raise UsageError(msg)
+            refuse(f"environment variable {variable}: tissueid {' '.join(path)} takes no such setting{hint}")
         option = options[names[variable]]
         try:
             found[*path, names[variable]] = Setting(_from_text(option, text), variable)

@@ -11,10 +11,9 @@ import click
 
 from tissueid.cli.completion_command import presets
 from tissueid.cli.flags import ABOVE_0, FROM_0, REAL_FROM_0, Flags, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import tell
+from tissueid.cli.output import refuse, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
-from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
@@ -133,8 +132,7 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
     from tissueid.store.bundle import load_bundle
 
     if (flags.bundle is None) == (flags.preset is None):
-        msg = "give a bundle, or --preset, and not both: tissueid control bundle.h5"
-        raise UsageError(msg)
+        refuse("give a bundle, or --preset, and not both: tissueid control bundle.h5")
     if flags.preset is not None:
         return preset_tissue(flags.preset), f"preset {flags.preset}"
     assert flags.bundle is not None  # noqa: S101  (one of both was given)

@@ -20,11 +20,11 @@ from tissueid.cli.output import (
     made_folder,
     note,
     progress_bar,
+    refuse,
     refuse_foreign,
 )
 from tissueid.documents import typed
 from tissueid.documents.design import Design, Protocol
-from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine
@@ -167,8 +167,7 @@ def _tissues(flags: _DesignFlags) -> tuple[Tissues, Recipe | None]:
     source, guesses = flags.source, flags.guesses
     if (source is None) == (not guesses):
         both = "both SOURCE and --tissue are given" if guesses else "nothing is said of the tissue"
-        msg = f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)"
-        raise UsageError(msg)
+        refuse(f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)")
     if guesses:
         found = [parsed_guess(text) for text in guesses]
         return plain_guesses(found, depth_mm=_positive(flags.max_depth, "max-depth"), count=flags.draws), None
@@ -188,14 +187,12 @@ def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     default = [f"{name}={DEFAULT_WANT}" for name in usual_wants(tissues.model)]
     wants = tuple(parsed_want(text, tissues.model) for text in flags.wants or default)
     if len({want.name for want in wants}) < len(wants):
-        msg = f"--want names a number twice: {', '.join(flags.wants)}"
-        raise UsageError(msg)
+        refuse(f"--want names a number twice: {', '.join(flags.wants)}")
     for name, value in (
         ("recovery", flags.recovery), ("setup", flags.setup), ("gain-sd", flags.gain_sd)
     ):  # fmt: skip
         if not 0.0 <= value < float("inf"):
-            msg = f"--{name} is {value}, must be 0 or above"
-            raise UsageError(msg)
+            refuse(f"--{name} is {value}, must be 0 or above")
     force = _positive(flags.max_force, "max-force")
     return Asked(
         wants=wants,
@@ -214,8 +211,7 @@ def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
 
 def _positive(value: float | None, name: str) -> float | None:
     if value is not None and not 0.0 < value < float("inf"):
-        msg = f"--{name} is {value}, must be above 0"
-        raise UsageError(msg)
+        refuse(f"--{name} is {value}, must be above 0")
     return value
 
 
@@ -227,8 +223,7 @@ def _time(text: str) -> float:
     except ValueError:
         seconds = 0.0
     if seconds <= 0.0:
-        msg = f"--budget {text}: write a time above 0 with its unit, as 90min or 2h"
-        raise UsageError(msg)
+        refuse(f"--budget {text}: write a time above 0 with its unit, as 90min or 2h")
     return seconds
 
 

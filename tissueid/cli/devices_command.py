@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
-from tissueid.cli.output import note, tell
+from tissueid.cli.output import note, refuse, tell
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.devices import Info
-from tissueid.errors import DeviceError, UsageError
+from tissueid.errors import DeviceError
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
@@ -123,8 +123,7 @@ def ask_consent(device: HapticDevice, flags: MovedFlags) -> None:
         note(warning, quiet=flags.quiet)
         return
     if not sys.stdin.isatty():
-        msg = f"{warning} Give --yes where nobody can be asked"
-        raise UsageError(msg)
+        refuse(f"{warning} Give --yes where nobody can be asked")
     click.confirm(f"{warning} Go on?", abort=True, err=True)
 
 
@@ -149,8 +148,7 @@ def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
     """
     made = made_device(flags, hands_off=True)
     if "calibration" not in made.takes:
-        msg = f"the device {made.name} has no calibration that could keep a measurement; name a falcon"
-        raise UsageError(msg)
+        refuse(f"the device {made.name} has no calibration that could keep a measurement; name a falcon")
     ask_consent(made, flags)
     with opened(made) as device:
         device.home()
@@ -269,8 +267,7 @@ def test(flags: _TestFlags) -> int:
 
     made = made_device(flags)
     if flags.save and not made.keeps(asked_device(flags).calibration):
-        msg = f"--save keeps the calibration of a real device, and the device is {made.name}"
-        raise UsageError(msg)
+        refuse(f"--save keeps the calibration of a real device, and the device is {made.name}")
     with opened(made) as device:
         report = measure_link(device, flags.seconds)
     document = {"name": device.name, **asdict(report)}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, write_output
+from tissueid.cli.output import echo_bytes, echo_json, refuse, write_output
 from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
@@ -97,8 +97,7 @@ def _write_tissues(flags: _ExportFlags) -> int:
         from tissueid.export.matlab import mat_bytes
 
         if flags.output is None:
-            msg = "a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat"
-            raise UsageError(msg)
+            refuse("a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat")
         content = mat_bytes(bundles)
     elif len(bundles) > 1:
         msg = f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
@@ -135,8 +134,7 @@ def _bundles(flags: _ExportFlags) -> list[Bundle]:
     names = bundle_names(one.specimen for one in read_results(str(path))[0].specimens)
     wanted = flags.specimen
     if wanted is not None and wanted not in names:
-        msg = f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}"
-        raise UsageError(msg)
+        refuse(f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}")
     return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
 
 
@@ -145,11 +143,9 @@ def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) ->
     from tissueid.uncertainty import netcdf_bytes
 
     if flags.output is None:
-        msg = "netcdf is no text for a terminal: name a file with -o, as -o chains.nc"
-        raise UsageError(msg)
+        refuse("netcdf is no text for a terminal: name a file with -o, as -o chains.nc")
     if not posteriors:
-        msg = f"{flags.out}: no posterior was sampled; run `tissueid fit` again without --sampler none"
-        raise UsageError(msg)
+        refuse(f"{flags.out}: no posterior was sampled; run `tissueid fit` again without --sampler none")
     first = Path(flags.output)
     names = file_names((one.specimen for one in posteriors), first.stem, first.suffix)
     for one in posteriors:

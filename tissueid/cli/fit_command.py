@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, Flags, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json_text, note, progress_bar
+from tissueid.cli.output import echo, echo_json_text, note, progress_bar, refuse
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
@@ -60,8 +60,7 @@ def _count(auto: str) -> click.Choice[str]:
 def _moved(_context: click.Context, _option: click.Parameter, value: str | None) -> None:
     """Refuse an option that became a model."""
     if value is not None:
-        msg = f'--contact-law {value}: name 1 model instead, as --model "power * impact"'
-        raise UsageError(msg)
+        refuse(f'--contact-law {value}: name 1 model instead, as --model "power * impact"')
 
 
 class QuotingFlags(Flags):
@@ -225,11 +224,10 @@ def _refuse_foreign(out: Path) -> None:
     names = ("identification.json", "report.html", "curves.h5", "bundle*.h5")
     foreign = sorted(path.name for name in names for path in out.glob(name))
     if foreign:
-        msg = (
+        refuse(
             f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
             "with -o, or move them away"
         )
-        raise UsageError(msg)
 
 
 def _checked_model(flags: _FitFlags) -> _FitFlags:
@@ -242,8 +240,7 @@ def _checked_model(flags: _FitFlags) -> _FitFlags:
         raise UsageError(str(error)) from None
     others = laws.paper is None or laws.choose
     if others and flags.unloading:
-        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}"
-        raise UsageError(msg)
+        refuse(f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}")
     if laws.paper is not None and laws.paper.branches is None:
         return flags
     context, asked = click.get_current_context(), []
@@ -255,8 +252,7 @@ def _checked_model(flags: _FitFlags) -> _FitFlags:
         elif getattr(flags, key) != "auto":
             asked.append(f"--{key.replace('_', '-')}")
     if asked:
-        msg = f"{' and '.join(asked)}: {flags.model!r} says it already; leave one of them out"
-        raise UsageError(msg)
+        refuse(f"{' and '.join(asked)}: {flags.model!r} says it already; leave one of them out")
     return flags
 
 
@@ -294,8 +290,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if not values or not all(0.0 < value < float("inf") for value in values):
-        msg = f"{option} takes positive numbers with commas between, as 0.1,1,10; got {text!r}"
-        raise UsageError(msg)
+        refuse(f"{option} takes positive numbers with commas between, as 0.1,1,10; got {text!r}")
     return values
 
 
@@ -306,8 +301,7 @@ def _geometry(flags: QuotingFlags) -> Geometry | None:
 
     if flags.tip is None:
         if flags.thickness is not None:
-            msg = "--thickness needs --tip; a study.toml may hold both, a thickness for each specimen"
-            raise UsageError(msg)
+            refuse("--thickness needs --tip; a study.toml may hold both, a thickness for each specimen")
         return None
     shape, _, size = flags.tip.partition(":")
     try:

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 from msgspec import structs
 
 from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+from tissueid.cli.output import echo, echo_json, note, progress_bar, refuse, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredLoop, MeasuredPush
-from tissueid.errors import UsageError, exit_code, printable
+from tissueid.errors import exit_code, printable
 from tissueid.flags import FLAGS, harm_rank
 
 if TYPE_CHECKING:
@@ -328,8 +328,7 @@ def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> in
 
     other = next((flag for name, flag in _OTHERS.items() if getattr(flags, name)), None)
     if other is not None:
-        msg = f"--serve writes study.toml and shows its page: leave {other} out"
-        raise UsageError(msg)
+        refuse(f"--serve writes study.toml and shows its page: leave {other} out")
     manifest = _manifest(flags)
 
     def inspect() -> Any:

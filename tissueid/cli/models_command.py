@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import MARGIN, labelled, tell
-from tissueid.errors import UsageError
+from tissueid.cli.output import MARGIN, labelled, refuse, tell
 
 EXAMPLES = """
 tissueid models
@@ -34,8 +33,7 @@ def command(flags: _ModelsFlags) -> int:
         known = {row["key"]: row for row in rows}
         missing = [name for name in flags.names if name not in known]
         if missing:
-            msg = f"no law {missing[0]!r}; there are {', '.join(known)}"
-            raise UsageError(msg)
+            refuse(f"no law {missing[0]!r}; there are {', '.join(known)}")
         rows = [known[name] for name in flags.names]
     tell(flags, rows, (_each if flags.names else _table)(rows))
     return 0

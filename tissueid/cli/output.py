@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
@@ -159,6 +159,11 @@ def write_output(path: str | Path, content: bytes, *, quiet: int = 1) -> None:
         msg = f"{path}: can't be written ({error.strerror}); choose another place"
         raise UsageError(msg) from error
     note(f"wrote {path}", quiet=quiet)
+
+
+def refuse(message: str) -> NoReturn:
+    """Refuse what makes no sense as it was typed."""
+    raise UsageError(message)
 
 
 def made_folder(path: str | Path, way_out: str = "choose another folder with -o") -> Path:

@@ -13,8 +13,8 @@ import click
 
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
-from tissueid.cli.output import echo
-from tissueid.errors import InputError, UsageError
+from tissueid.cli.output import echo, refuse
+from tissueid.errors import InputError
 
 if TYPE_CHECKING:
     from tissueid.ingest import ReadOptions
@@ -92,11 +92,10 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
     for part in text.split(","):
         key, separator, value = part.partition("=")
         if not separator or key.strip() not in QUANTITIES or not value.strip():
-            msg = (
+            refuse(
                 f'{flag} takes pairs like "time=Zeit,force=Kraft" with {", ".join(QUANTITIES)} on the left; '
                 f"{part!r} is none"
             )
-            raise UsageError(msg)
         pairs[key.strip()] = value.strip()
     return pairs
 
@@ -129,11 +128,9 @@ def segment_options(flags: ReadingFlags) -> SegmentOptions:
 
     contact, start, end = flags.contact, flags.hold_from, flags.hold_to
     if contact is not None and not abs(contact) <= LONGEST_TRAVEL_MM:
-        msg = f"--contact is {contact}; give a displacement in mm as recorded"
-        raise UsageError(msg)
+        refuse(f"--contact is {contact}; give a displacement in mm as recorded")
     if start is not None and end is not None and not start < end:
-        msg = f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded"
-        raise UsageError(msg)
+        refuse(f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded")
     return SegmentOptions(
         compression_sign={None: None, "positive": 1, "negative": -1}[flags.compression],
         contact_displacement_mm=contact,
@@ -149,8 +146,7 @@ def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
     for path in paths:
         folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
         if folder.is_dir() and os.path.realpath(folder) == os.path.realpath(out):
-            msg = f"{path} is read and -o {out} is the same folder: name another with -o, as -o results"
-            raise UsageError(msg)
+            refuse(f"{path} is read and -o {out} is the same folder: name another with -o, as -o results")
 
 
 def read_in_order(
@@ -259,8 +255,7 @@ class PatternCheck:
             return
         shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
         if self._named == 0 and not self._stated:
-            msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
-            raise UsageError(msg)
+            refuse(f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}")
         message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
         echo(f"warning: {message}", fg="yellow", err=True)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import select
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +14,11 @@ import click
 
 from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
+from tissueid.cli.output import draw, echo, echo_json, note, progress_bar, refuse
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.documents import typed
 from tissueid.documents.session import Summary
-from tissueid.errors import DeviceError, UsageError, exit_code
+from tissueid.errors import DeviceError, exit_code
 from tissueid.store.files import plain_json
 
 if TYPE_CHECKING:
@@ -173,8 +172,7 @@ def command(flags: RenderFlags) -> int:
 
         return twin(flags)
     if flags.felt is not None:
-        msg = "--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it"
-        raise UsageError(msg)
+        refuse("--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it")
     flags = _demonstrated(flags)
     with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)
@@ -202,29 +200,18 @@ def _demonstrated(flags: RenderFlags) -> RenderFlags:
     return flags
 
 
-@contextmanager
-def _viewer(flags: RenderFlags) -> Iterator[ServedViewer | None]:
+def _viewer(flags: RenderFlags) -> AbstractContextManager[ServedViewer | None]:
     """The viewer, where one is wanted."""
-    if not flags.viewer:
-        yield None
-        return
-    if flags.virtual:
-        msg = "--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`"
-        raise UsageError(msg)
-    with served(flags) as viewer:
-        yield viewer
+    if flags.viewer and flags.virtual:
+        refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
+    return served(flags) if flags.viewer else nullcontext()
 
 
-@contextmanager
-def _waiting_servo(flags: RenderFlags) -> Iterator[SpawnedServo | None]:
+def _waiting_servo(flags: RenderFlags) -> AbstractContextManager[SpawnedServo | None]:
     """A servo's process that loads while the plan is made; none where no clock runs."""
     from tissueid.rendering.servo_spawn import spawn_servo
 
-    if flags.virtual:
-        yield None
-        return
-    with closing(spawn_servo()) as spawned:
-        yield spawned
+    return nullcontext() if flags.virtual else closing(spawn_servo())
 
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
@@ -244,8 +231,7 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
     for line in plan.lines:
         note(line, quiet=flags.quiet)
     if flags.blind and flags.log is None:
-        msg = "--blind is worth nothing without a record: add --log FILE"
-        raise UsageError(msg)
+        refuse("--blind is worth nothing without a record: add --log FILE")
     ask_for_consent(plan, given=flags.yes, quiet=flags.quiet)
     _write_key(flags, plan)
     bridge = None
@@ -306,14 +292,12 @@ def _scene(flags: RenderFlags) -> Scene | None:
     """The scene that was asked for; it brings its own tissue, or guidance in its place."""
     if flags.scene is None:
         if flags.plan is not None:
-            msg = "--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own"
-            raise UsageError(msg)
+            refuse("--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own")
         return None
     from tissueid.rendering.scene import load_scene
 
     if flags.bundle is not None or flags.preset is not None or flags.environment is not None:
-        msg = "--scene brings what is felt: leave bundle, --preset and --environment out"
-        raise UsageError(msg)
+        refuse("--scene brings what is felt: leave bundle, --preset and --environment out")
     return load_scene(flags.scene, plan=flags.plan)
 
 
@@ -414,8 +398,7 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     if given:
         return
     if not sys.stdin.isatty():
-        msg = "consent is needed and nobody can be asked here; give --yes where it was given"
-        raise UsageError(msg)
+        refuse("consent is needed and nobody can be asked here; give --yes where it was given")
     click.confirm("Do you agree?", abort=True, err=True)
 
 

@@ -19,7 +19,7 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.output import echo, echo_json, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.errors import UsageError
 
@@ -76,12 +76,10 @@ def init(flags: _InitFlags) -> int:
     folder = Path(flags.folder)
     target = folder / MANIFEST
     if target.exists() and not flags.force:
-        msg = f"{target} is there already: edit it, or write over it with --force"
-        raise UsageError(msg)
+        refuse(f"{target} is there already: edit it, or write over it with --force")
     trials, refused = _read_all((flags.folder,), flags, None)
     if not trials:
-        msg = f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})"
-        raise UsageError(msg)
+        refuse(f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})")
     content = draft_study(folder, trials, refused).encode("utf-8")
     try:
         write_file(target, content)
@@ -212,8 +210,7 @@ def export(flags: _ExportFlags) -> int:
 
     study, paths = locate_study((flags.study,))
     if study is None:
-        msg = f"{flags.study}: there is no study.toml; `tissueid study init` writes one"
-        raise UsageError(msg)
+        refuse(f"{flags.study}: there is no study.toml; `tissueid study init` writes one")
     try:
         day = date.fromisoformat(flags.date) if flags.date else datetime.now(UTC).date()
     except ValueError as error:

@@ -9,7 +9,7 @@ import click
 
 from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.output import echo, echo_json, note, refuse
 from tissueid.errors import UsageError
 
 EXAMPLES = """
@@ -62,13 +62,11 @@ def command(flags: _SynthFlags) -> int:
     named = flags.recipe
     is_file = named not in RECIPES and Path(named).suffix == ".toml"
     if is_file and not Path(named).exists():
-        msg = f"{named}: no such file"
-        raise UsageError(msg)
+        refuse(f"{named}: no such file")
     plan = load_recipe(named) if is_file else recipe(named)
     if flags.rate is not None:
         if not 0.0 < flags.rate <= HIGHEST_RATE_HZ:
-            msg = f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
-            raise UsageError(msg)
+            refuse(f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
         plan = replace(plan, rate_Hz=flags.rate)
     try:
         files = write_set(plan, flags.out, seed=flags.seed, dialect=flags.dialect)

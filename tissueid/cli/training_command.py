@@ -9,10 +9,10 @@ from typing import Any, Literal
 from msgspec.structs import asdict
 
 from tissueid.cli.flags import ABOVE_0, FILE, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import note, tell, write_output
+from tissueid.cli.output import note, refuse, tell, write_output
 from tissueid.documents import plain
 from tissueid.documents.session import Attempt, Learning, Refused, Training
-from tissueid.errors import BundleError, UsageError, exit_code
+from tissueid.errors import BundleError, exit_code
 
 EXAMPLES = """
 tissueid training hip-*.h5
@@ -47,8 +47,7 @@ def command(flags: _TrainingFlags) -> int:
     """
     document, tracks = _measured(flags)
     if not document.attempts and not document.refused:
-        msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
-        raise UsageError(msg)
+        refuse("there is no session log (.h5) in what was given; record one with tissueid render --log FILE")
     if flags.html is not None:
         from tissueid.report.training_page import render_training
 

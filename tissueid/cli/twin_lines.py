@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.cli.output import echo, echo_json, made_folder, note, progress_bar, write_output
-from tissueid.errors import UsageError
+from tissueid.cli.output import echo, echo_json, made_folder, note, progress_bar, refuse, write_output
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
@@ -36,8 +35,7 @@ def twin(flags: RenderFlags) -> int:
     said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
     if said or flags.bundle is None:
         words = f"leave out {', '.join(said)}" if said else "name a BUNDLE"
-        msg = f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}"
-        raise UsageError(msg)
+        refuse(f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}")
     bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
     felt = None if flags.felt is None else read_trials(flags.felt)[0]

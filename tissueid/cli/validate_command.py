@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
-from tissueid.cli.output import echo, echo_json
-from tissueid.errors import BundleError, UsageError
+from tissueid.cli.output import echo, echo_json, refuse
+from tissueid.errors import BundleError
 
 EXAMPLES = """
 tissueid validate out
@@ -30,8 +30,7 @@ def command(flags: _ValidateFlags) -> int:
     results: list[dict[str, str | bool | None]] = []
     for target in flags.targets:
         if not Path(target).exists():
-            msg = f"{target}: no such file or folder"
-            raise UsageError(msg)
+            refuse(f"{target}: no such file or folder")
         problem = None
         try:
             if Path(target).is_dir():

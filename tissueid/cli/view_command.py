@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import PORT, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, note
-from tissueid.errors import DeviceError, UsageError
+from tissueid.cli.output import echo, note, refuse
+from tissueid.errors import DeviceError
 
 if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder
@@ -62,8 +62,7 @@ def command(flags: _ViewFlags) -> int:
     if Path(what).exists() or not _is_address(what):
         return _play(flags, Path(what))
     if flags.beside is not None:
-        msg = "--beside is for a LOG: a session elsewhere is watched as it goes"
-        raise UsageError(msg)
+        refuse("--beside is for a LOG: a session elsewhere is watched as it goes")
     return _open_elsewhere(flags, what)
 
 

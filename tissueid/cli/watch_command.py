@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note
+from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -97,8 +97,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
 
     folder = Path(flags.folder)
     if not folder.is_dir():
-        msg = f"{folder}: there is no such folder to watch"
-        raise UsageError(msg)
+        refuse(f"{folder}: there is no such folder to watch")
     reading = read_options(flags)
     segmenting = segment_options(flags)
     log = None if flags.out is None else made_folder(flags.out) / LOG
