@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.collection import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.documents import plain
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.flags import Flag

@@ -22,7 +22,6 @@ from tissueid.collection import (
     Collected,
     Refit,
     TrialCache,
-    arithmetic_refusal,
     collect,
     display_names,
     exclusion_rows,
@@ -31,6 +30,7 @@ from tissueid.collection import (
     unmatched_sheets,
     without_excluded,
 )
+from tissueid.decided import arithmetic_refusal
 from tissueid.errors import InputError, exit_code
 from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,7 +16,9 @@ from tissueid.cli.completion_command import subcommands
 from tissueid.cli.flags import OutputFlags, argument, below, subcommand, walk
 from tissueid.cli.output import refuse, tell
 from tissueid.errors import UsageError
-from tissueid.manifest import TomlTable
+
+if TYPE_CHECKING:
+    from tissueid.manifest import TomlTable
 
 EXAMPLES = """
 tissueid config

@@ -16,10 +16,7 @@ from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar, refuse
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
-from tissueid.documents import typed
-from tissueid.documents.session import Summary
 from tissueid.errors import DeviceError, exit_code
-from tissueid.store.files import plain_json
 
 if TYPE_CHECKING:
     from tissueid.rendering.options import RenderOptions
@@ -457,6 +454,10 @@ def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
 
 def summary_lines(outcome: Outcome) -> list[str]:
     """The session in a few lines."""
+    from tissueid.documents import typed
+    from tissueid.documents.session import Summary
+    from tissueid.store.files import plain_json
+
     summary = typed(plain_json(outcome.summary), Summary)
     period = summary.period_us
     ended = (

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.collection import decided_options, decided_trial, why_excluded
+from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, NotIdentifiedError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, rebuilt

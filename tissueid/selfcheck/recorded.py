@@ -11,7 +11,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from tissueid import IdentifyOptions, PosteriorOptions, identify
-from tissueid.collection import decided_options, decided_trial, display_names, why_excluded
+from tissueid.collection import display_names
+from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.documents.identification import NoiseFit
 from tissueid.errors import InputError, UsageError
 from tissueid.inference.specimen import FitOptions

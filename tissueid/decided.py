@@ -1,0 +1,102 @@
+"""Decisions of a study on one recording: its name, protocol, signs, contact, and whether it counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from tissueid.errors import UsageError
+from tissueid.flags import Flag
+from tissueid.ingest.quality import below_cell_range
+from tissueid.manifest import Decision, Study
+from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions
+from tissueid.trial import Trial
+
+#: Keys of [[override]] that the segmenter takes as they are, by the name of its option.
+_SEGMENT_KEYS = {
+    "contact_mm": "contact_displacement_mm",
+    "contact_sd_mm": "contact_sd_mm",
+    "minimum_hold_s": "minimum_hold_s",
+    "start_s": "start_s",
+    "end_s": "end_s",
+    "rupture": "rupture",
+    "hold_from_s": "hold_from_s",
+}
+_SIGN_KEYS = {"compression": "compression_sign", "force": "force_sign"}
+_SIGNS = {"positive": 1, "negative": -1}
+
+
+def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
+    """The refusal of a trial whose numbers defeat the arithmetic while it is ``done``."""
+    message = (
+        f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
+        "their units and magnitudes right? `tissueid inspect` shows them"
+    )
+    return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
+
+
+def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
+    """The run's options with what the study decides for this trial.
+
+    Raises UsageError: both together leave no window of time.
+    """
+    said: dict[str, Any] = {
+        name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
+    }
+    for key, name in _SIGN_KEYS.items():
+        if key in decision.override:
+            said[name] = _SIGNS[decision.override[key]]
+    try:
+        return replace(options, **said)
+    except ValueError as error:
+        because = decision.override.get("because", "")
+        msg = (
+            f"the study file and the command line contradict each other: {error} (in the study because: "
+            f"{because}); leave the option out, or --no-study"
+        )
+        raise UsageError(msg) from error
+
+
+def decided_trial(trial: Trial, decision: Decision, study: Study) -> Trial:
+    """The trial under the name, the protocol and the load cell that the study states."""
+    flags = list(trial.flags)
+    stated = {key: value for key, value in decision.override.items() if key != "because"}
+    if stated:
+        words = ", ".join(f"{key} = {_words(value)}" for key, value in stated.items())
+        because = decision.override["because"]
+        values = {"keys": list(stated), "because": because}
+        flags.append(Flag("decision_overridden", f"{words}, because: {because}", values))
+    calibration = study.calibration
+    capacity = calibration.values.get("load_cell_capacity_N")
+    if capacity is not None or calibration.verified_from_N is not None:
+        flags = [flag for flag in flags if flag.code != "below_cell_range"]
+        flag = below_cell_range(trial.force_N, capacity, verified_from_N=calibration.verified_from_N)
+        flags += [] if flag is None else [flag]
+    return replace(
+        trial,
+        specimen=decision.trial.get("specimen", trial.specimen),
+        protocol=study.protocol(decision, trial.protocol),
+        flags=tuple(flags),
+    )
+
+
+def _words(value: Any) -> str:
+    """A value as study.toml writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_words(one)}" for key, one in value.items()) + "}"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+
+
+def why_excluded(trial: Trial, decision: Decision | None, study: Study | None) -> str | None:
+    """The user's reason, or that the recording calibrated the frame, or is no specimen and not listed."""
+    if decision is not None and decision.excluded is not None:
+        return decision.excluded
+    frame = None if study is None else study.calibration.frame
+    if frame is not None and trial.source.sha256 in frame.sources:
+        return f"a rigid block: {frame.path} was made from it"
+    if decision is not None and decision.listed:
+        return None
+    return next((flag.message for flag in trial.flags if flag.code == "not_a_specimen"), None)
