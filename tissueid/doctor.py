@@ -40,8 +40,7 @@ def examine() -> Iterator[Check]:
 
 
 def _program() -> Check:
-    words = f"{__version__}, Python {platform.python_version()} at {sys.executable}"
-    return Check("tissueid", "ok", words)
+    return Check("tissueid", "ok", f"{__version__}, Python {platform.python_version()} at {sys.executable}")
 
 
 def _machine() -> Check:

@@ -346,9 +346,7 @@ class Fit(_Reported):
             ("measured", trial.time_s, trial.force_N, MEASURED),
             ("model", trial.time_s[shown], predicted[shown], MODEL),
         ]
-        return Plot(
-            drawing(curves, across="time [s]", up=f"[{axes.force}]", words=f"Force of {trial.name} and model")
-        )
+        return Plot(drawing(curves, up=f"[{axes.force}]", words=f"Force of {trial.name} and model"))
 
     def sample(self, draws: int = 2_000, seed: int = 0) -> Sampled:
         """Draw from the posterior, from this optimum on.

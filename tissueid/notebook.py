@@ -60,7 +60,11 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 
 def drawing(
-    curves: Sequence[tuple[str, FloatArray, FloatArray, str]], *, across: str, up: str, words: str
+    curves: Sequence[tuple[str, FloatArray, FloatArray, str]],
+    *,
+    up: str,
+    words: str,
+    across: str = "time [s]",
 ) -> str:
     """Curves as an inline SVG that takes the colour of the text around it."""
     drawn = [(name, *_thinned(x, y), colour) for name, x, y, colour in curves]
@@ -198,7 +202,6 @@ def _fitted(fit: SpecimenFit) -> str:
     ]
     return drawing(
         curves,
-        across="time [s]",
         up=f"[{fit.axes.force}]",
         words=f"Force and model of {trial.path} against time",
     )
@@ -287,9 +290,7 @@ def _trial(trial: Trial) -> str:
         ["force", f"{trial.force_N.min():.4g} to {trial.force_N.max():.4g} {trial.axes.force}"],
     ]
     curves = [("force", trial.time_s, trial.force_N, MEASURED)]
-    drawn = drawing(
-        curves, across="time [s]", up=f"[{trial.axes.force}]", words=f"Force of {where} against time"
-    )
+    drawn = drawing(curves, up=f"[{trial.axes.force}]", words=f"Force of {where} against time")
     return table(trial.specimen, ("", ""), rows) + drawn + _flags(trial.flags)
 
 

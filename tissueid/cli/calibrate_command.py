@@ -88,10 +88,9 @@ def command(flags: _CalibrateFlags) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags.quiet
     if flags.phi is not None and flags.noise != "ar1":
         refuse("--phi is the correlation of --noise ar1: give both, or neither")
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         found = found_source(flags, progress)
         check = tissue_check(
             found.protocol,
@@ -121,7 +120,7 @@ def command(flags: _CalibrateFlags) -> int:
     )
     tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
-        note(f"not calibrated: {reason}", quiet=quiet)
+        note(f"not calibrated: {reason}", quiet=flags.quiet)
     return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
 
 

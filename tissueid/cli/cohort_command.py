@@ -50,7 +50,6 @@ def command(flags: _CohortFlags) -> int:
     """
     from tissueid.study.cohort import PopulationRequest, write_population
 
-    quiet = flags.quiet
     request = PopulationRequest(
         group_by=flags.group_by,
         covariates=flags.covariates,
@@ -59,12 +58,12 @@ def command(flags: _CohortFlags) -> int:
         hold_out=not flags.no_held_out,
         mix_states=flags.mix_states,
     )
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         written = write_population(Path(flags.out), request, progress)
     if flags.as_json:
         echo_json(written.document)
     else:
-        print_population(written, flags.out, quiet=quiet)
+        print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NOT_CONVERGED
 
 

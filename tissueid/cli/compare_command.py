@@ -160,12 +160,11 @@ def _apart(tissues: list[Compared]) -> list[Compared]:
     """Tissues of one name told apart by a number."""
     often = Counter(tissue.name for tissue in tissues)
     seen: Counter[str] = Counter()
-    named = []
-    for tissue in tissues:
+    for place, tissue in enumerate(tissues):
         seen[tissue.name] += 1
-        again = often[tissue.name] > 1
-        named.append(replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})") if again else tissue)
-    return named
+        if often[tissue.name] > 1:
+            tissues[place] = replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})")
+    return tissues
 
 
 def _measured_lines(pairs: Sequence[MeasuredPair]) -> Iterator[str]:

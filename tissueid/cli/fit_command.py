@@ -156,7 +156,6 @@ def command(flags: _FitFlags) -> int:
     from tissueid.study.recordings import locate_study
     from tissueid.study.request import Request
 
-    quiet: int = flags.quiet
     reading = read_options(flags)
     study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     if study is not None:
@@ -178,7 +177,7 @@ def command(flags: _FitFlags) -> int:
         all_read=by_pattern.say,
     )
     with OutputSet(flags.out) as run:
-        with progress_bar(show=not quiet) as progress:
+        with progress_bar(show=not flags.quiet) as progress:
             found = fit_cohort(request, run, progress)
             if found.fitted:
                 progress("writing the report", 0, 0)
@@ -189,7 +188,7 @@ def command(flags: _FitFlags) -> int:
         if flags.as_json:
             echo_json_text(found.document.read_text(encoding="utf-8"))
         else:
-            print_summary(found, flags.out, quiet=quiet, verbose=flags.verbose)
+            print_summary(found, flags.out, quiet=flags.quiet, verbose=flags.verbose)
     return exit_code({found.exit.code, _population(flags, study, found.fitted)})
 
 
@@ -204,16 +203,15 @@ def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     from tissueid.cli.cohort_command import print_population
     from tissueid.study.cohort import PopulationRequest, write_population
 
-    quiet = flags.quiet
     try:
-        with progress_bar(show=not quiet) as progress:
+        with progress_bar(show=not flags.quiet) as progress:
             asked = PopulationRequest(seed=flags.seed, mix_states=flags.mix_states)
             written = write_population(Path(flags.out), asked, progress)
     except (NotIdentifiedError, UsageError) as error:
-        note(error.message, quiet=quiet)
+        note(error.message, quiet=flags.quiet)
         return error.exit_status if flags.population == "yes" else 0
     if not flags.as_json:
-        print_population(written, flags.out, quiet=quiet)
+        print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NotIdentifiedError.exit_status
 
 
@@ -358,7 +356,9 @@ def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
     shared = () if verbose else shared_codes(specimens)
     brief = len(specimens) >= MANY and not verbose
     for specimen in specimens:
-        _print_specimen(specimen, shared, verbose=verbose, brief=brief)
+        echo()
+        for one in specimen_lines(specimen, shared, verbose=verbose, brief=brief):
+            echo(one.text, fg=_COLOURS.get(one.kind), bold=one.kind in {"title", "alarm"})
     if shared:
         echo()
         echo(f"all {len(specimens)} specimens")
@@ -396,9 +396,3 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
     for missing, specimens in same.items():
         # each is named, however many they are
         note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)
-
-
-def _print_specimen(fit: Specimen, shared: Sequence[str], *, verbose: int, brief: bool) -> None:
-    echo()
-    for line in specimen_lines(fit, shared, verbose=verbose, brief=brief):
-        echo(line.text, fg=_COLOURS.get(line.kind), bold=line.kind in {"title", "alarm"})

@@ -52,11 +52,10 @@ def command(flags: _ReproduceFlags) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags.quiet
     readings = readings_from(flags.settings)
     out = made_folder(flags.out)
     papers = PAPERS if flags.paper == "all" else (flags.paper,)
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         effort = Effort(progress=lambda message: progress(message, 0, 0))
         if flags.seed is not None:
             effort = replace(effort, seed=flags.seed)
@@ -66,7 +65,7 @@ def command(flags: _ReproduceFlags) -> int:
     write_file(out / FILES[0], json_bytes(written))
     write_file(out / FILES[1], render_reproduction(document, created=created_now()).encode("utf-8"))
     tell(flags, written, _lines(document))
-    note(f"{out / FILES[1]}", quiet=quiet)
+    note(f"{out / FILES[1]}", quiet=flags.quiet)
     return 0
 
 

@@ -60,15 +60,14 @@ def command(flags: _RuptureFlags) -> int:
     """
     from tissueid.rupture.document import write_rupture
 
-    quiet = flags.quiet
     refuse_same_folder(flags.paths, flags.out)
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         written = write_rupture(Path(flags.out), lambda: _run(flags, progress))
     document = typed(written, Rupture)
     tell(flags, written, _lines(document))
     for row in document.left_out:
         echo(f"left out  {row.path}: {row.reason}", fg="red", err=True)
-    note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=quiet)
+    note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=flags.quiet)
     return EXIT_INCOMPLETE if document.left_out else 0
 
 

@@ -85,7 +85,8 @@ def command(flags: _WatchFlags) -> int:
         note("", quiet=flags.quiet)
     if not flags.as_json and not flags.quiet:
         _summary(session)
-    return _exit_code(session) if flags.once else 0
+    refused = [one["verdict"]["level"] == "refused" for one in session.verdicts]
+    return (3 if all(refused) else 7) if flags.once and any(refused) else 0
 
 
 def _session(flags: _WatchFlags) -> WatchSession:
@@ -139,13 +140,6 @@ def _trials(
 
     for item in read_decided(path, reading, study):
         yield replace(item, specimen=specimen) if specimen is not None and isinstance(item, Trial) else item
-
-
-def _exit_code(session: WatchSession) -> int:
-    refused = [one for one in session.verdicts if typed(one, Watch).verdict.level == "refused"]
-    if not refused:
-        return 0
-    return 7 if len(refused) < len(session.verdicts) else 3
 
 
 def _tell(happening: Happening, flags: _WatchFlags) -> None:
