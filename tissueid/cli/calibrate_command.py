@@ -1,4 +1,4 @@
-"""``tissueid calibrate``."""
+"""``tissueid calibrate``, of a recipe, a study or recordings, or a bundle."""
 
 from __future__ import annotations
 

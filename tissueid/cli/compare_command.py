@@ -1,4 +1,4 @@
-"""``tissueid compare``."""
+"""``tissueid compare``: fits beside each other, or what was measured."""
 
 from __future__ import annotations
 

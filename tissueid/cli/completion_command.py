@@ -1,4 +1,4 @@
-"""``tissueid completion``: what a shell needs to complete commands, options, choices and files."""
+"""``tissueid completion``: what shells need, and the names that they are offered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""``tissueid config``."""
+"""``tissueid config``, and defaults of options from configuration files or the environment.
+
+Keys are the long options without their dashes, in a table named as the command is.  An unknown key and a
+value that does not fit are refused with file and line; nothing is skipped in silence.
+"""
 
 from __future__ import annotations
 

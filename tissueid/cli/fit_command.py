@@ -1,4 +1,4 @@
-"""``tissueid fit``."""
+"""``tissueid fit``: its options, the order of its work, and its closing lines."""
 
 from __future__ import annotations
 

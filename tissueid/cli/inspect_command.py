@@ -1,4 +1,4 @@
-"""``tissueid inspect``."""
+"""``tissueid inspect``: a line a recording, tables, and the page that is served."""
 
 from __future__ import annotations
 

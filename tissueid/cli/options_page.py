@@ -1,4 +1,4 @@
-"""``docs/options.md``: every command with its options, written from the command line itself."""
+"""``docs/options.md`` and ``docs/api.md``, written from the command line, signatures and docstrings."""
 
 from __future__ import annotations
 

@@ -56,7 +56,6 @@ DEMONSTRATED = "paper-a"
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-#: Groups of options, each applied to the command in this order.
 class _TissueFlags(Flags):
     """Flags of the tissue that is felt."""
 

@@ -1,4 +1,4 @@
-"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser."""
+"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser; how sessions are served."""
 
 from __future__ import annotations
 
