@@ -1,4 +1,4 @@
-"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser; how sessions are served."""
+"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser; serving a viewer."""
 
 from __future__ import annotations
 
