@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tissueid
-from tissueid.kernel_cache import kernel_sources, sources_key
+from tissueid.compiled import kernel_sources, sources_key
 
 PACKAGE = Path(tissueid.__file__).resolve().parent
 #: A leaf of the chain over a population, which stands in another file.

@@ -46,28 +46,20 @@ if TYPE_CHECKING:
     from tissueid.store.bundle import load_bundle
     from tissueid.trial import Trial
 
-_LAZY = {
-    "Bundle": "tissueid.library",
-    "ContactModel": "tissueid.model.composed",
-    "Fit": "tissueid.library",
-    "FitOptions": "tissueid.inference.specimen",
-    "IdentifyOptions": "tissueid.pipeline",
-    "Polynomial": "tissueid.model.composed",
-    "PosteriorOptions": "tissueid.inference.posterior",
-    "Priors": "tissueid.priors",
-    "Prony": "tissueid.model.composed",
-    "ReadOptions": "tissueid.ingest",
-    "Sampled": "tissueid.library",
-    "SegmentOptions": "tissueid.segment",
-    "Trial": "tissueid.trial",
-    "fit": "tissueid.library",
-    "identify": "tissueid.pipeline",
-    "load_bundle": "tissueid.store.bundle",
-    "read": "tissueid.library",
-    "read_study": "tissueid.ingest.manifest",
-    "read_trials": "tissueid.ingest",
-    "render": "tissueid.library",
+_PLACES = {
+    "tissueid.inference.posterior": ("PosteriorOptions",),
+    "tissueid.inference.specimen": ("FitOptions",),
+    "tissueid.ingest": ("ReadOptions", "read_trials"),
+    "tissueid.ingest.manifest": ("read_study",),
+    "tissueid.library": ("Bundle", "Fit", "Sampled", "fit", "read", "render"),
+    "tissueid.model.composed": ("ContactModel", "Polynomial", "Prony"),
+    "tissueid.pipeline": ("IdentifyOptions", "identify"),
+    "tissueid.priors": ("Priors",),
+    "tissueid.segment": ("SegmentOptions",),
+    "tissueid.store.bundle": ("load_bundle",),
+    "tissueid.trial": ("Trial",),
 }
+_LAZY = {name: module for module, names in _PLACES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

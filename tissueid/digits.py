@@ -59,11 +59,7 @@ def number(value: float | None, digits: int = VALUE_DIGITS) -> str:
 
 
 def together(values: Sequence[float], sd: float | None) -> list[str]:
-    """Numbers to the place that a standard deviation supports, all to the same.
-
-    ``values``: a value and the ends of its intervals; ``sd``: without one each stands to
-    :data:`VALUE_DIGITS`.
-    """
+    """Numbers to the place that a standard deviation supports, all to the same."""
     if sd is None or not (sd > 0.0 and math.isfinite(sd)):
         return [number(value) for value in values]
     largest = max(abs(value) for value in values)

@@ -8,9 +8,8 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Any
 
 from tissueid import __version__
 from tissueid.extras import EXTRA_OF, installed
@@ -33,30 +32,15 @@ class Check:
     words: str
     way_out: str | None = None  # what to type or do
 
-    def as_json(self) -> dict[str, Any]:
-        """The check as an object."""
-        return asdict(self)
-
 
 def examine() -> Iterator[Check]:
     """Look at everything, one check at a time."""
-    for look in (
-        _program,
-        _machine,
-        _libraries,
-        _extras,
-        _loop,
-        _real_time,
-        _devices,
-        _page,
-        _browser,
-    ):
-        yield look()
+    looks = (_program, _machine, _libraries, _extras, _loop, _real_time, _devices, _page, _browser)
+    yield from (look() for look in looks)
 
 
 def _program() -> Check:
-    words = f"{__version__}, Python {platform.python_version()} at {sys.executable}"
-    return Check("tissueid", "ok", words)
+    return Check("tissueid", "ok", f"{__version__}, Python {platform.python_version()} at {sys.executable}")
 
 
 def _machine() -> Check:
@@ -166,10 +150,7 @@ def _browser() -> Check:
 
 
 def warm(tell: Callable[[str], None]) -> None:
-    """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built.
-
-    ``tell``: told what is being compiled.
-    """
+    """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built."""
     import numpy as np
 
     from tissueid.inference.posterior import PosteriorOptions

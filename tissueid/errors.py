@@ -8,9 +8,9 @@
     +-- NotIdentifiedError     4  a required parameter is not identified, or no convergence
     +-- DeviceError            5  device or safety refusal
     +-- BundleError            6  a bundle or output set is invalid, mixed or not renderable
-    +-- IncompleteError        7  finished, but something was left out
 
-Where several apply, :data:`EXIT_PRECEDENCE` decides.  130 is reserved for an interrupt.
+7 says that a run finished and left something out.  Where several apply, :data:`EXIT_PRECEDENCE` decides.
+130 is reserved for an interrupt.
 """
 
 from __future__ import annotations
@@ -128,18 +128,15 @@ class BundleError(TissueidError):
     exit_status = 6
 
 
-class IncompleteError(TissueidError):
-    """The work finished, but something named in the message was left out."""
-
-    exit_status = 7
+def was_interrupted(error: BaseException | None) -> bool:
+    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def exit_code(codes: set[int]) -> int:
-    """The one exit code of a run in which several conditions hold.
-
-    ``codes``: exit codes of the conditions met; 0 may be among them.  Returns the code that comes first in
-    :data:`EXIT_PRECEDENCE`, or 0.
-    """
+    """The first of the codes by :data:`EXIT_PRECEDENCE`, or 0."""
     for code in EXIT_PRECEDENCE:
         if code in codes:
             return code

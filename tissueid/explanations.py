@@ -63,37 +63,18 @@ class Explanation:
     depends: str = ""
     interval: str = ""
 
-    def as_json(self) -> dict[str, str]:
-        """Everything, by name."""
-        return asdict(self)
-
 
 def explanations() -> dict[str, Explanation]:
     """Every entry by its name; parameters and exit codes first, then flags in their order."""
-    found = [
-        Explanation(
-            "parameter",
-            name,
-            one.title,
-            one.meaning,
-            symbol=one.symbol,
-            unit=one.unit,
-            depends=one.depends,
-            interval=one.interval,
-        )
-        for name, one in QUANTITIES.items()
-    ]
+    found = [Explanation("parameter", name, **asdict(one)) for name, one in QUANTITIES.items()]
     known = {one.name for one in found}
     for row in described():
         for one in row["parameters"]:
             if one["name"] not in known:
                 known.add(one["name"])
                 of = f"{one['meaning']}, of {row['key']} (tissueid models {row['key']})"
-                found.append(
-                    Explanation(
-                        "parameter", one["name"], "", of, symbol=one["symbol"], unit=one["unit"]
-                    )
-                )  # fmt: skip
+                symbol, unit = one["symbol"], one["unit"]
+                found.append(Explanation("parameter", one["name"], "", of, symbol=symbol, unit=unit))
     found += [
         Explanation("exit code", code, "", meaning, remedy=way)
         for code, (meaning, way) in EXIT_MEANINGS.items()
@@ -106,11 +87,7 @@ def explanations() -> dict[str, Explanation]:
 
 
 def explain(name: str) -> Explanation:
-    """The entry of a name.
-
-    ``name``: a flag's code, a parameter by name or symbol (with or without its branch) or an exit code.
-    Raises UsageError: there is none; the nearest names are said.
-    """
+    """The entry of a name."""
     known = explanations()
     quantity = quantity_name(name)
     if quantity is not None:

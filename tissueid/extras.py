@@ -27,19 +27,13 @@ def installed(library: str) -> bool:
 
 
 def require(library: str) -> None:
-    """Refuse to go on without a library of an extra.
-
-    Raises UsageError: it isn't installed; the message has the line that installs it.
-    """
+    """Refuse to go on without a library of an extra."""
     if not installed(library):
         raise _without(library)
 
 
 def missing_extra(error: ImportError) -> UsageError | None:
-    """Error to report for a library that isn't installed; ``None`` where no extra brings it.
-
-    ``error``: raised by the import of the library, or of a part of it.
-    """
+    """Error to report for a library that isn't installed; ``None`` where no extra brings it."""
     library = (error.name or "").partition(".")[0]
     return _without(library) if library in EXTRA_OF else None
 

@@ -385,10 +385,7 @@ def harm_rank(code: str) -> int:
 
 
 def warning_line(code: str, message: str) -> str:
-    """A flag in at most :data:`MOST_WORDS` words: what was seen, with its number, and the way out.
-
-    ``message``: the flag's own; words that a user put into it are cut where they are too many.
-    """
+    """A flag in at most :data:`MOST_WORDS` words: what was seen, with its number, and the way out."""
     kind = FLAGS.get(code)
     remedy = "" if kind is None or kind.remedy == NOTHING else kind.remedy
     room = MOST_WORDS - len(remedy.split())

@@ -23,12 +23,14 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
+#: What is told of a source, a contact and a corner.
+_READ = ("recipe", "recipe_reason", "recipe_confidence", "encoding", "delimiter", "decimal")
+_CONTACT = ("displacement_mm", "sd_mm", "baseline_N", "in_record")
+_CORNER = ("phase", "time_s", "duration_s", "overshoot_mm", "ringing_swings", "ringing_period_s")
+
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
-    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed.
-
-    Returns the object of ``schemas/inspect.schema.json``.
-    """
+    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed."""
     segmentation = segmented(trial, options=options)
     return segmentation if isinstance(segmentation, Refusal) else describe_segmented(trial, segmentation)
 
@@ -44,10 +46,7 @@ def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segment
 def as_decided(
     trial: Trial, options: SegmentOptions | None, study: Study | None
 ) -> tuple[Trial, SegmentOptions, str | None]:
-    """The trial, its options, and why it is excluded, after what a study says of it.
-
-    ``trial``: as read; ``options``: of the run.
-    """
+    """The trial, its options, and why it is excluded, after what a study says of it."""
     options = options or SegmentOptions()
     pattern = options.excludes(trial)
     by_hand = None if pattern is None else f"--exclude {pattern}"
@@ -75,11 +74,7 @@ def describe_segmented(
     measured: Measured | None = None,
     earlier: Sequence[MeasuredPush] = (),
 ) -> dict[str, Any]:
-    """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
-
-    ``excluded``: why the user took it out of the fit; ``measured``: as :func:`measured_of` gives it; measured
-    now where there is none; ``earlier``: of the same specimen, in the order of testing.
-    """
+    """The object of ``schemas/inspect.schema.json`` for a trial beside ``earlier`` ones of its specimen."""
     measured = measured or measured_of(trial, segmentation)
     source = trial.source
     flags: list[Flag] = [*trial.flags, *segmentation.flags]
@@ -89,12 +84,7 @@ def describe_segmented(
         "sheet": source.sheet,
         "specimen": trial.specimen,
         "excluded": excluded,
-        "recipe": source.recipe,
-        "recipe_reason": source.recipe_reason,
-        "recipe_confidence": source.recipe_confidence,
-        "encoding": source.encoding,
-        "delimiter": source.delimiter,
-        "decimal": source.decimal,
+        **{key: getattr(source, key) for key in _READ},
         "columns": dict(source.columns),
         "units": trial.axes.as_json(),
         "n_samples": int(trial.time_s.size),
@@ -104,26 +94,9 @@ def describe_segmented(
         "compression_sign": segmentation.compression_sign,
         "force_sign": segmentation.force_sign,
         "force_noise_N": segmentation.force_noise_N,
-        "contact": None
-        if contact is None
-        else {
-            "displacement_mm": contact.displacement_mm,
-            "sd_mm": contact.sd_mm,
-            "baseline_N": contact.baseline_N,
-            "in_record": contact.in_record,
-        },
+        "contact": None if contact is None else {key: getattr(contact, key) for key in _CONTACT},
         "phases": [_phase(trial, phase) for phase in segmentation.phases],
-        "corners": [
-            {
-                "phase": corner.phase,
-                "time_s": corner.time_s,
-                "duration_s": corner.duration_s,
-                "overshoot_mm": corner.overshoot_mm,
-                "ringing_swings": corner.ringing_swings,
-                "ringing_period_s": corner.ringing_period_s,
-            }
-            for corner in segmentation.corners
-        ],
+        "corners": [{key: getattr(corner, key) for key in _CORNER} for corner in segmentation.corners],
         "events": [
             {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
             for event in segmentation.events

@@ -37,7 +37,7 @@ from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_sta
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
-from tissueid.notebook import Shown, drawing, html_of, svg_file
+from tissueid.notebook import MEASURED, MODEL, Shown, drawing, html_of, svg_file
 from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 #: Relative standard deviation of a parameter that is fixed.
 FIXED = 1e-6
-MEASURED, MODEL = "#56b4e9", "#d55e00"
 
 
 class Trials(list[Trial]):
@@ -157,8 +156,7 @@ def fit(
         depths_mm=options.depths_mm, unloading=options.unloading,
     )  # fmt: skip
     if not found.groups:
-        first = found.left_out[0]
-        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+        raise found.left_out[0].as_error()
     if any(one.code == "mixed_axes" for one in found.left_out):
         msg = "recordings of lengths and of strains can't be fitted together; fit each kind by itself"
         raise UsageError(msg)
@@ -348,9 +346,7 @@ class Fit(_Reported):
             ("measured", trial.time_s, trial.force_N, MEASURED),
             ("model", trial.time_s[shown], predicted[shown], MODEL),
         ]
-        return Plot(
-            drawing(curves, across="time [s]", up=f"[{axes.force}]", words=f"Force of {trial.name} and model")
-        )
+        return Plot(drawing(curves, up=f"[{axes.force}]", words=f"Force of {trial.name} and model"))
 
     def sample(self, draws: int = 2_000, seed: int = 0) -> Sampled:
         """Draw from the posterior, from this optimum on.
@@ -381,8 +377,7 @@ def _handle_of(trial: Trial, setting: _Setting) -> LogHandle:
         [trial], setting.segment, TrialCache(None), lambda *_: None, unloading=setting.options.unloading
     )
     if not found.groups:
-        first = found.left_out[0]
-        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+        raise found.left_out[0].as_error()
     return found.groups[trial.specimen][0]
 
 

@@ -28,6 +28,8 @@ POINTS = 400
 #: Rows of a table before the rest is counted.
 MOST_ROWS = 30
 _NOT_SAMPLED = "–"
+MEASURED, MODEL = "#56b4e9", "#d55e00"
+_CONTRADICTED = "<p>The residuals contradict the model: no interval can be believed.</p>"
 
 
 class Shown:
@@ -45,10 +47,7 @@ def html_of(one: Any) -> str:
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of text; everything is escaped, and a long one is cut with the number of what is left out.
-
-    ``rows``: as many cells as headings.
-    """
+    """A table of text; everything is escaped, and a long one is cut with the number of what is left out."""
     head = "".join(f'<th scope="col" style="text-align:left">{escape(one)}</th>' for one in headings)
     body = "".join(
         "<tr>" + "".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) + "</tr>"
@@ -61,12 +60,13 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 
 def drawing(
-    curves: Sequence[tuple[str, FloatArray, FloatArray, str]], *, across: str, up: str, words: str
+    curves: Sequence[tuple[str, FloatArray, FloatArray, str]],
+    *,
+    up: str,
+    words: str,
+    across: str = "time [s]",
 ) -> str:
-    """Curves as an inline SVG that takes the colour of the text around it.
-
-    ``across``, ``up``: titles of the axes; ``words``: what is drawn, for who does not see it.
-    """
+    """Curves as an inline SVG that takes the colour of the text around it."""
     drawn = [(name, *_thinned(x, y), colour) for name, x, y, colour in curves]
     x_from, x_to = _ends([x for _, x, _, _ in drawn])
     y_from, y_to = _ends([y for _, _, y, _ in drawn])
@@ -179,7 +179,7 @@ def _specimen(fit: SpecimenFit) -> str:
         f"{fit.specimen}: {len(fit.trials)} trial{'s' * (len(fit.trials) != 1)}, {branches}, to "
         f"{fit.depth_mm:.3g} mm, NRMSD {100.0 * fit.nrmsd.range:.2g} % of range"
     )
-    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    said = _CONTRADICTED if alarm else ""
     return (
         said
         + _parameters(caption, fit.parameters, believed=not alarm, unit=fit.axes.unit)
@@ -197,12 +197,11 @@ def _fitted(fit: SpecimenFit) -> str:
     if curve.time_s.size < 2:
         return ""
     curves = [
-        ("measured", curve.time_s, curve.force_N, "#56b4e9"),
-        ("model", curve.time_s, curve.model_N, "#d55e00"),
+        ("measured", curve.time_s, curve.force_N, MEASURED),
+        ("model", curve.time_s, curve.model_N, MODEL),
     ]
     return drawing(
         curves,
-        across="time [s]",
         up=f"[{fit.axes.force}]",
         words=f"Force and model of {trial.path} against time",
     )
@@ -249,7 +248,7 @@ def _posterior(found: Posterior) -> str:
     caption = f"{found.sampler.name}, {found.sampler.draws:,} draws, {ended}; {noise}"
     headings = ("parameter", "mean", "sd", "95 % statistical", "95 % total", "R-hat", "ESS bulk")
     alarm = found.misfit is not None and found.misfit.raised
-    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    said = _CONTRADICTED if alarm else ""
     return said + table(caption, headings, [_sure_row(name, one) for name, one in found.parameters.items()])
 
 
@@ -263,10 +262,6 @@ def _sure_row(name: str, one: ParameterUncertainty) -> list[str]:
         _number(one.r_hat),
         _NOT_SAMPLED if not math.isfinite(one.ess_bulk) else f"{one.ess_bulk:.0f}",
     ]
-
-
-def _estimate(one: Estimate) -> str:
-    return _parameters("", [one], believed=True)
 
 
 def _bundle(held: Bundle) -> str:
@@ -294,10 +289,8 @@ def _trial(trial: Trial) -> str:
         ],
         ["force", f"{trial.force_N.min():.4g} to {trial.force_N.max():.4g} {trial.axes.force}"],
     ]
-    curves = [("force", trial.time_s, trial.force_N, "#56b4e9")]
-    drawn = drawing(
-        curves, across="time [s]", up=f"[{trial.axes.force}]", words=f"Force of {where} against time"
-    )
+    curves = [("force", trial.time_s, trial.force_N, MEASURED)]
+    drawn = drawing(curves, up=f"[{trial.axes.force}]", words=f"Force of {where} against time")
     return table(trial.specimen, ("", ""), rows) + drawn + _flags(trial.flags)
 
 
@@ -318,7 +311,7 @@ _WRITERS: Mapping[str, Callable[[Any], str]] = {
     "Identification": _identification,
     "SpecimenFit": _specimen,
     "Posterior": _posterior,
-    "Estimate": _estimate,
+    "Estimate": lambda one: _parameters("", [one], believed=True),
     "Bundle": _bundle,
     "Study": _study,
     "Trial": _trial,

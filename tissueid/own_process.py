@@ -16,11 +16,7 @@ from pathlib import Path
 
 
 def own_process(module: str, *arguments: str) -> list[str]:
-    """Command line of a new process of this interpreter that runs a module.
-
-    ``module``: a module or package, run as ``python -m`` would; ``*arguments``: for the module.  Returns the
-    modules come from where they come from here, whatever the folder one stands in.
-    """
+    """Command line of a new process of this interpreter that runs a module from where ours come from."""
     places = [place or str(Path.cwd()) for place in sys.path]
     code = (
         f"import runpy, sys; sys.path[:] = {places!r}; "
@@ -49,10 +45,7 @@ _shared = False
 
 
 def threads(most: int) -> int:
-    """Threads that a computation may start.
-
-    ``most``: more would not help it.
-    """
+    """Threads that a computation may start."""
     return 1 if _shared else max(min(os.cpu_count() or 1, most), 1)
 
 

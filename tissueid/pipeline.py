@@ -18,9 +18,12 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
-from tissueid.collection import Collected, TrialCache, collect, display_names
-from tissueid.covariates import (
+from tissueid.collection import (
+    Collected,
     Refit,
+    TrialCache,
+    collect,
+    display_names,
     exclusion_rows,
     study_flags,
     study_record,
@@ -85,11 +88,6 @@ Checkpoints = Callable[[str], Path]
 _Progress = Callable[[str, int, int], None]
 
 
-def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
-    radii = set(protocol_radii)
-    return radii.pop() if len(radii) == 1 else None
-
-
 def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
     """Requested numbers that are not identified, or did not converge, in words."""
     reasons = []
@@ -108,10 +106,7 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
 
 
 def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
-    """End of a run.
-
-    ``fitted``: specimens; ``refused``: what was left out, and why; ``missing``: from :func:`unmet`.
-    """
+    """End of a run."""
     codes: set[int] = {0}
     reasons = list(refused)
     if refused:
@@ -138,24 +133,23 @@ def run_provenance(
     ``inputs``: one row a recording that was fitted; ``record``: the ``study`` of the run; ``extra``: what the
     caller adds.
     """
+    fit, posterior = options.fit, options.posterior
     return {
         "tissueid": __version__,
         "versions": dict(_versions()),
         "options": {
-            "model": options.fit.model,
-            "branches": options.fit.branches or "auto",
-            "stiffness_degree": (
-                "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
-            ),
-            "static": options.fit.static,
-            "noise": options.fit.noise,
-            "sampler": "none" if options.posterior is None else options.posterior.sampler,
-            "draws": 0 if options.posterior is None else options.posterior.draws,
-            "unloading": options.fit.unloading,
-            "frequencies_Hz": list(options.fit.frequencies_Hz),
-            "depths_mm": list(options.fit.depths_mm),
-            "tip": None if options.fit.geometry is None else str(options.fit.geometry),
-            "poisson": options.fit.poisson,
+            "model": fit.model,
+            "branches": fit.branches or "auto",
+            "stiffness_degree": "auto" if fit.stiffness_degree is None else fit.stiffness_degree,
+            "static": fit.static,
+            "noise": fit.noise,
+            "sampler": "none" if posterior is None else posterior.sampler,
+            "draws": 0 if posterior is None else posterior.draws,
+            "unloading": fit.unloading,
+            "frequencies_Hz": list(fit.frequencies_Hz),
+            "depths_mm": list(fit.depths_mm),
+            "tip": None if fit.geometry is None else str(fit.geometry),
+            "poisson": fit.poisson,
             "compression_sign": options.segment.compression_sign,
             "contact_displacement_mm": options.segment.contact_displacement_mm,
             "required": list(options.required),
@@ -213,11 +207,7 @@ def with_draws(
     key: str = "",
     tick: Callable[[str], None] | None = None,
 ) -> SpecimenFit:
-    """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why.
-
-    ``instrument``: give the total interval too; ``checkpoint``: file that the sampler goes on from; ``key``:
-    of everything that the posterior depends on.
-    """
+    """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why."""
     if options is None:
         return fitted.fit
     try:
@@ -304,9 +294,7 @@ def _fit_all(
         except InputError as error:
             if error.code != NO_CONTACT:
                 raise
-            collected.left_out.append(
-                Refusal(path=error.path, sheet=error.sheet, code=error.code, message=error.message)
-            )
+            collected.left_out.append(Refusal.of(error))
             continue
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
@@ -315,7 +303,8 @@ def _fit_all(
                 if entry["specimen"] == specimen
             ]
             continue
-        radius_mm, tip = _tip_radius(collected.radii[specimen]), None
+        radii = set(collected.radii[specimen])
+        radius_mm, tip = radii.pop() if len(radii) == 1 else None, None
         if own.geometry is not None:
             said = own.geometry.indenter
             radius_mm, tip = radius_mm or said.radius_mm, TipShape(said.shape, said.half_angle_deg)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -23,38 +24,20 @@ WEAK_FACTOR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SpreadPrior:
-    """Log-normal prior of a positive quantity.
+    """Log-normal prior of a positive quantity."""
 
-    Attributes
-    ----------
-    median : float
-        In the unit of the quantity.
-    sd_ln : float
-        Standard deviation of its natural logarithm.
-    """
-
-    median: float
-    sd_ln: float
+    median: float  # in the unit of the quantity
+    sd_ln: float  # standard deviation of its natural logarithm
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPrior:
-    """Prior of one calibration nuisance.
-
-    Attributes
-    ----------
-    mean, sd : float
-        Of a normal, in the unit of the name.
-    lower : float
-        The normal is cut here (``-inf`` where both signs are possible; 0 with ``mean = 0`` is half-normal).
-    stated : bool
-        True where the study states it, False for a documented default.
-    """
+    """Prior of one calibration nuisance: a normal, in the unit of the name."""
 
     mean: float
     sd: float
-    lower: float = float("-inf")
-    stated: bool = False
+    lower: float = float("-inf")  # the normal is cut here; 0 with a mean of 0 is half-normal
+    stated: bool = False  # by the study; else it is a documented default
 
 
 #: Where nothing is stated. Gains: the limits of error of class 1 (ISO 7500-1, ISO 9513: 1 %) as two
@@ -74,33 +57,18 @@ CALIBRATION_DEFAULTS: Mapping[str, CalibrationPrior] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class PopulationPriors:
-    """Priors of the population that specimens are drawn from, in natural logarithms of its quantities.
+    """Priors of the population that specimens are drawn from, in natural logarithms of its quantities."""
 
-    Attributes
-    ----------
-    mean_sd : float
-        The mean of each ln quantity is normal around 0 (1 N, 1 N s/mm, 1 s) with this standard deviation: 10
-        says that a value within nine decades of the unit is no surprise.
-    effect_sd : float
-        Of the change by one standard deviation of a covariate, or from one group to another: normal
-        around 0, so that a factor of e is no surprise.
-    between : SpreadPrior
-        Standard deviation between specimens.  Median 0.2, and 0.05 to 0.8 in its central 95 %: coefficients
-        of variation that soft tissues are reported with.
-    level : SpreadPrior
-        The same between donors, sites or operators.
-    correlation_shape : float
-        Shape of the LKJ distribution of the correlations; 1 is uniform, 2 leans to none.
-    tail_shape, tail_rate : float
-        Gamma distribution of the degrees of freedom of a t, cut to 1 and above (Juarez & Steel 2010, J Bus
-        Econ Stat 28:52, doi 10.1198/jbes.2009.07145).
-    """
-
+    #: The mean is normal around 0 (1 N, 1 N s/mm, 1 s): a value within nine decades of it is no surprise.
     mean_sd: float = 10.0
+    #: The change by one standard deviation of a covariate, or from one group to another, is normal around 0.
     effect_sd: float = 1.0
+    #: Between specimens; 0.05 to 0.8 in its central 95 %: coefficients of variation reported of soft tissues.
     between: SpreadPrior = field(default_factory=lambda: SpreadPrior(0.2, 0.7))
-    level: SpreadPrior = field(default_factory=lambda: SpreadPrior(0.1, 0.7))
-    correlation_shape: float = 2.0
+    level: SpreadPrior = field(default_factory=lambda: SpreadPrior(0.1, 0.7))  # donors, sites, operators
+    correlation_shape: float = 2.0  # of the LKJ distribution; 1 is uniform, 2 leans to none
+    #: Gamma distribution of the degrees of freedom of a t, cut to 1 and above (Juarez & Steel 2010, J Bus
+    #: Econ Stat 28:52, doi 10.1198/jbes.2009.07145).
     tail_shape: float = 2.0
     tail_rate: float = 0.1
 
@@ -158,12 +126,11 @@ class Priors:
         """Stated priors of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
         linear: dict[str, Any] = {name: {"mean": mean, "sd": sd} for name, (mean, sd) in self.linear.items()}
         times = [asdict(one) for one in self.relaxation_time_s]
-        sigma = self.sigma_N
         return {
             **linear,
             **{name: asdict(one) for name, one in self.shapes.items()},
             **({"relaxation_time_s": times} if times else {}),
-            **({} if sigma is None else {"sigma_N": asdict(sigma)}),
+            **({} if self.sigma_N is None else {"sigma_N": asdict(self.sigma_N)}),
             "phi": {"low": self.phi[0], "high": self.phi[1]},
             "gain_sd": {"scale": self.gain_sd},
         }
@@ -171,8 +138,5 @@ class Priors:
     def __reduce__(self) -> tuple[Any, ...]:
         # read-only mappings can't be pickled, and worker processes need priors
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return _unpickled, ({k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()},)
-
-
-def _unpickled(values: Mapping[str, Any]) -> Priors:
-    return Priors(**values)
+        plain: dict[str, Any] = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
+        return partial(Priors, **plain), ()

@@ -15,7 +15,7 @@ from tissueid.documents import plain
 from tissueid.documents.identification import Model, Nrmsd
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle
-from tissueid.errors import printable
+from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
 from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
@@ -355,11 +355,19 @@ class Refusal:
     line: int | None = None
     column: int | None = None
 
+    @classmethod
+    def of(cls, error: InputError) -> Refusal:
+        """The refusal that an error of reading states."""
+        return cls(error.path, error.sheet, error.code, error.message, error.line, error.column)
+
     def __str__(self) -> str:
-        where = self.path if self.sheet is None else f"{self.path} [{self.sheet}]"
-        line = "" if self.line is None else f", line {self.line}"
-        column = "" if self.column is None else f", column {self.column}"
-        return printable(f"{where}{line}{column}: {self.message}")
+        return str(self.as_error())
+
+    def as_error(self) -> InputError:
+        """The same as an error to raise."""
+        return InputError(
+            self.code, self.message, path=self.path, sheet=self.sheet, line=self.line, column=self.column
+        )
 
     def as_json(self) -> dict[str, Any]:
         """``{path, sheet, error: {code, message, line, column}}``, as ``inspect`` prints it."""

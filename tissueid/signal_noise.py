@@ -1,8 +1,8 @@
 """Noise of a signal from its successive differences, whatever it does slowly, and single samples far off.
 
-A sample is compared with the straight line between its neighbours; for white noise of standard deviation
-sigma and neighbours at the shares w and 1 - w the difference has sigma sqrt(1 + w^2 + (1 - w)^2).  The
-median makes corners, event rows and steps harmless; a quantised signal has at least step/sqrt(12).
+A sample is compared with the line between its neighbours, at the shares w and 1 - w; white noise of sigma
+differs by sigma sqrt(1 + w^2 + (1 - w)^2).  The median makes corners and steps harmless; a quantised signal
+has step/sqrt(12).
 """
 
 from __future__ import annotations
@@ -24,10 +24,7 @@ EQUAL_STEP = 0.01
 
 
 def quantum(values: FloatArray) -> float:
-    """Step of a quantised signal, 0 where values hardly repeat, or where the smallest changes are not alike.
-
-    ``values`` (n,).  Returns median of the smallest tenth of the non-zero changes, in the unit of the values.
-    """
+    """Step of a quantised signal, in its unit; 0 where values hardly repeat, or small changes differ."""
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]
     if moved.size == 0 or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
@@ -41,11 +38,7 @@ def quantum(values: FloatArray) -> float:
 
 
 def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:
-    """Standard deviation of the white part of a signal's noise.
-
-    ``time_s``, ``values`` (n,): non-decreasing times; n >= 3 for an answer above 0.  Returns in the unit of
-    the values.
-    """
+    """Standard deviation of the white part of a signal's noise, in its unit; 0 below three samples."""
     if values.size < 3:
         return 0.0
     step = np.diff(time_s)
@@ -71,11 +64,7 @@ MEDIAN_SAMPLES = 5
 
 
 def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
-    """The values with each single spike replaced by the mean of its neighbours.
-
-    ``values`` (n,); ``noise``: standard deviation of the white noise, in the unit of the values.  Returns
-    (n,), the values themselves where there is no spike.
-    """
+    """The values (n,) with single spikes replaced by the mean of their neighbours; noise in their unit."""
     if values.size < 5:
         return values
     before, here, after = values[1:-3], values[2:-2], values[3:-1]
@@ -92,10 +81,7 @@ def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
 
 
 def running_median(values: FloatArray) -> FloatArray:
-    """Median of :data:`MEDIAN_SAMPLES` samples about each; ends are repeated.
-
-    ``values`` (n,).  Returns (n,).
-    """
+    """Median of :data:`MEDIAN_SAMPLES` samples about each; ends are repeated."""
     half = MEDIAN_SAMPLES // 2
     padded = np.pad(values, half, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)

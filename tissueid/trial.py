@@ -20,13 +20,8 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
 
-PhaseKind = str
 #: Kind of the protocol of a rendered session's log: its force followed its own travel.
 RENDERED = "rendered"
-#: Phase kinds, in the words of the field.
-PHASE_KINDS = ("approach", "ramp", "hold", "creep", "retract", "rest", "cycle")
-#: What may happen in a recording beside its phases.
-EVENT_KINDS = ("rupture", "doubtful_rupture", "slip", "settling", "abort", "load_limit")
 
 
 def frozen_array(values: Any) -> FloatArray:
@@ -34,11 +29,6 @@ def frozen_array(values: Any) -> FloatArray:
     array = np.array(values, dtype=np.float64, copy=True)
     array.flags.writeable = False
     return array
-
-
-def _none() -> FloatArray:
-    """Samples that were not given: refused."""
-    return frozen_array(())
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +150,9 @@ class Trial(Shown):
     """
 
     specimen: str = "specimen"
-    time_s: FloatArray = field(default_factory=_none)
-    displacement_mm: FloatArray = field(default_factory=_none)
-    force_N: FloatArray = field(default_factory=_none)
+    time_s: FloatArray = field(default_factory=lambda: frozen_array(()))
+    displacement_mm: FloatArray = field(default_factory=lambda: frozen_array(()))
+    force_N: FloatArray = field(default_factory=lambda: frozen_array(()))
     protocol: Protocol = field(default_factory=Protocol)
     source: Source = field(default_factory=lambda: Source(path="<array>"))
     flags: tuple[Flag, ...] = ()
@@ -202,7 +192,7 @@ class Phase:
     #: ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``creep`` (the load is held
     #: and the tool sinks in: no relaxation hold), ``retract``, ``rest`` (standing out of contact after a
     #: retract), or ``cycle`` (one load-unload loop of a cyclic test).
-    kind: PhaseKind
+    kind: str
     #: Sample range ``[start, stop)``; neighbouring phases share their corner sample (``stop - 1`` of one is
     #: ``start`` of the next).
     start: int
@@ -280,7 +270,7 @@ class Segmentation:
     events: tuple[Event, ...] = ()  # in time order
     test: int = 0  # phase with which the test proper begins, after preconditioning cycles; 0 without them
 
-    def of_kind(self, kind: PhaseKind) -> tuple[Phase, ...]:
+    def of_kind(self, kind: str) -> tuple[Phase, ...]:
         """The phases of one kind, in time order."""
         return tuple(phase for phase in self.phases if phase.kind == kind)
 

@@ -9,9 +9,14 @@ wrong: that is what :class:`MisfitAlarm` is for.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
@@ -23,6 +28,7 @@ from tissueid.documents.identification import (
     PriorRow,
     SamplerReport,
 )
+from tissueid.errors import UsageError
 from tissueid.notebook import Shown
 
 
@@ -150,15 +156,13 @@ class Posterior(Shown):
     log_prior: FloatArray | None = None
 
     def to_arviz(self) -> Any:
-        """The draws as arviz knows them, with the groups of :mod:`tissueid.exchange`.
+        """The draws as arviz knows them, with the groups of :mod:`tissueid.uncertainty`.
 
         Raises
         ------
         UsageError
             arviz, of the extra ``tissueid[arviz]``, is not installed.
         """
-        from tissueid.exchange import arviz_data
-
         return arviz_data(
             theta_names=self.theta_names,
             draws=self.draws,
@@ -178,3 +182,83 @@ class Posterior(Shown):
             "model_comparison": _finite(plain(self.comparison)),
             "misfit": _finite(plain(self.misfit)),
         }
+
+
+#: What arviz compares needs more than one chain.
+_QUARTERS = 4
+
+
+def arviz_data(
+    *,
+    theta_names: Sequence[str],
+    draws: FloatArray,
+    draws_total: FloatArray | None,
+    chain_names: Sequence[str],
+    chain: FloatArray,
+    log_density: FloatArray | None = None,
+    attributes: Mapping[str, Any] | None = None,
+) -> Any:
+    """Put draws into the data structure of the arviz that is installed.
+
+    ``theta_names``: with their units, as ``static_1_N_per_mm``; ``draws`` (n, p); ``draws_total`` (n, p);
+    ``chain`` (chains, draws, d); ``log_density`` (chains, draws); ``attributes``: text or numbers that are
+    kept with each group, as the specimen.  Returns both have ``to_netcdf``.  Raises UsageError: arviz is not
+    installed.
+    """
+    arviz, xarray = _libraries()
+    theta = dict(zip(theta_names, _quarters(draws), strict=True))
+    if draws_total is not None:
+        totals = [f"{name}_total" for name in theta_names]
+        theta |= dict(zip(totals, _quarters(draws_total), strict=True))
+    sampled = dict(zip(chain_names, chain.transpose(2, 0, 1), strict=True))
+    groups = {
+        "posterior": _data_set(xarray, theta, attributes),
+        "unconstrained_posterior": _data_set(xarray, sampled, attributes),
+    }
+    if log_density is not None:
+        groups["sample_stats"] = _data_set(xarray, {"lp": log_density}, attributes)
+    if int(arviz.__version__.split(".")[0]) < 1:
+        return arviz.InferenceData(**groups)
+    return xarray.DataTree.from_dict(groups)
+
+
+def _quarters(draws: FloatArray) -> FloatArray:
+    """Draws of shape (n, p) as chains, shape (p, 4, n // 4); fewer than four are one chain."""
+    chains = _QUARTERS if len(draws) >= _QUARTERS else 1
+    kept = len(draws) - len(draws) % chains
+    return draws[:kept].T.reshape(draws.shape[1], chains, -1)
+
+
+def netcdf_bytes(data: Any) -> bytes:
+    """The bytes of a NetCDF file of what :func:`arviz_data` made."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "draws.nc"
+        try:
+            data.to_netcdf(str(path))
+        except (ImportError, ValueError) as error:
+            msg = f"no NetCDF can be written ({error}); install a library for it by `pip install h5netcdf`"
+            raise UsageError(msg) from error
+        return path.read_bytes()
+
+
+def _libraries() -> tuple[Any, Any]:
+    try:
+        with warnings.catch_warnings():
+            # arviz 0.2x announces its next major version at every import
+            warnings.simplefilter("ignore", FutureWarning)
+            import arviz
+            import xarray
+    except ImportError as error:
+        msg = f"arviz can't be imported ({error}); install it by `pip install 'tissueid[arviz]'`"
+        raise UsageError(msg) from error
+    return arviz, xarray
+
+
+def _data_set(xarray: Any, variables: Mapping[str, FloatArray], attributes: Mapping[str, Any] | None) -> Any:
+    """Variables of shape (chains, draws) side by side, as arviz names their dimensions."""
+    chains, draws = next(iter(variables.values())).shape
+    return xarray.Dataset(
+        {name: (("chain", "draw"), values) for name, values in variables.items()},
+        coords={"chain": np.arange(chains), "draw": np.arange(draws)},
+        attrs={"inference_library": "tissueid", **(attributes or {})},
+    )

@@ -19,14 +19,7 @@ Quantity = Literal["time", "displacement", "force", "speed", "strain", "stress"]
 
 #: The unit used inside, by quantity.
 INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
-    {
-        "time": "s",
-        "displacement": "mm",
-        "force": "N",
-        "speed": "mm/s",
-        "strain": "mm/mm",
-        "stress": "MPa",
-    }
+    {"time": "s", "displacement": "mm", "force": "N", "speed": "mm/s", "strain": "mm/mm", "stress": "MPa"}
 )
 
 #: Spellings seen in exports that pint does not know, or takes for something else.

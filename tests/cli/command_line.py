@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,16 @@ class Ended:
         return json.loads(self.stdout)
 
 
-def run(*args: str | Path) -> Ended:
-    """``tissueid ARGS`` in this process; whatever happens, no traceback, colour or progress in a pipe."""
+def run(*args: Any, code: int | Collection[int] = (), said: str | tuple[str, ...] = ()) -> Ended:
+    """``tissueid ARGS`` in this process; whatever happens, no traceback, colour or progress in a pipe.
+
+    ``code``: with which it must end, where that is told; ``said``: words that must stand on stderr.
+    """
     ended = run_on(io.TextIOWrapper, *args)
+    allowed = {code} if isinstance(code, int) else code
+    assert not allowed or ended.code in allowed, (args, ended.code, ended.stderr)
+    for words in (said,) if isinstance(said, str) else said:
+        assert words in ended.stderr, args
     assert "Traceback" not in ended.stderr
     assert not {"\x1b", "\r"} & {*ended.stdout.replace("\r\n", "\n"), *ended.stderr}
     return ended

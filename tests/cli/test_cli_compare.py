@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import run, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.store.bundle import write_bundle
@@ -62,9 +62,7 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     path = bundle(tmp_path, "kidney")
     (tmp_path / "file").write_text("in the way", encoding="ascii")
     for place in ("file/below", "file/pair.json", "file"):
-        ended = run("compare", path, path, "-o", tmp_path / place)
-        assert ended.code == 2, place
-        assert "file" in ended.stderr
+        run("compare", path, path, "-o", tmp_path / place, code=2, said="file")
 
 
 def test_curves_are_those_of_the_law(tmp_path: Path) -> None:
@@ -106,6 +104,43 @@ def test_what_cannot_be_compared_is_refused(
     tmp_path: Path, draws: int, args: tuple[str, ...], said: str
 ) -> None:
     path = bundle(tmp_path, "kidney", draws=draws)
-    ended = run("compare", path, *(path if arg == "again" else arg for arg in args))
-    assert ended.code == 2
-    assert said in ended.stderr
+    run("compare", path, *(path if arg == "again" else arg for arg in args), code=2, said=said)
+
+
+MUSCLE = ("--columns", "time=Time,displacement=L,force=F")
+
+
+def test_recordings_of_one_program_are_compared(tmp_path: Path) -> None:
+    one, other = write_log(tmp_path / "a.csv"), write_log(tmp_path / "b.csv", force_times=1.5)
+    target = tmp_path / "pair.json"
+    ended = run("compare", one, other, "--json", "-o", target)
+    document = ended.json()
+    check(document, "measured-contrast", where="pair.json")
+    assert json.loads(target.read_bytes()) == document
+    (pair,) = document["pairs"]
+    rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+    assert rows["peak", None]["ratio"] == pytest.approx(1.5, rel=0.01)
+    assert rows["force", 1.0]["ratio"] == pytest.approx(1.5, rel=0.01)
+    assert rows["force_over_peak", 1.0]["reason"] is None
+    assert "force at 1 s [N]" in run("compare", one, other).stdout
+
+
+def test_a_share_of_the_peak_is_not_compared_between_ramps(shared_data: Path) -> None:
+    folder = shared_data / "muscle-ramp-hold-mit"
+    paths = [folder / f"AvgRelaxed_{seconds}s.csv" for seconds in ("0.1", "100")]
+    ended = run("compare", *paths, *MUSCLE, "--json")
+    (pair,) = ended.json()["pairs"]
+    rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+    for name in ("force_over_peak", "force", "force_over_10s"):
+        assert rows[name, 1.0]["ratio"] is None
+        assert "depends on the ramp" in rows[name, 1.0]["reason"]
+    assert "not compared: peak" in run("compare", *paths, *MUSCLE).stdout
+
+
+def test_a_recording_beside_a_fit_or_alone_is_a_question(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "a.csv")
+    assert "name a second" in run("compare", log).stderr
+    assert "no such bundle" in run("compare", log, tmp_path / "b.h5").stderr
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "identification.json").write_text("{}", encoding="ascii")
+    assert "compare recordings, or fits" in run("compare", log, tmp_path / "out").stderr

@@ -37,8 +37,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ended, Path]:
 
 
 def test_inspect_gives_first_last_and_peak_as_recorded(rows: list[tuple[float, float, float]]) -> None:
-    ended = run("inspect", LOG, "--json")
-    assert ended.code == 0
+    ended = run("inspect", LOG, "--json", code=0)
     (one,) = ended.json()
     peak = max(rows, key=lambda row: abs(row[2]))
     for key, expected in (("first", rows[0]), ("last", rows[-1]), ("peak_force", peak)):
@@ -114,12 +113,9 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Pat
     assert public == bundles | run_of_it | {"identification.json", "curves.h5", "report.html"}
 
 
-def test_parameters_have_the_contracts_names_and_units(fitted: tuple[Ended, Path]) -> None:
+def test_parameters_have_the_contracts_names_and_units_and_their_product(fitted: tuple[Ended, Path]) -> None:
     (one,) = fitted[0].json()["specimens"]
     assert {entry["name"]: entry["unit"] for entry in one["parameters"]} == UNITS
-
-
-def test_viscosity_is_stiffness_times_relaxation_time(fitted: tuple[Ended, Path]) -> None:
     (one,) = fitted[0].json()["specimens"]
     value = {entry["name"]: entry["value"] for entry in one["parameters"]}
     product = value["stiffness_0_N_per_mm"] * value["relaxation_time_s"]

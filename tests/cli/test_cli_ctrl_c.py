@@ -118,10 +118,7 @@ def contents(folder: Path) -> dict[str, str]:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(("args", "step"), AT_A_STEP, ids=lambda value: str(value)[:40])
 def test_at_a_step_of_the_work(
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    args: tuple[str, ...],
-    step: int,
+    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], step: int
 ) -> None:
     before = contents(place)
     interrupt_at(monkeypatch, args[0], step)
@@ -146,15 +143,13 @@ def test_in_the_middle_of_a_function(
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(function, interrupted)
-    ended = run(*args)
-    assert ended.code == 130
+    ended = run(*args, code=130)
     assert ended.stderr.splitlines()[-1] + "\n" == SAID
     assert contents(place) == before
 
 
 def test_an_interrupted_calibration_goes_on_where_it_was(
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
         interrupt_at(patched, "calibrate", 8)

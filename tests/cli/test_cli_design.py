@@ -25,8 +25,7 @@ GUESSES = ("--tissue", "tau=0.5~30%", "--tissue", "eta=1.3", "--tissue", "static
 
 def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path: Path) -> None:
     out = tmp_path / "plan"
-    ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", out)
-    assert ended.code == 0, ended.stderr
+    ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", out, code=0)
     document = json.loads((out / "design.json").read_text(encoding="utf-8"))
     assert first_problem(document, "design") is None
     names = {"design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml"}
@@ -49,8 +48,7 @@ def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path: Path) -> No
 
 def test_json_is_the_document_and_nothing_else(tmp_path: Path) -> None:
     wanted = ("--want", "tau=8%", "--want", "eta=5%", "--specimens", "4")
-    ended = run("design", *GUESSES, "--max-depth", "6", "--machine", "bench", *wanted, "--json")
-    assert ended.code == 0, ended.stderr
+    ended = run("design", *GUESSES, "--max-depth", "6", "--machine", "bench", *wanted, "--json", code=0)
     document = ended.json()
     assert first_problem(document, "design") is None
     assert document["asked"]["wants"] == [
@@ -65,8 +63,7 @@ def test_json_is_the_document_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_a_machine_on_which_none_can_is_told_so(tmp_path: Path) -> None:
-    ended = run("design", "paper-a-30", "--machine", "slow-logger", "-o", tmp_path / "plan")
-    assert ended.code == 4
+    ended = run("design", "paper-a-30", "--machine", "slow-logger", "-o", tmp_path / "plan", code=4)
     assert "NONE on this machine reaches that; the nearest: tau to " in ended.stdout
     assert "limited by noise" in ended.stdout
     assert "paper-a-30 can't be run here" in ended.stdout
@@ -79,8 +76,7 @@ def test_a_bundle_is_planned_for_within_its_depth(tmp_path: Path, monkeypatch: p
     write_log(tmp_path / "lab" / "a.csv", label="liver")
     assert run("fit", "lab", "-o", "fitted", *QUICK, "-q").code == 0
     for source in ("fitted", "fitted/bundle.h5"):
-        ended = run("design", source, "--machine", "bench", "--want", "eta=5%", "--json")
-        assert ended.code == 0, ended.stderr
+        ended = run("design", source, "--machine", "bench", "--want", "eta=5%", "--json", code=0)
         document = ended.json()
         assert document["tissue"]["name"] == "liver"
         assert document["tissue"]["words"].startswith("the optimum of fitted")
@@ -100,8 +96,7 @@ def test_every_draw_of_a_bundle_counts(tmp_path: Path) -> None:
     wanted = ("--machine", "paper-a", "--want", "tau=4%", "--json")
     found = {}
     for share in ("0.5", "1.0"):
-        ended = run("design", tmp_path / "head.h5", *wanted, "--assurance", share)
-        assert ended.code == 0, ended.stderr
+        ended = run("design", tmp_path / "head.h5", *wanted, "--assurance", share, code=0)
         found[share] = ended.json()
     document = found["1.0"]
     assert document["tissue"]["words"].startswith("posterior draws of ")
@@ -135,16 +130,13 @@ def test_every_draw_of_a_bundle_counts(tmp_path: Path) -> None:
     ],
 )
 def test_what_makes_no_sense_is_refused_with_the_way_out(args: tuple[str, ...], code: int, says: str) -> None:
-    ended = run("design", *args)
-    assert ended.code == code, ended.stderr
-    assert says in ended.stderr
+    ended = run("design", *args, code=code, said=says)
     assert code == 0 or len(ended.stderr.strip().splitlines()) == 1
 
 
 def test_files_that_no_plan_wrote_stay(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text("mine", encoding="utf-8")
-    ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", tmp_path)
-    assert ended.code == 2
+    ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", tmp_path, code=2)
     assert "study.toml that no plan wrote" in ended.stderr
     assert (tmp_path / "study.toml").read_text(encoding="utf-8") == "mine"
 

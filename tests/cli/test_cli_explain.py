@@ -1,23 +1,27 @@
-"""Plain words for every flag, parameter and exit code."""
+"""Plain words for every flag, parameter and exit code, and what this machine can do."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
+from pathlib import Path
 
 import pytest
 from command_line import REPOSITORY, run
 
-from tissueid import errors
+from tissueid import doctor, errors
 from tissueid.explanations import EXIT_MEANINGS, explain, explanations, flags_page
 from tissueid.flags import FLAGS
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.quantity_words import QUANTITIES
+from tissueid.rendering import first_start
+from tissueid.viewer import bundling
 
 MOST_LINES = 25
 
 
 def test_every_flag_has_advice_and_nothing_else_has() -> None:
-    assert set(FLAGS) == set(FLAGS)
     for code, advice in FLAGS.items():
         assert advice.follows.endswith("."), code
         assert advice.remedy.endswith("."), code
@@ -39,8 +43,7 @@ def test_options_and_files_that_advice_names_exist() -> None:
 
 @pytest.mark.parametrize("code", FLAGS)
 def test_a_flag_is_explained_with_what_follows_and_what_to_do(code: str) -> None:
-    ended = run("explain", code)
-    assert ended.code == 0
+    ended = run("explain", code, code=0)
     said = " ".join(ended.stdout.split())
     assert FLAGS[code].means in said
     assert FLAGS[code].follows in said
@@ -72,9 +75,7 @@ def test_every_parameter_of_the_model_is_a_quantity() -> None:
 
 
 def test_what_is_none_is_answered_with_the_nearest() -> None:
-    ended = run("explain", "not_identifed")
-    assert ended.code == 2
-    assert "did you mean not_identified" in ended.stderr
+    ended = run("explain", "not_identifed", code=2, said="did you mean not_identified")
     assert ended.stdout == ""
     assert "lists what it knows" in run("explain", "xyzzy").stderr
 
@@ -91,3 +92,60 @@ def test_the_page_is_that_of_the_program() -> None:
     assert (REPOSITORY / "docs" / "flags.md").read_text(encoding="utf-8") == flags_page(), (
         "scripts/write-docs"
     )
+
+
+NAMES = [
+    "tissueid", "machine", "libraries", "extras", "servo loop", "real time", "devices",
+    "viewer page", "browser",
+]  # fmt: skip
+
+
+def test_every_check_is_told_with_what_to_do() -> None:
+    ended = run("doctor", "--json")
+    document = json.loads(ended.stdout)
+    assert [check["name"] for check in document["checks"]] == NAMES
+    assert ended.code == (7 if document["missing"] else 0), ended.stderr
+    for check in document["checks"]:
+        assert check["state"] in {"ok", "note", "missing"}
+        assert check["words"]
+    told = run("doctor").stdout
+    for check in document["checks"]:
+        assert check["name"] in told
+
+
+def look(name: str) -> doctor.Check:
+    return next(check for check in doctor.examine() if check.name == name)
+
+
+def test_a_page_that_was_not_built_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundling, "BUNDLE", tmp_path)
+    assert look("viewer page").state == "missing"
+    (tmp_path / "index.html").touch()
+    assert look("viewer page").state == "ok"
+
+
+def test_a_loop_that_is_not_compiled_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_start, "is_compiled", lambda: False)
+    check = look("servo loop")
+    assert (check.state, check.way_out) == ("note", "tissueid doctor --warm")
+
+
+def test_a_library_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        doctor, "requires", lambda _name: ["numpy>=1", "no-such-library>=2", "arviz; extra == 'arviz'"]
+    )
+    check = look("libraries")
+    assert (check.state, check.way_out) == ("missing", "pip install no-such-library")
+
+
+def test_asking_for_rights_changes_nothing_here() -> None:
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    assert look("real time").state in {"ok", "note"}
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+
+
+@pytest.mark.slow
+def test_warming_leaves_nothing_to_compile() -> None:
+    ended = run("doctor", "--warm", "--json")
+    states = {check["name"]: check["state"] for check in json.loads(ended.stdout)["checks"]}
+    assert states["servo loop"] == "ok"

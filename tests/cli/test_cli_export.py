@@ -1,27 +1,38 @@
-"""Tables of a finished fit: whole, in the right columns, and read back by an independent reader."""
+"""Finished fits in another form: whole tables, draws for arviz, single tissues, and MATLAB."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import importlib.util
 import io
 import json
+import sys
+import types
+import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
-from fit_factory import STATIC, identification, specimen_fit
-from posterior_factory import sampled
+from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit
+from posterior_factory import posterior, sampled
+from rendered_tissues import PAPER_A, bundle_of
+from scipy.io import loadmat
 from typed_call import typed_call
 
 from tissueid.documents.identification import Calibration, StatedSpecimen
+from tissueid.errors import UsageError
 from tissueid.result import SpecimenFit
+from tissueid.store.bundle import write_bundle
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
+from tissueid.uncertainty import netcdf_bytes
 
 tidy_table = typed_call(tidy_table)
 
@@ -172,12 +183,9 @@ def test_a_posterior_fills_mean_sd_and_the_ends_of_both_intervals() -> None:
     assert second["relaxation_time_s_identified"] == "FALSE"
 
 
-def test_columns_of_the_posterior_are_empty_where_nothing_was_sampled() -> None:
+def test_columns_follow_the_posterior_and_the_branches() -> None:
     first, *_ = table("specimens")
     assert (first["viscosity_N_s_per_mm_ci95_low"], first["sampler"], first["misfit"]) == ("", "", "")
-
-
-def test_a_second_branch_gets_its_columns() -> None:
     two = document()
     two["specimens"][0]["model"]["branches"] = 2
     assert "relaxation_time_s_b2" in tidy_table(two, "specimens").columns
@@ -287,3 +295,182 @@ def test_the_documentation_names_every_column() -> None:
                 for end in ("_stderr", "_identified", *POSTERIOR_ENDS)
             )
             assert told or column in {"tissueid", "identification_sha256"}, (name, column)
+
+
+NO_ARVIZ = importlib.util.find_spec("arviz") is None
+needs_arviz = pytest.mark.skipif(NO_ARVIZ, reason="arviz is not installed: pip install 'tissueid[arviz]'")
+
+
+def _written(folder: Path, *fits: SpecimenFit) -> Path:
+    with OutputSet(folder) as outputs:
+        write_results(outputs, identification(fits))
+        outputs.commit()
+    return folder
+
+
+def _arviz() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+    return arviz
+
+
+class _Recorded:
+    """A data set, or a tree of them, that keeps what it was made from."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args, self.kwargs = args, kwargs
+
+    @classmethod
+    def from_dict(cls, groups: dict[str, Any]) -> _Recorded:
+        return cls("tree", groups)
+
+
+def _install(monkeypatch: pytest.MonkeyPatch, version: str) -> None:
+    arviz, xarray = types.ModuleType("arviz"), types.ModuleType("xarray")
+    arviz.__dict__.update(__version__=version, InferenceData=_Recorded)
+    xarray.__dict__.update(Dataset=_Recorded, DataTree=_Recorded)
+    monkeypatch.setitem(sys.modules, "arviz", arviz)
+    monkeypatch.setitem(sys.modules, "xarray", xarray)
+
+
+@pytest.mark.parametrize("version", ["0.18.0", "1.2.0"])
+def test_quarters_of_the_draws_are_chains_and_so_are_walkers(
+    monkeypatch: pytest.MonkeyPatch, version: str
+) -> None:
+    _install(monkeypatch, version)
+    given = posterior(draws=53)
+    made = given.to_arviz()
+    groups = made.kwargs if version.startswith("0") else made.args[1]
+    assert (made.args == ()) == version.startswith("0")
+    theta, chain = groups["posterior"].args[0], groups["unconstrained_posterior"].args[0]
+    assert list(theta) == [*THETA_NAMES, *(f"{name}_total" for name in THETA_NAMES)]
+    for k, name in enumerate(THETA_NAMES):
+        assert theta[name][0] == ("chain", "draw")
+        assert np.array_equal(theta[name][1], np.stack(np.split(given.draws[:52, k], 4)))
+        assert np.array_equal(theta[f"{name}_total"][1], given.draws_total[:52, k].reshape(4, 13))
+    assert list(chain) == list(given.chain_names)
+    for k, name in enumerate(given.chain_names):
+        assert np.array_equal(chain[name][1], given.chain[:, :, k])
+    assert "sample_stats" not in groups
+    coordinates = groups["unconstrained_posterior"].kwargs["coords"]
+    assert (coordinates["chain"].size, coordinates["draw"].size) == given.chain.shape[:2]
+
+
+def test_the_log_density_of_a_walked_chain_goes_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    _install(monkeypatch, "0.18.0")
+    given = posterior(draws=50)
+    given = replace(given, log_density=given.chain.sum(axis=2))
+    stats = given.to_arviz().kwargs["sample_stats"].args[0]
+    assert np.array_equal(stats["lp"][1], given.log_density)
+
+
+def test_without_total_draws_there_are_no_total_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    _install(monkeypatch, "0.18.0")
+    made = posterior(draws=50, total=False).to_arviz()
+    assert list(made.kwargs["posterior"].args[0]) == list(THETA_NAMES)
+
+
+def test_without_arviz_the_way_out_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    ended = run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=2)
+    assert "pip install 'tissueid[arviz]'" in ended.stderr
+    assert not (tmp_path / "chains.nc").exists()
+
+
+def test_a_library_for_netcdf_that_is_missing_is_named(tmp_path: Path) -> None:
+    class Unwritable:
+        def to_netcdf(self, path: str) -> None:
+            msg = "No module named 'h5netcdf'"
+            raise ImportError(msg)
+
+    with pytest.raises(UsageError, match="pip install h5netcdf"):
+        netcdf_bytes(Unwritable())
+
+
+def test_netcdf_is_not_printed(tmp_path: Path) -> None:
+    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    run("export", out, "--format", "netcdf", code=2, said="name a file with -o")
+
+
+def test_a_fit_without_a_posterior_has_no_draws(tmp_path: Path) -> None:
+    out = _written(tmp_path / "out", specimen_fit("kidney 3", samples=60))
+    ended = run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=2)
+    assert "no posterior was sampled" in ended.stderr
+
+
+@needs_arviz
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_arviz_reads_the_draws_of_each_specimen(tmp_path: Path) -> None:
+    arviz = _arviz()
+    fits = [sampled(specimen_fit(name, samples=60)) for name in ("kidney 3", "liver/left")]
+    out = _written(tmp_path / "out", *fits)
+    run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=0)
+    assert sorted(path.name for path in tmp_path.glob("*.nc")) == [
+        "chains-kidney_3.nc",
+        "chains-liver_left.nc",
+    ]
+    for fit, name in zip(fits, ("chains-kidney_3.nc", "chains-liver_left.nc"), strict=True):
+        found = arviz.from_netcdf(str(tmp_path / name))
+        assert found["posterior"].attrs["specimen"] == fit.specimen
+        stored = fit.posterior
+        assert stored is not None
+        first = stored.theta_names[0]
+        assert np.array_equal(np.asarray(found["posterior"][first]).ravel(), stored.draws[:, 0])
+        walkers = np.asarray(found["unconstrained_posterior"][stored.chain_names[1]])
+        assert np.array_equal(walkers, stored.chain[:, :, 1])
+
+
+@needs_arviz
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_one_specimen_has_the_file_that_was_named(tmp_path: Path) -> None:
+    arviz = _arviz()
+    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    run("export", out, "--format", "netcdf", "-o", tmp_path / "mine.nc", code=0)
+    summary = arviz.summary(arviz.from_netcdf(str(tmp_path / "mine.nc"))["unconstrained_posterior"])
+    assert summary.loc["ln_tau_1", "r_hat"] < 1.01
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    path = tmp_path / "bundle.h5"
+    write_bundle(bundle_of(PAPER_A), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [("c-header", "paper_a_step("), ("febio", '<material id="1"'), ("abaqus", "*VISCOELASTIC, TIME=PRONY")],
+)
+def test_a_bundle_is_written_for_another_program(bundle: Path, form: str, said: str) -> None:
+    ended = run("export", bundle, "--format", form, code=0)
+    assert said in ended.stdout
+
+
+def test_a_matlab_file_is_written_where_it_is_asked_for(bundle: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tissues.mat"
+    assert run("export", bundle, "--format", "mat", "-o", target).code == 0
+    assert str(loadmat(str(target), squeeze_me=True)["tissueid"]["specimen"]) == "paper-a"
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--format", "mat"), "-o tissues.mat"),
+        (("--format", "abaqus", "--depth", "40"), "outside what is claimed"),
+        (("--format", "abaqus", "--depth", "nan"), "outside what is claimed"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(bundle: Path, args: tuple[str, ...], said: str) -> None:
+    run("export", bundle, *args, code=2, said=said)
+
+
+def test_of_several_specimens_one_is_chosen(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with OutputSet(out) as outputs:
+        write_results(outputs, identification([specimen_fit("kidney 3"), specimen_fit("spleen 1")]))
+        outputs.commit()
+    run("export", out, "--format", "c-header", code=2, said="--specimen")
+    run("export", out, "--format", "c-header", "--specimen", "nobody", code=2, said="nobody")
+    assert "kidney_3_step(" in run("export", out, "--format", "c-header", "--specimen", "kidney 3").stdout

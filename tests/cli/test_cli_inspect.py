@@ -1,15 +1,25 @@
-"""What ``inspect`` prints and writes, with and without a study."""
+"""What a look at recordings says, with and without a study or a command: lines, tables, corrections."""
 
 from __future__ import annotations
 
+import csv
+import io
+import os
 import re
+import shutil
+import signal
+import subprocess
+import sys
 import tomllib
+import urllib.request
 from html import unescape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import openpyxl
 import pytest
-from command_line import Ended, run, write_log
+from command_line import LOG, REPOSITORY, Ended, run, write_log
 
 from tissueid.store.schema import first_problem
 
@@ -34,8 +44,7 @@ def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path: Path) -> None:
 def test_page_and_json_of_one_run_agree(tmp_path: Path) -> None:
     write_log(tmp_path / "data" / "one log.csv")
     page = tmp_path / "out.html"
-    ended = run("inspect", tmp_path / "data", "--html", page, "--json")
-    assert ended.code == 0
+    ended = run("inspect", tmp_path / "data", "--html", page, "--json", code=0)
     (document,) = ended.json()
     assert first_problem([document], "inspect") is None
     assert "wrote " in ended.stderr
@@ -56,8 +65,7 @@ def test_entries_name_files_as_seen_from_the_folder_of_the_study(tmp_path: Path)
 
 
 def inspected(*args: str | Path) -> dict[str, Any]:
-    ended: Ended = run("inspect", *args, "--json")
-    assert ended.code == 0, ended.stderr
+    ended: Ended = run("inspect", *args, "--json", code=0)
     (document,) = ended.json()
     return dict(document)
 
@@ -94,11 +102,149 @@ def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path: Path
 
 def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path: Path) -> None:
     log = write_log(tmp_path / "good.csv")
-    ended = run("inspect", log, "--html", tmp_path / "no" / "such" / "page.html")
-    assert ended.code == 2
-    assert "can't be written" in ended.stderr
+    run("inspect", log, "--html", tmp_path / "no" / "such" / "page.html", code=2, said="can't be written")
 
 
 def test_loops_are_measured(shared_data: Path) -> None:
     text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0", "-v").stdout
     assert len(re.findall(r"^  loop \d", text, flags=re.MULTILINE)) == 3
+
+
+def test_no_command_is_inspect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_log(tmp_path / "one.csv")
+    named, plain = run("inspect", log), run(log)
+    assert (plain.code, plain.stdout) == (0, named.stdout)
+    assert "F(1 s)" in plain.stdout
+    assert "keep" in plain.stdout
+    assert all(len(line) <= 100 for line in plain.stdout.splitlines()[1:])
+    # options before the file, a folder, and a sheet's mark
+    assert run("--json", log).json() == run("inspect", log, "--json").json()
+    assert run(tmp_path).stdout == run("inspect", tmp_path).stdout
+    monkeypatch.chdir(tmp_path)
+    assert run("one.csv").code == 0
+    assert "missing.csv" in run("missing.csv").stderr
+
+
+def test_a_command_goes_before_a_file_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_log(Path("doctor"))
+    assert "F(1 s)" not in run("doctor").stdout
+    assert "F(1 s)" in run("./doctor").stdout
+    assert "No such command" in run("inspct").stderr
+
+
+def test_a_look_at_a_file_loads_no_compiler(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "one.csv")
+    code = (
+        "import sys; from tissueid.cli.main import main; "
+        f"code = main([{str(log)!r}, '-q']); "
+        "print(code, sorted({'numba', 'scipy.optimize', 'lmfit', 'emcee'} & set(sys.modules)))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+    )
+    assert ended.stdout.strip() == "0 []"
+
+
+def test_every_recording_has_a_line_and_all_a_summary(tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        write_log(tmp_path / name)
+    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
+    ended = run(tmp_path)
+    lines = ended.stdout.splitlines()
+    assert ended.code == 7
+    assert [line.split("  ")[0] for line in lines[:2]] == ["a.csv", "b.csv"]
+    assert lines[2:] == ["2 read, 1 refused", "2 start in contact; -v lists flags"]
+    assert all(len(line) <= 100 for line in lines)
+    assert "read as bluehill-csv" in run(tmp_path, "-v").stdout
+
+
+def test_tables_hold_what_the_json_says(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "one.csv")
+    table, book = tmp_path / "m.csv", tmp_path / "m.xlsx"
+    (document,) = run(log, "--json", "--csv", table, "--xlsx", book).json()
+    assert first_problem([document], "inspect") is None
+    (hold,) = document["measured"]["holds"]
+    (row,) = csv.DictReader(io.StringIO(table.read_text(encoding="utf-8")))
+    at = {one["time_s"]: one for one in hold["forces"]}
+    assert float(row["force_1s_N"]) == at[1.0]["after_stop_N"]
+    assert float(row["peak_N"]) == hold["push"]["peak"]["force_N"]
+    assert row["force_100s_N"] == ""
+    assert row["verdict"] == document["verdict"]["level"]
+    head, cells = openpyxl.load_workbook(book).active.iter_rows(values_only=True)
+    assert dict(zip(head, cells, strict=True))["force_1s_N"] == pytest.approx(at[1.0]["after_stop_N"])
+
+
+def test_a_softer_push_is_said(tmp_path: Path) -> None:
+    for number, times in enumerate((1.0, 1.01, 0.99, 0.8)):
+        write_log(tmp_path / f"{number}.csv", label="liver", force_times=times)
+    verdicts = [one["verdict"] for one in run(tmp_path, "--json").json()]
+    assert [one["level"] for one in verdicts] == ["good", "good", "good", "look"]
+    assert "19 % softer than the last push, spread 1 %" in verdicts[-1]["reason"]
+
+
+def test_sheets_stand_below_their_file(shared_data: Path) -> None:
+    book = shared_data / "zwick-meat-gpl3" / "230403_C_Indentation_relaxation_500N_force.xlsx"
+    lines = run(book).stdout.splitlines()
+    assert lines[0] == book.name
+    assert lines[1].startswith("  230403-FF1A  0.8588 N at 1.85 mm, 1.5 mm/s in 1.4 s; F(1 s) ")
+    assert all(len(line) <= 100 for line in lines[1:])
+    assert "start in contact" in lines[-2] + lines[-1]
+
+
+def test_the_command_line_takes_them_and_says_so(tmp_path: Path) -> None:
+    time = np.arange(0.0, 14.0, 0.02)
+    depth = np.minimum(time, 4.0)
+    force = 2.0 * depth + 3.0 * np.where(time < 4.0, depth, 4.0 * np.exp(-(time - 4.0) / 2.0))
+    lines = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time, depth, force, strict=True)]
+    for name in ("one.csv", "two.csv"):
+        rows = "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *lines])
+        (tmp_path / name).write_text(rows + "\n", encoding="utf-8")
+    ended = run("inspect", str(tmp_path), "--hold-from", "4.5", "--exclude", "two.csv", "--json")
+    one, two = ended.json()
+    assert [phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"] == [pytest.approx(4.5)]
+    assert one["excluded"] is None
+    assert two["excluded"] == "--exclude two.csv"
+    assert run("inspect", str(tmp_path), "--hold-from", "5", "--hold-to", "4").code == 2
+
+
+@pytest.mark.parametrize("other", [("--json",), ("--html", "x.html"), ("--no-study",)])
+def test_a_served_page_takes_no_other_output(tmp_path: Path, other: tuple[str, ...]) -> None:
+    (tmp_path / "one.csv").write_text("x", encoding="ascii")
+    run("inspect", str(tmp_path), "--serve", *other, code=2, said=other[0])
+
+
+def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("x", encoding="ascii")
+    (tmp_path / "study.toml").write_text(
+        'schema = "tissueid/study/1"\n[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"\n'
+        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"\n',
+        encoding="utf-8",
+    )
+    run("inspect", str(tmp_path), code=3, said="line 2: one.csv: hold_from_s = 5 is not before end_s = 4")
+
+
+def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path: Path) -> None:
+    shutil.copy(LOG, tmp_path / "one.csv")
+    serving = subprocess.Popen(
+        [sys.executable, "-m", "tissueid", "inspect", str(tmp_path / "one.csv"), "--serve", "--no-browser"],
+        cwd=REPOSITORY,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert serving.stderr is not None
+        url = serving.stderr.readline().split()[-1]
+        assert f"corrections go into {tmp_path / 'study.toml'}" in serving.stderr.readline()
+        with urllib.request.urlopen(url, timeout=60) as answer:
+            page = answer.read().decode("utf-8")
+        assert url.startswith("http://127.0.0.1:")
+        assert page.count('<form class="correct"') == 5
+        serving.send_signal(signal.SIGINT)
+        _, rest = serving.communicate(timeout=30)
+    finally:
+        serving.kill()
+    assert serving.returncode == 0
+    assert "Traceback" not in rest
+    assert not (tmp_path / "study.toml").exists()

@@ -67,9 +67,7 @@ def test_a_specimen_of_the_population_is_rendered(ended: Ended, out: Path) -> No
 
 
 def test_a_bundle_of_one_specimen_has_none_to_draw(out: Path) -> None:
-    felt = run("render", out / "bundle-head_1.h5", "--draw-specimen", "--device", "sim", "--virtual")
-
-    assert felt.code == 2
+    felt = run("render", out / "bundle-head_1.h5", "--draw-specimen", "--device", "sim", "--virtual", code=2)
     assert "tissueid cohort OUT" in felt.stderr
 
 
@@ -83,23 +81,10 @@ def test_a_seed_that_is_no_number_is_refused(ended: Ended, out: Path) -> None:
 def test_two_specimens_are_refused_and_the_set_stays(tmp_path: Path) -> None:
     folder = cohort_folder(tmp_path / "two", 2, study=False)
 
-    ended = run("cohort", folder, "-q")
-
-    assert ended.code == 4
-    assert "a population takes 3 at least" in ended.stderr
+    run("cohort", folder, "-q", code=4, said="a population takes 3 at least")
     assert not (folder / "population.json").exists()
     validate_outputs(folder)
 
 
 def test_an_unknown_covariate_names_those_there_are(out: Path) -> None:
-    ended = run("cohort", out, "--covariate", "weight")
-
-    assert ended.code == 2
-    assert "stated are donor, sex" in ended.stderr
-
-
-def test_a_folder_without_a_run_says_how_one_is_made(tmp_path: Path) -> None:
-    ended = run("cohort", tmp_path)
-
-    assert ended.code == 6
-    assert "tissueid fit" in ended.stderr
+    run("cohort", out, "--covariate", "weight", code=2, said="stated are donor, sex")

@@ -1,4 +1,4 @@
-"""``tissueid render``: a log that fits back, refusals before any force, and the exit codes."""
+"""``tissueid render`` and ``view``: a log that fits back, refusals before any force, what opens by itself."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,12 @@ import numpy as np
 import pytest
 from command_line import QUICK, run, start
 from rendered_tissues import PAPER_A, bundle_of
+from session_heads import head_of, records_of, summary_of
 
+from tissueid.cli import view_command
+from tissueid.cli.render_command import RenderFlags, _demonstrated
+from tissueid.cli.view_command import open_browser, telling_stop
+from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.schema import check
 from tissueid.store.session_log import read_session_log
@@ -40,14 +46,12 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def log(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "out.h5"
-    ended = run("render", bundle, "--device", "sim", "--script", PRESS, "--virtual", "--log", path)
-    assert ended.code == 0, ended.stderr
+    run("render", bundle, "--device", "sim", "--script", PRESS, "--virtual", "--log", path, code=0)
     return path
 
 
 def identified(path: Path, out: Path) -> dict[str, Any]:
-    ended = run("fit", path, "-o", out, *QUICK)
-    assert ended.code == 0, ended.stderr
+    run("fit", path, "-o", out, *QUICK, code=0)
     specimen: dict[str, Any] = json.loads((out / "identification.json").read_text())["specimens"][0]
     return specimen
 
@@ -80,8 +84,7 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
 
 @pytest.mark.parametrize("seconds", [1, 20])
 def test_a_simulated_grip_that_nobody_moves_pushes_until_the_time_is_over(bundle: Path, seconds: int) -> None:
-    ended = run("render", bundle, "--device", "sim", "--virtual", "--seconds", seconds, "--json")
-    assert ended.code == 0, ended.stderr
+    ended = run("render", bundle, "--device", "sim", "--virtual", "--seconds", seconds, "--json", code=0)
     summary = ended.json()["summary"]
     # virtual time ends with a whole block of ticks
     assert seconds <= summary["seconds"] <= seconds + 1.0
@@ -96,8 +99,7 @@ def in_real_time(path: Path, *args: object) -> Any:
     """A session in real time; one that a busy processor ended or limited is tried again, four times."""
     for _ in range(5):
         path.unlink(missing_ok=True)
-        ended = run("render", *args, "--log", path)
-        assert ended.code == 0, ended.stderr
+        ended = run("render", *args, "--log", path, code=0)
         log = read_session_log(path)
         whole = log.summary is not None and log.summary["deepest_mm"] > 0.98
         if whole and untouched(log.records)["tissue_force_N"].max(initial=0.0) > 10.0:
@@ -126,26 +128,20 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, 
 
 @pytest.mark.usefixtures("empty_usb")
 def test_auto_says_what_it_took(bundle: Path) -> None:
-    ended = run("render", bundle, "--script", SHORT, "--virtual")
-    assert ended.code == 0
+    ended = run("render", bundle, "--script", SHORT, "--virtual", code=0)
     assert "device sim, simulated: no haptic device was found" in ended.stderr
 
 
 @pytest.mark.usefixtures("empty_usb")
 def test_without_a_device_the_refusal_names_the_simulated_one(bundle: Path) -> None:
-    ended = run("render", bundle, "--device", "falcon")
-    assert ended.code == 5
-    assert "no falcon was found" in ended.stderr
-    assert "--device sim" in ended.stderr
+    run("render", bundle, "--device", "falcon", code=5, said=("no falcon was found", "--device sim"))
 
 
 def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(
     bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
-    ended = run("render", bundle, "--device", "falcon")
-    assert ended.code == 5
-    assert "can't be loaded, and a Falcon needs it" in ended.stderr
+    ended = run("render", bundle, "--device", "falcon", code=5, said="can't be loaded, and a Falcon needs it")
     assert "--device sim" in ended.stderr
     assert "consent" not in ended.stderr
 
@@ -175,48 +171,52 @@ def test_a_bundle_that_is_no_whole_bundle_is_refused_before_any_force(
     path = tmp_path / "harmed.h5"
     shutil.copy(bundle, path)
     harm(path)
-    ended = run("render", path, "--device", "sim", "--script", SHORT, "--log", tmp_path / "out.h5")
-    assert ended.code == 6
+    ended = run("render", path, "--device", "sim", "--script", SHORT, "--log", tmp_path / "out.h5", code=6)
     assert "harmed.h5" in ended.stderr
     assert not list(tmp_path.glob("out.h5*"))
 
 
-def test_a_scale_beyond_the_passivity_bound_is_refused_with_the_numbers(bundle: Path) -> None:
-    ended = run("render", bundle, "--device", "sim", "--force-scale", "0.05")
-    assert ended.code == 5
-    assert "would be unstable" in ended.stderr
-    assert "the largest that fits" in ended.stderr
-
-
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("code", "args", "said"),
     [
-        (("--script", "indent 8 mm"), "no stroke of a script"),
-        (("--script", "indent 2 mm at 250 mm/min; switch"), "retract first"),
-        (("--quantile", "2"), "must lie within 0 and 1"),
-        (("--draw", "4000"), "draws 0 to 39"),
-        (("--quantile", "0.5", "--draw", "1"), "give one of"),
-        (("--quantile", "0.5", "--of", "stiffness"), "is not understood"),
-        (("--quantile", "0.5", "--of", "force at 20 mm, 250 mm/min"), "deeper than"),
-        (("--device", "nope"), "no device named"),
-        (("--surface", "cube"), "sphere 60 mm"),
-        (("--motion-scale", "0"), "must lie within"),
-        (("--blind",), "--against"),
-        (("--against-draw", "1", "--blind"), "add --log"),
-        (("--against-draw", "1", "--blind", "--pseudonym", "Anna Smith"), "could be a name"),
-        (("--pseudonym", "P1"), "belong to --blind"),
-        (("--bridge", "99999", "--seconds", "1"), "give a port"),
-        (("--environment", "nope"), "takes the place of a tissue"),
-        (("--preset", "paper-a"), "not both"),
-        (("--seconds", "-1"), "must be above 0"),
-        (("--virtual", "--bridge", "47110"), "--script"),
-        (("--port", "/dev/null"), "belongs to falcon"),
+        (2, ("--script", "indent 8 mm"), "no stroke of a script"),
+        (2, ("--script", "indent 2 mm at 250 mm/min; switch"), "retract first"),
+        (2, ("--quantile", "2"), "must lie within 0 and 1"),
+        (2, ("--draw", "4000"), "draws 0 to 39"),
+        (2, ("--quantile", "0.5", "--draw", "1"), "give one of"),
+        (2, ("--quantile", "0.5", "--of", "stiffness"), "is not understood"),
+        (2, ("--quantile", "0.5", "--of", "force at 20 mm, 250 mm/min"), "deeper than"),
+        (2, ("--device", "nope"), "no device named"),
+        (2, ("--surface", "cube"), "sphere 60 mm"),
+        (2, ("--motion-scale", "0"), "must lie within"),
+        (2, ("--blind",), "--against"),
+        (2, ("--against-draw", "1", "--blind"), "add --log"),
+        (2, ("--against-draw", "1", "--blind", "--pseudonym", "Anna Smith"), "could be a name"),
+        (2, ("--pseudonym", "P1"), "belong to --blind"),
+        (2, ("--bridge", "99999", "--seconds", "1"), "give a port"),
+        (2, ("--environment", "nope"), "takes the place of a tissue"),
+        (2, ("--preset", "paper-a"), "not both"),
+        (2, ("--seconds", "-1"), "must be above 0"),
+        (2, ("--virtual", "--bridge", "47110"), "--script"),
+        (2, ("--port", "/dev/null"), "belongs to falcon"),
+        (5, ("--force-scale", "0.05"), ("would be unstable", "the largest that fits")),
+        (6, ("--tip-radius", "5"), "identified with a tip of 2 mm"),
+        (6, ("--surface", "sphere 5 mm"), "too small"),
     ],
 )
-def test_wrong_usage_is_answered_with_the_way_out(bundle: Path, args: tuple[str, ...], said: str) -> None:
-    ended = run("render", bundle, *(("--device", "sim") if "--device" not in args else ()), *args)
-    assert ended.code == 2, ended.stderr
-    assert said in ended.stderr
+def test_what_cannot_be_is_answered_with_the_way_out(
+    bundle: Path, code: int, args: tuple[str, ...], said: str | tuple[str, ...]
+) -> None:
+    run(
+        "render",
+        bundle,
+        *(("--device", "sim") if "--device" not in args else ()),
+        *args,
+        code=code,
+        said=said,
+    )
+    # neither bundle nor preset
+    assert run("render", "--device", "sim").code == 2
 
 
 def test_a_refused_option_leaves_no_log_behind(bundle: Path, tmp_path: Path) -> None:
@@ -225,27 +225,9 @@ def test_a_refused_option_leaves_no_log_behind(bundle: Path, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (("--tip-radius", "5"), "identified with a tip of 2 mm"),
-        (("--surface", "sphere 5 mm"), "too small"),
-    ],
-)
-def test_what_the_law_is_not_meant_for_is_refused(bundle: Path, args: tuple[str, ...], said: str) -> None:
-    ended = run("render", bundle, "--device", "sim", *args)
-    assert ended.code == 6, ended.stderr
-    assert said in ended.stderr
-
-
-def test_neither_bundle_nor_preset_is_refused() -> None:
-    assert run("render", "--device", "sim").code == 2
-
-
 def test_a_log_is_not_overwritten(bundle: Path, log: Path) -> None:
     before = log.read_bytes()
-    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", log)
-    assert ended.code == 2
+    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", log, code=2)
     assert "exists already" in ended.stderr
     assert log.read_bytes() == before
 
@@ -322,8 +304,7 @@ def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -
 
 
 def test_a_port_that_is_not_there_is_told_before_anybody_is_asked(bundle: Path) -> None:
-    ended = run("render", bundle, "--device", "falcon", "--port", "/dev/no-such-port")
-    assert ended.code == 5
+    ended = run("render", bundle, "--device", "falcon", "--port", "/dev/no-such-port", code=5)
     assert "/dev/no-such-port: there is no such device" in ended.stderr
     assert "dead-man" not in ended.stderr
 
@@ -357,8 +338,7 @@ def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_pat
         assert original.summary is not None
         convert_session_log(raw, target, original.summary)
         for path in (raw, target):
-            ended = run("inspect", path)
-            assert ended.code == 3
+            ended = run("inspect", path, code=3)
             assert f"the {which} that the log states" in ended.stdout + ended.stderr
 
 
@@ -405,8 +385,7 @@ def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
     process.kill()
     process.communicate()
     assert read_session_log(part).summary is None
-    ended = run("inspect", part, "-v")
-    assert ended.code in {0, 7}, ended.stderr
+    ended = run("inspect", part, "-v", code={0, 7})
     assert "session-log" in ended.stdout
 
 
@@ -430,3 +409,106 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(bundle: Path, tmp_pa
     assert "File too large" in log.summary["recording_stopped"]
     # rendering went on to the end
     assert log.summary["seconds"] > 80.0
+
+
+def recorded(folder: Path) -> Path:
+    records = records_of(np.linspace(-0.5, 4.0, 1000))
+    recorder = Recorder(folder / "out.h5", head_of())
+    recorder.append(records)
+    return recorder.finish(summary_of(records))
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        (("render", "--preset", "meat", "--viewer", "--virtual", "--device", "sim"), 2, "tissueid view FILE"),
+        (("render", "--preset", "meat", "--viewer", "--host", "203.0.113.9"), 2, "--host"),
+        (("render", "--viewer", "--certificate", "c.pem"), 2, "TLS needs two files"),
+        (("view", "no-such.h5"), 6, "no-such.h5"),
+        (("view", "127.0.0.1:1"), 2, "nothing answers"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(args: tuple[str, ...], code: int, said: str) -> None:
+    run(*args, code=code, said=said)
+
+
+def test_a_log_is_served_until_it_is_told_to_end(tmp_path: Path) -> None:
+    process = start("view", recorded(tmp_path), "--no-browser")
+    assert process.stderr is not None
+    line = process.stderr.readline()
+    assert line.startswith("viewer     http://127.0.0.1:")
+    while "Ctrl-C" not in process.stderr.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=20)
+    assert process.returncode == 0
+
+
+def flags(**given: Any) -> RenderFlags:
+    asked: dict[str, Any] = dict.fromkeys(one.name for one in fields(RenderFlags))
+    return RenderFlags(**asked | {"name": "auto", "virtual": False, "viewer": False} | given)
+
+
+def test_nothing_asked_for_opens_a_tissue_without_motors() -> None:
+    asked = flags()
+    found = _demonstrated(asked)
+    assert (found.preset, found.name, found.viewer) == ("paper-a", "sim", True)
+
+
+@pytest.mark.parametrize(
+    "given", [{"bundle": Path("b.h5")}, {"name": "falcon"}, {"name": "sim"}, {"draw": 3}, {"virtual": True}]
+)
+def test_whatever_was_asked_for_is_not_replaced(given: dict[str, Any]) -> None:
+    asked = flags(**given)
+    assert _demonstrated(asked) == flags(**given)
+
+
+def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    import webbrowser
+
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: bool(opened.append(url)))
+    monkeypatch.setattr(view_command.sys, "platform", "linux")
+    for name in view_command.SCREENS:
+        monkeypatch.delenv(name, raising=False)
+    open_browser("http://127.0.0.1:1/")
+    assert opened == []
+    monkeypatch.setenv("DISPLAY", ":0")
+    open_browser("http://127.0.0.1:1/")
+    assert opened == ["http://127.0.0.1:1/"]
+
+
+def test_a_recording_that_stopped_is_told_once() -> None:
+    class Stopped:
+        stopped: str | None = None
+
+    class Viewer:
+        def __init__(self) -> None:
+            self.told: list[dict[str, Any]] = []
+
+        def tell(self, **words: Any) -> None:
+            self.told.append(words)
+
+        def tend(self) -> bool:
+            return False
+
+    viewer, recorder, shown = Viewer(), Stopped(), []
+    show = telling_stop(viewer, recorder, lambda record, _summary: shown.append(record))  # type: ignore[arg-type]
+    show(1, None)
+    recorder.stopped = "the disk is full"
+    show(2, None)
+    show(3, None)
+    assert viewer.told == [{"recording_stopped": "the disk is full"}]
+    assert shown == [1, 2, 3]
+
+
+def test_the_token_is_printed_with_a_remark_on_encryption() -> None:
+    process = start(
+        "render", "--preset", "meat", "--device", "sim", "--viewer", "--no-browser", "--host", "0.0.0.0"
+    )
+    assert process.stderr is not None
+    said = [process.stderr.readline() for _ in range(2)]
+    process.kill()
+    process.communicate()
+    assert "/?token=" in said[0]
+    assert "unencrypted" in said[1]

@@ -50,6 +50,18 @@ def test_it_prints_rupture_json_and_it_is_valid(done: tuple[Ended, Path]) -> Non
     assert first_problem(ended.json(), "rupture") is None
     assert json.loads((out / "rupture.json").read_text(encoding="utf-8")) == ended.json()
     assert "work" in (out / "rupture.html").read_text(encoding="utf-8")
+    ended, out = done
+    document = ended.json()
+    work = next(row for row in document["criteria"] if row["criterion"] == "work")
+    assert document["taken"] == "work"
+    for row in document["laws"]:
+        law = load_bundle(out / row["bundle"]).rupture
+        assert law is not None
+        assert law.as_json() == row["law"]
+        assert law.threshold == work["specimens"][row["specimen"]]
+        assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])
+        # the synthetic tissue keeps a fifth of its force
+        assert law.residual == pytest.approx(0.2, abs=0.02)
 
 
 def test_force_depth_and_work_at_failure_are_those_of_the_truth(done: tuple[Ended, Path]) -> None:
@@ -69,23 +81,6 @@ def test_an_excluded_recording_takes_no_part(done: tuple[Ended, Path]) -> None:
     document = done[0].json()
     assert not any("rupture-02-rupture-0600" in one["path"] for one in document["tests"])
     assert document["left_out"] == []
-
-
-def test_bundles_hold_the_criterion_that_was_asked_for_with_its_distribution(
-    done: tuple[Ended, Path],
-) -> None:
-    ended, out = done
-    document = ended.json()
-    work = next(row for row in document["criteria"] if row["criterion"] == "work")
-    assert document["taken"] == "work"
-    for row in document["laws"]:
-        law = load_bundle(out / row["bundle"]).rupture
-        assert law is not None
-        assert law.as_json() == row["law"]
-        assert law.threshold == work["specimens"][row["specimen"]]
-        assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])
-        # the synthetic tissue keeps a fifth of its force
-        assert law.residual == pytest.approx(0.2, abs=0.02)
 
 
 def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(
@@ -116,15 +111,12 @@ def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(
 
 def test_what_a_fit_wrote_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "identification.json").write_text("{}", encoding="utf-8")
-    ended = run("rupture", SET, "-o", tmp_path)
-    assert ended.code == 2
-    assert "choose another folder" in ended.stderr
+    run("rupture", SET, "-o", tmp_path, code=2, said="choose another folder")
     assert (tmp_path / "identification.json").read_text(encoding="utf-8") == "{}"
 
 
 def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: Path, tmp_path: Path) -> None:
-    ended = run("rupture", datasets / "paper-a-hold-100Hz" / "hold-8-1.csv", "-o", tmp_path / "out")
-    assert ended.code == 4
+    ended = run("rupture", datasets / "paper-a-hold-100Hz" / "hold-8-1.csv", "-o", tmp_path / "out", code=4)
     assert "0 of 1 tests end in a rupture, and 4 are needed" in ended.stderr
     assert not (tmp_path / "out" / "rupture.json").exists()
 
@@ -132,7 +124,5 @@ def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: 
 def test_recordings_that_can_not_be_read_are_named(tmp_path: Path) -> None:
     bad = tmp_path / "bad.csv"
     bad.write_text("nothing here\n", encoding="utf-8")
-    ended = run("rupture", bad, "-o", tmp_path / "out")
-    assert ended.code == 3
-    assert "bad.csv" in ended.stderr
+    run("rupture", bad, "-o", tmp_path / "out", code=3, said="bad.csv")
     assert not (tmp_path / "out" / "rupture.json").exists()

@@ -29,8 +29,7 @@ def user(text: str) -> Path:
 
 def seed_of(*typed: str) -> int:
     """The seed that a run says it used."""
-    ended = run("fit", write_log(Path("log.csv")), "--json", *QUICK, *typed)
-    assert ended.code == 0, ended.stderr
+    ended = run("fit", write_log(Path("log.csv")), "--json", *QUICK, *typed, code=0)
     return int(ended.json()["provenance"]["options"]["seed"])
 
 
@@ -50,12 +49,9 @@ def test_typed_counts_before_environment_before_project_before_user(
 def test_an_order_of_a_settings_file_gives_way_to_a_model_that_is_typed(folder: Path) -> None:
     Path("tissueid.toml").write_text('[fit]\nbranches = "1"\nstiffness-degree = "0"\n', encoding="utf-8")
     log = write_log(Path("log.csv"))
-    ended = run("fit", log, "--json", "--model", "power * prony:1", "--sampler", "none")
-    assert ended.code in {0, 4}, ended.stderr
+    ended = run("fit", log, "--json", "--model", "power * prony:1", "--sampler", "none", code={0, 4})
     assert ended.json()["specimens"][0]["model"]["name"] == "power * prony:1"
-    refused = run("fit", log, "--model", "power * prony:1", "--branches", "2")
-    assert refused.code == 2
-    assert "--branches" in refused.stderr
+    run("fit", log, "--model", "power * prony:1", "--branches", "2", code=2, said="--branches")
 
 
 def test_a_project_may_keep_its_settings_in_pyproject(folder: Path) -> None:
@@ -84,8 +80,7 @@ def test_another_user_file_or_none(folder: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def refused(*args: str) -> str:
-    ended = run(*args)
-    assert ended.code == 2
+    ended = run(*args, code=2)
     assert len(ended.stderr.splitlines()) == 1
     return ended.stderr
 
@@ -155,8 +150,7 @@ def test_consent_cannot_be_given_by_the_environment(folder: Path, monkeypatch: p
 
 
 def told(*args: str) -> dict[tuple[str, str], tuple[object, str]]:
-    ended: Ended = run("config", "--json", *args)
-    assert ended.code == 0, ended.stderr
+    ended: Ended = run("config", "--json", *args, code=0)
     rows = json.loads(ended.stdout)["settings"]
     return {(row["command"], row["option"]): (row["value"], row["source"]) for row in rows}
 
@@ -183,11 +177,6 @@ def test_what_is_in_force_is_told_with_its_source(folder: Path, monkeypatch: pyt
     assert "tissueid.toml, line 2" in text
 
 
-def test_a_command_that_is_none_is_refused(folder: Path) -> None:
-    assert "there is no such command" in refused("config", "fti")
-    assert "there is no such command" in refused("config", "fit", "more")
-
-
 def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
     write_log(Path("lab/log.csv"))
     Path("tissueid.toml").write_text('[study.init]\nsheet = "absent"\n', encoding="utf-8")
@@ -206,7 +195,9 @@ def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.Mon
     assert "no home folder" in refused("completion", "bash", "--install")
 
 
-def test_nothing_set_is_told_so(folder: Path) -> None:
+def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder: Path) -> None:
     ended = run("config")
     assert "nothing is set" in ended.stdout
     assert str(Path.home() / ".config" / "tissueid" / "config.toml") in ended.stdout
+    assert "there is no such command" in refused("config", "fti")
+    assert "there is no such command" in refused("config", "fit", "more")

@@ -13,7 +13,8 @@ import pytest
 from command_line import QUICK, Terminal, run, run_on, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
-from tissueid.cli.options_page import every_command
+from tissueid.cli.flags import walk
+from tissueid.cli.main import cli
 from tissueid.store.bundle import write_bundle
 
 COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:[34]\d|9[0-7]|10[0-7])(?:;\d+)*m")
@@ -91,11 +92,11 @@ def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 def test_every_command_is_looked_at() -> None:
     import click
 
-    leaves = {" ".join(name) for name, command in every_command() if not isinstance(command, click.Group)}
+    leaves = {" ".join(name) for name, command in walk(cli) if not isinstance(command, click.Group)}
     assert leaves <= set(TYPED)
 
 
-LOOKED_AT = [" ".join(name) for name, _ in every_command() if " ".join(name) in TYPED]
+LOOKED_AT = [" ".join(name) for name, _ in walk(cli) if " ".join(name) in TYPED]
 
 
 @pytest.mark.parametrize("name", LOOKED_AT)

@@ -23,19 +23,11 @@ ENTRY_M = np.array([0.0, 0.0, 0.12])
 
 
 def session(
-    path: Path,
-    *,
-    error_mm: float,
-    seconds: float,
-    pseudonym: str = "P7",
-    deep_mm: float = 21.0,
+    path: Path, *, error_mm: float, seconds: float, pseudonym: str = "P7", deep_mm: float = 21.0
 ) -> Path:
     """A log of a tip that comes down beside the axis."""
     options = RenderOptions(
-        device="sim",
-        seconds=1.0,
-        scene=load_scene("hip-resurfacing"),
-        pseudonym=pseudonym,
+        device="sim", seconds=1.0, scene=load_scene("hip-resurfacing"), pseudonym=pseudonym
     )
     plan = plan_session(options)
     head = plan.head
@@ -57,8 +49,7 @@ def session(
 def test_attempts_are_measured_and_learning_is_found(tmp_path: Path) -> None:
     for number in range(1, 6):
         session(tmp_path / f"{number}.h5", error_mm=4.0 / number, seconds=3.0)
-    ended = run("training", tmp_path, "--json")
-    assert ended.code == 0, ended.stderr
+    ended = run("training", tmp_path, "--json", code=0)
     document = ended.json()
     assert first_problem(document, "training") is None
     errors = [row["end_error_mm"] for row in document["attempts"]]
@@ -78,8 +69,7 @@ def test_a_log_without_an_attempt_does_not_stop_the_others(tmp_path: Path) -> No
     short = session(tmp_path / "short.h5", error_mm=1.0, seconds=2.0, deep_mm=-45.0)
     torn = tmp_path / "torn.h5"
     torn.write_bytes(good.read_bytes()[:2000])
-    ended = run("training", good, short, torn, "--json")
-    assert ended.code == 7
+    ended = run("training", good, short, torn, "--json", code=7)
     document = json.loads(ended.stdout)
     assert [Path(row["file"]).name for row in document["attempts"]] == ["good.h5"]
     assert {Path(one["file"]).name for one in document["refused"]} == {"short.h5", "torn.h5"}
@@ -92,8 +82,7 @@ def test_a_session_of_tissue_is_named_as_such(tmp_path: Path) -> None:
     log = tmp_path / "meat.h5"
     run("render", "--preset", "meat", "--device", "sim", "--script", "indent 1 mm at 72 mm/min", "--virtual",
         "--log", log)  # fmt: skip
-    ended = run("training", log)
-    assert ended.code == 7
+    ended = run("training", log, code=7)
     assert ended.stdout == ""
     assert "not guided" in ended.stderr
 

@@ -293,10 +293,7 @@ def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
 def test_only_equal_tests_of_one_specimen_are_compared() -> None:
     first = judge(ramp_hold("a.csv"))
     softer = {"gain": 0.8}
-    for other in (
-        ramp_hold("b.csv", specimen="liver", **softer),
-        ramp_hold("c.csv", speed=8.0, **softer),
-    ):
+    for other in (ramp_hold("b.csv", specimen="liver", **softer), ramp_hold("c.csv", speed=8.0, **softer)):
         assert judge(other, [first])["verdict"]["level"] == "good"
     assert (
         judge(ramp_hold("d.csv", **softer), [first | {"excluded": "slipped"}])["verdict"]["level"] == "good"
@@ -310,8 +307,7 @@ def test_only_equal_tests_of_one_specimen_are_compared() -> None:
 def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
     write_log(tmp_path / "data" / "one.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
-    assert ended.code == 7
+    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out", code=7)
     lines = [json.loads(line) for line in ended.stdout.splitlines()]
     assert {Path(one["path"]).name: one["verdict"]["level"] for one in lines}["bad.csv"] == "refused"
     assert all(first_problem(one, "watch") is None for one in lines)

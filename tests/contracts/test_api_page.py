@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import tissueid
-from tissueid.cli.api_page import RESULTS, api_page
+from tissueid.cli.options_page import RESULTS, api_page
 from tissueid.notebook import Shown
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -10,8 +10,17 @@ import pytest
 from rendered_tissues import PAPER_A, TWO_BRANCHES
 from scipy.stats import beta, kstest
 
-from tissueid.contrast.decision import LIMITS, difference, noticed, rows
-from tissueid.contrast.document import Common, Compared, common_range, contrast_document, draws_of_numbers
+from tissueid.contrast.decision import (
+    LIMITS,
+    Common,
+    Compared,
+    common_range,
+    contrast_document,
+    difference,
+    draws_of_numbers,
+    noticed,
+    rows,
+)
 from tissueid.errors import UsageError
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_files import put, read, refusal
-from tissueid.synth.workbooks import xlsx, zwick_workbook
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials

@@ -26,10 +26,7 @@ CONSTANT = FitOptions(branches=1, stiffness_degree=0)
 GROWING = FitOptions(branches=1, stiffness_degree=1)
 TRUTH = {"tau": TAU_S, "eta": STIFFNESS_N_PER_MM * TAU_S}
 #: Viscosity is stated at half depth where K varies.
-TRUTH_K1 = {
-    "tau": TAU_S,
-    "eta": (STIFFNESS_N_PER_MM + STIFFNESS_K1_N_PER_MM2 * DEPTH_MM / 2.0) * TAU_S,
-}
+TRUTH_K1 = {"tau": TAU_S, "eta": (STIFFNESS_N_PER_MM + STIFFNESS_K1_N_PER_MM2 * DEPTH_MM / 2.0) * TAU_S}
 
 
 @pytest.fixture

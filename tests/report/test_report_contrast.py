@@ -12,7 +12,7 @@ import pytest
 from rendered_tissues import PAPER_A
 from typed_call import typed_call
 
-from tissueid.contrast.document import Compared, contrast_document
+from tissueid.contrast.decision import Compared, contrast_document
 from tissueid.model.channels import ChannelModel
 from tissueid.report.contrast_page import contrast_verdict, render_contrast
 from tissueid.store.files import plain_json

@@ -15,7 +15,7 @@ from live_server import client, served, until
 from rendered_session import Session
 from session_heads import head_of
 
-from tissueid.cli.viewer_serving import telling_stop
+from tissueid.cli.view_command import telling_stop
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.simulated_layout import POINTER

@@ -1,33 +1,35 @@
-"""``tissueid calibrate``."""
+"""``tissueid calibrate``, of a recipe, a study or recordings, or a bundle."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.calibrate_source import found_source
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import created_now, made_folder, note, progress_bar, refuse, refuse_foreign, tell
+from tissueid.cli.reading import read_all, read_in_order, recorded_options
 from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
-from tissueid.errors import UsageError
+from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from tissueid.priors import Priors
+    from tissueid.result import Refusal
     from tissueid.selfcheck.protocol import Centre, Protocol
     from tissueid.selfcheck.tissue import TissueCheck
     from tissueid.selfcheck.verdicts import Verdict
+    from tissueid.store.bundle import Bundle
 
-EPILOG = """\b
-Examples:
-  tissueid calibrate paper-a-30-k1 --rate 100
-  tissueid calibrate lab_data/study.toml -o calibration --simulations 500
-  tissueid calibrate out/bundle.h5 --interval total --workers 4
-  tissueid calibrate lab_data/ --model "power * fung"
-  tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
+EXAMPLES = """
+tissueid calibrate paper-a-30-k1 --rate 100
+tissueid calibrate lab_data/study.toml -o calibration --simulations 500
+tissueid calibrate out/bundle.h5 --interval total --workers 4
+tissueid calibrate lab_data/ --model "power * fung"
+tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
 """
 
 #: Exit code where the intervals do not hold what they claim.
@@ -37,54 +39,39 @@ FEWEST = 20
 _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateFlags(OutputFlags):
-    """Flags of ``tissueid calibrate``."""
-
+class _CalibrateFlags(OutputFlags):
     # fmt: off
-    source: str = argument(type=click.Path())
+    source: str = argument(type=PATH)
     out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-calibration", show_default=True,
-        help="Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+        "Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+        "-o", type=FOLDER, default="tissueid-calibration",
     )
     simulations: int = option(
-        "--simulations", type=click.IntRange(min=FEWEST), default=200, show_default=True, metavar="N",
-        help="How many truths are drawn, recorded and inferred.",
+        "How many truths are drawn, recorded and inferred.",
+        type=click.IntRange(min=FEWEST), default=200, metavar="N",
     )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
-    )
-    workers: int = option(
-        "--workers", type=click.IntRange(min=1), default=1, show_default=True,
-        help="Processes; results do not depend on them.",
-    )
-    specimen: str | None = option(
-        "--specimen", metavar="NAME", help="Which specimen of a study, where it has several.",
-    )
-    model: str | None = option(
-        "--model", metavar="NAME", help="Law of the tissue in recordings, as of tissueid fit.",
-    )
+    seed: int = option("Seed of everything random.", type=FROM_0, default=0)
+    workers: int = option("Processes; results do not depend on them.", type=FROM_1, default=1)
+    specimen: str | None = option("Which specimen of a study, where it has several.", metavar="NAME")
+    model: str | None = option("Law of the tissue in recordings, as of tissueid fit.", metavar="NAME")
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total draws calibration defects from their priors and checks the intervals that know these.",
+        "total draws calibration defects from their priors and checks the intervals that know these.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     noise: str = option(
-        "--noise", type=click.Choice(["auto", "white", "ar1"]), default="auto", show_default=True,
-        help="Noise of the recordings; auto takes the recipe's, or that of the fit.",
+        "Noise of the recordings; auto takes the recipe's, or that of the fit.",
+        type=click.Choice(["auto", "white", "ar1"]), default="auto",
     )
     phi: float | None = option(
-        "--phi", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
-        help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+        "Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+        type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
     )
-    rate: float | None = option(
-        "--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.",
-    )
+    rate: float | None = option("Sampling rate of a recipe, where not its own.", metavar="HZ")
     # fmt: on
 
 
-@click.command("calibrate", epilog=EPILOG)
-@takes(CalibrateFlags)
-def command(flags: CalibrateFlags) -> int:
+@subcommand("calibrate", EXAMPLES)
+def command(flags: _CalibrateFlags) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
 
     SOURCE is a study.toml or a folder of recordings (their own measured displacement is used), a bundle of
@@ -100,11 +87,9 @@ def command(flags: CalibrateFlags) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags.quiet
     if flags.phi is not None and flags.noise != "ar1":
-        msg = "--phi is the correlation of --noise ar1: give both, or neither"
-        raise UsageError(msg)
-    with progress_bar(show=not quiet) as progress:
+        refuse("--phi is the correlation of --noise ar1: give both, or neither")
+    with progress_bar(show=not flags.quiet) as progress:
         found = found_source(flags, progress)
         check = tissue_check(
             found.protocol,
@@ -112,7 +97,8 @@ def command(flags: CalibrateFlags) -> int:
             stated=found.stated,
             defects=flags.interval == "total",
         )
-        out = _folder(flags.out)
+        out = made_folder(flags.out)
+        refuse_foreign(out, _FILES[:2], _FILES[2], f"without the {_FILES[2]} they come from")
         digest = fingerprint({"check": described(check), "seed": flags.seed})
         with Checkpoint(out / _FILES[2], digest) as checkpoint:
             records = run_simulations(
@@ -127,77 +113,186 @@ def command(flags: CalibrateFlags) -> int:
     written, verdict = check_document(asked, found.protocol, check, records)
     document: dict[str, Any] = plain_json(written)
     check_schema(document, "selfcheck", where=_FILES[0])
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     write_file(out / _FILES[0], json_bytes(document))
-    write_file(out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created).encode("utf-8"))
-    if flags.as_json:
-        echo_json(document)
-    elif not quiet:
-        _print(check, found.protocol, verdict, flags.out)
+    write_file(
+        out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created_now()).encode("utf-8")
+    )
+    tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
-        note(f"not calibrated: {reason}", quiet=quiet)
+        note(f"not calibrated: {reason}", quiet=flags.quiet)
     return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
 
 
-def _folder(name: str) -> Path:
-    """The output folder, made where it is missing; files of these names that no check made are refused."""
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    foreign = [file for file in _FILES[:2] if (out / file).exists()]
-    if foreign and not (out / _FILES[2]).exists():
-        msg = (
-            f"{name} holds {', '.join(foreign)} without the {_FILES[2]} they come from: choose another "
-            "folder with -o, or move them away"
-        )
-        raise UsageError(msg)
-    return out
-
-
-def _with_noise(centre: Centre, flags: CalibrateFlags) -> Centre:
+def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
     """The noise the user asked for, or that of the source."""
-    from dataclasses import replace
-
     if flags.noise == "auto":
         return centre
     if flags.noise == "white":
         return replace(centre, phi=0.0, white_share=0.0)
     phi = flags.phi or centre.phi
     if phi == 0.0:
-        msg = "--noise ar1 needs its correlation here: add --phi, as --phi 0.9"
-        raise UsageError(msg)
+        refuse("--noise ar1 needs its correlation here: add --phi, as --phi 0.9")
     return replace(centre, phi=phi, white_share=0.0)
 
 
-def _print(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> None:
+def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> Iterator[str]:
     from tissueid.selfcheck.truth import prior_words
 
-    echo(
+    yield (
         f"{protocol.words}: {len(protocol.logs)} log{'s' * (len(protocol.logs) > 1)}, "
-        f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations",
+        f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations"
     )
     words = prior_words(
         check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
     )
-    echo()
-    echo("priors")
+    yield ""
+    yield "priors"
     for name, said in words.items():
-        echo(f"  {name}: {said}")
+        yield f"  {name}: {said}"
     width = max(len(one.name) for one in verdict.parameters)
     levels = "".join(f"{100 * row.level:>7g} %" for row in verdict.parameters[0].coverage)
-    echo()
-    echo(f"{'coverage of':<{width}}{levels}   mean z   spread")
+    yield ""
+    yield f"{'coverage of':<{width}}{levels}   mean z   spread"
     for one in verdict.parameters:
         shares = "".join(f"{100 * row.fraction:>9.1f}" for row in one.coverage)
         mark = "" if one.calibrated else "   outside its band"
-        echo(f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}")
+        yield f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}"
     bands = "".join(
         f"{100 * row.low / row.simulations:>4.0f}-{100 * row.high / row.simulations:<4.0f}"
         for row in verdict.parameters[0].coverage
     )
-    echo(f"{'band':<{width}}{bands}")
-    echo()
-    echo(f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}")
+    yield f"{'band':<{width}}{bands}"
+    yield ""
+    yield f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}"
+
+
+_Progress = Callable[[str, int, int], None]
+_BUNDLE_SUFFIXES = (".h5", ".hdf5")
+#: No test machine logs faster.
+HIGHEST_RATE_HZ = 1e5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Object of a check."""
+
+    kind: str  # ``recipe``, ``study`` or ``bundle``
+    specimen: str
+    protocol: Protocol
+    centre: Centre
+    stated: Priors | None = None  # of a study
+
+
+def found_source(flags: _CalibrateFlags, progress: _Progress) -> Found:
+    """Look at the source the user named."""
+    from tissueid.synth import RECIPES
+
+    named: str = flags.source
+    recipe = named in RECIPES or _is_recipe(Path(named))
+    if flags.model is not None and (recipe or bundle_file(Path(named)) is not None):
+        refuse("--model is for recordings: a recipe and a bundle have a law of their own")
+    if recipe:
+        return _recipe(named, flags)
+    if flags.rate is not None:
+        refuse("--rate is for recipes: recordings and bundles have their own")
+    if not Path(named).exists() and "::" not in named:
+        refuse(f"{named}: no such file, folder or recipe; recipes are {', '.join(sorted(RECIPES))}")
+    bundle = bundle_file(Path(named))
+    if bundle is not None:
+        return _bundle(bundle, flags, progress)
+    return _recordings(named, flags, progress)
+
+
+def _is_recipe(path: Path) -> bool:
+    """A TOML file that speaks of logs, and not of a study."""
+    import tomllib
+
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        # the reader of studies says what is wrong with it
+        return False
+    return "logs" in table and "schema" not in table
+
+
+def _recipe(named: str, flags: _CalibrateFlags) -> Found:
+    from tissueid.selfcheck.protocol import of_recipe
+    from tissueid.synth import RECIPES, load_recipe, recipe
+
+    rate = flags.rate
+    if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
+        refuse(f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
+    plan = recipe(named) if named in RECIPES else load_recipe(named)
+    protocol, centre = of_recipe(plan, rate_Hz=rate)
+    return Found("recipe", plan.specimen, protocol, centre)
+
+
+def bundle_file(path: Path) -> Path | None:
+    """The bundle a path means: itself, or the only one of an output folder."""
+    if path.is_file():
+        return path if path.suffix in _BUNDLE_SUFFIXES else None
+    if not (path / "identification.json").is_file():
+        return None
+    only = path / "bundle.h5"
+    if only.is_file():
+        return only
+    names = ", ".join(str(one) for one in sorted(path.glob("bundle*.h5")))
+    msg = f"{path} is the output of a fit of several specimens: name one bundle ({names or 'none there'})"
+    raise UsageError(msg)
+
+
+def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
+
+    from tissueid.selfcheck.protocol import inputs_there, of_bundle, pooled
+    from tissueid.store.bundle import load_bundle
+
+    bundle = load_bundle(path)
+    program, centre = of_bundle(bundle, where=str(path))
+    measured = _measured(bundle, progress) if inputs_there(bundle) else None
+    if measured is None:
+        note(f"note: {program.words}", quiet=flags.quiet)
+        return Found("bundle", bundle.specimen, program, centre)
+    centre = replace(centre, pooling=pooled(bundle.model.static_pooling, logs=len(measured.logs)))
+    return Found("bundle", bundle.specimen, measured, centre)
+
+
+def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
+    """The measured x(t) behind a bundle, read as it was read then."""
+    from tissueid.selfcheck.protocol import inputs_there, of_bundle_inputs
+    from tissueid.study.recordings import locate_study
+
+    reading = recorded_options(bundle.provenance.get("reading", {}))
+    manifest = bundle.provenance.get("study", {}).get("path")
+    paths = tuple(dict.fromkeys(str(entry["path"]) for entry in inputs_there(bundle)))
+    try:
+        study = locate_study((), named=manifest)[0] if manifest else None
+        refused: list[Refusal] = []
+        return of_bundle_inputs(
+            read_all(read_in_order(paths, reading, study), refused), bundle, study=study, progress=progress
+        )
+    except (InputError, UsageError):
+        # the study or a file has changed since: a program stands in, and that is said
+        return None
+
+
+def _recordings(named: str, flags: _CalibrateFlags, progress: _Progress) -> Found:
+    from tissueid.selfcheck.protocol import Recordings, of_recordings
+    from tissueid.study.recordings import locate_study, read_decided_one
+
+    reading = recorded_options({})
+    study, paths = locate_study((named,))
+    refused: list[Refusal] = []
+    given = Recordings(
+        read_all(read_in_order(paths, reading, study), refused),
+        lambda source: read_decided_one(source.path, source.sheet, reading, study),
+        named,
+        study,
+    )
+    specimen, protocol, centre = of_recordings(
+        given, specimen=flags.specimen, model=flags.model, progress=progress
+    )
+    for one in refused:
+        note(f"refused ({one.code})  {one}", quiet=flags.quiet)
+    return Found("study", specimen, protocol, centre, None if study is None else study.priors)

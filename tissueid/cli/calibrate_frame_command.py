@@ -2,46 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note, write_output
+from tissueid.cli.flags import FILE, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import note, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.documents import typed
 from tissueid.documents.folder import Frame
 
-EPILOG = """\b
-Examples:
-  tissueid calibrate-frame rigid.csv
-  tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
+EXAMPLES = """
+tissueid calibrate-frame rigid.csv
+tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateFrameFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid calibrate-frame``."""
-
-    # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    output: str = option(
-        "-o", "--output", type=click.Path(dir_okay=False), default="frame.json", show_default=True,
-        help="Frame file to write.",
-    )
-    # fmt: on
+class _CalibrateFrameFlags(ReadingFlags, OutputFlags):
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    output: str = option("Frame file to write.", "-o", type=FILE, default="frame.json")
 
 
-@click.command("calibrate-frame", epilog=EPILOG)
-@takes(CalibrateFrameFlags)
-def command(flags: CalibrateFrameFlags) -> int:
+@subcommand("calibrate-frame", EXAMPLES)
+def command(flags: _CalibrateFrameFlags) -> int:
     """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
 
     Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several
     show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
     the file, under [calibration]: frame = "frame.json".
     """
-    from tissueid.errors import InputError
     from tissueid.result import Refusal
     from tissueid.store.files import json_bytes
     from tissueid.store.schema import check
@@ -52,33 +39,23 @@ def command(flags: CalibrateFrameFlags) -> int:
     trials: list[Trial] = []
     for item in read_in_order(flags.paths, reading):
         if isinstance(item, Refusal):
-            raise InputError(
-                code=item.code,
-                message=item.message,
-                path=item.path,
-                sheet=item.sheet,
-                line=item.line,
-                column=item.column,
-            )
+            raise item.as_error()
         trials.append(item)
     document = calibrate_frame(trials)
     check(document, "frame", where=flags.output)
     write_output(flags.output, json_bytes(document))
-    if flags.as_json:
-        echo_json(document)
-    elif not flags.quiet:
-        _print(typed(document, Frame))
+    tell(flags, document, _lines(typed(document, Frame)))
     note(f"wrote {flags.output}", quiet=flags.quiet)
     return 0
 
 
-def _print(document: Frame) -> None:
+def _lines(document: Frame) -> Iterator[str]:
     top = document.range_N[1]
     plural = "s" if document.loadings > 1 else ""
-    echo(f"{document.loadings} loading{plural} to {top:.4g} N")
-    echo(f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm")
-    echo("force [N]   deflection [mm]   sd [mm]")
+    yield f"{document.loadings} loading{plural} to {top:.4g} N"
+    yield f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm"
+    yield "force [N]   deflection [mm]   sd [mm]"
     for force, give, sd in zip(document.force_N, document.deflection_mm, document.sd_mm, strict=True):
-        echo(f"{force:9.4g}   {give:15.5f}   {sd:7.5f}")
+        yield f"{force:9.4g}   {give:15.5f}   {sd:7.5f}"
     if document.repeatability_sd_mm is None:
-        echo("one loading: a repeatability of 5 % was assumed; record several to know it")
+        yield "one loading: a repeatability of 5 % was assumed; record several to know it"

@@ -2,62 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, progress_bar
+from tissueid.cli.flags import FOLDER_THERE, FROM_0, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.digits import together
+from tissueid.documents import typed
+from tissueid.documents.population import Population
+from tissueid.flags import warning_line
 
-EPILOG = """\b
-Examples:
-  tissueid cohort out
-  tissueid cohort out --group-by sex --covariate age_years
+if TYPE_CHECKING:
+    from tissueid.study.cohort import WrittenPopulation
+
+EXAMPLES = """
+tissueid cohort out
+tissueid cohort out --group-by sex --covariate age_years
 """
 
 NOT_CONVERGED = 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class CohortFlags(OutputFlags):
-    """Flags of ``tissueid cohort``."""
-
+class _CohortFlags(OutputFlags):
     # fmt: off
-    out: str = argument(type=click.Path(exists=True, file_okay=False))
-    group_by: str | None = option(
-        "--group-by", metavar="KEY", help="Covariate of the study whose groups are compared.",
-    )
-    covariates: tuple[str, ...] = option(
-        "--covariate", multiple=True, metavar="KEY", help="Covariate to allow for.",
-    )
+    out: str = argument(type=FOLDER_THERE)
+    group_by: str | None = option("Covariate of the study whose groups are compared.", metavar="KEY")
+    covariates: tuple[str, ...] = option("Covariate to allow for.", "--covariate", metavar="KEY")
     tails: str = option(
-        "--tails", type=click.Choice(["t", "normal"]), default="t", show_default=True,
-        help="How specimens scatter: t lets the data say how heavy the tails are.",
+        "How specimens scatter: t lets the data say how heavy the tails are.",
+        type=click.Choice(["t", "normal"]), default="t",
     )
-    mix_states: bool = option("--mix-states", is_flag=True, help="Pool thawed specimens with fresh ones.")
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the chains.",
-    )
-    no_held_out: bool = option(
-        "--no-held-out", is_flag=True, help="Leave out the prediction of each specimen from the others.",
-    )
+    mix_states: bool = option("Pool thawed specimens with fresh ones.")
+    seed: int = option("Seed of the chains.", type=FROM_0, default=0)
+    no_held_out: bool = option("Leave out the prediction of each specimen from the others.")
     # fmt: on
 
 
-@click.command("cohort", epilog=EPILOG)
-@takes(CohortFlags)
-def command(flags: CohortFlags) -> int:
+@subcommand("cohort", EXAMPLES)
+def command(flags: _CohortFlags) -> int:
     """Say what specimens have in common and how they differ.
 
     OUT is the output folder of `tissueid fit` with three specimens or more and their posteriors.  Writes
     population.json, population.h5 and cohort.html into it, all at once or not at all; tissueid render draws
     a specimen from population.h5 and makes it felt.
     """
-    from tissueid.cli.population_lines import print_population
     from tissueid.study.cohort import PopulationRequest, write_population
 
-    quiet = flags.quiet
     request = PopulationRequest(
         group_by=flags.group_by,
         covariates=flags.covariates,
@@ -66,10 +58,50 @@ def command(flags: CohortFlags) -> int:
         hold_out=not flags.no_held_out,
         mix_states=flags.mix_states,
     )
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         written = write_population(Path(flags.out), request, progress)
     if flags.as_json:
         echo_json(written.document)
     else:
-        print_population(written, flags.out, quiet=quiet)
+        print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NOT_CONVERGED
+
+
+def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
+    """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr."""
+    if not quiet:
+        _print_table(written, out)
+    for one in written.fit.left_out:
+        note(f"left out: {one.specimen}: {one.reason}", quiet=quiet)
+
+
+def _print_table(written: WrittenPopulation, out: str) -> None:
+    document = typed(written.document, Population)
+    found = document.population
+    assert found is not None  # noqa: S101  (asked before)
+    count = len(document.specimens_used)
+    echo()
+    echo(f"population of {count} specimens, to {found.depth_mm:.3g} mm", bold=True)
+    for row in found.quantities:
+        median, low, high, *wide = together(
+            [row.median, *row.ci95, *(row.ci95_total or ())], (row.ci95[1] - row.ci95[0]) / 4.0
+        )
+        first, last = row.cv_ci95
+        total = "" if row.ci95_total is None else f"; with the machine {' to '.join(wide)}"
+        unit = "" if row.unit == "1" else f" {row.unit}"
+        echo(
+            f"  {row.words:<34} {median}{unit} (95 %: {low} to {high}{total}), "
+            f"between specimens CV {100 * row.cv:.1f} % ({100 * first:.1f} to {100 * last:.1f})"
+        )
+    if found.held_out is not None:
+        by = found.held_out.nrmsd_range
+        echo(
+            f"  held-out specimens: NRMSD {100 * by.median:.1f} % of range "
+            f"(68 %: {100 * by.low68:.1f} to {100 * by.high68:.1f})"
+        )
+    for flag in document.flags:
+        echo(f"  ! {warning_line(flag.code, flag.message)}", fg="yellow")
+    echo()
+    if not written.felt:
+        echo("No population.h5: specimens drawn from so open a population have no force that is a number")
+    echo(f"Report: {out}/cohort.html")

@@ -1,62 +1,69 @@
-"""``tissueid compare``."""
+"""``tissueid compare``: fits beside each other, or what was measured."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
-from tissueid.cli.reading import ReadingFlags
+from tissueid import __version__
+from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import (
+    created_now,
+    echo_lines,
+    made_folder,
+    note,
+    progress_bar,
+    refuse,
+    tell,
+    write_output,
+)
+from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
+from tissueid.digits import with_error
 from tissueid.documents import typed
-from tissueid.documents.contrast import Contrast, MeasuredPair
+from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.contrast.document import Compared
+    from tissueid.contrast.decision import Compared
     from tissueid.documents.measured import Spread
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EPILOG = """\b
-Examples:
-  tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
-  tissueid compare before/ after/ --interval total
-  tissueid compare out -o compared
-  tissueid compare slow.csv fast.csv
+EXAMPLES = """
+tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
+tissueid compare before/ after/ --interval total
+tissueid compare out -o compared
+tissueid compare slow.csv fast.csv
 """
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompareFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid compare``."""
-
+class _CompareFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total for recordings of different machines: it knows their calibration. Needs output folders.",
+        "total for recordings of different machines: it knows their calibration. Needs output folders.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     clamp: float = option(
-        "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True,
-        metavar="N", help="Largest force of the device at which a hand would feel them.",
+        "Largest force of the device at which a hand would feel them.",
+        type=ABOVE_0, default=CLAMP_N, metavar="N",
     )
     output: str | None = option(
-        "-o", "--output", type=click.Path(), metavar="PATH",
-        help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+        "Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+        "-o", type=PATH, metavar="PATH",
     )
     # fmt: on
 
 
-@click.command("compare", epilog=EPILOG)
-@takes(CompareFlags)
-def command(flags: CompareFlags) -> int:
+@subcommand("compare", EXAMPLES)
+def command(flags: _CompareFlags) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
 
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
@@ -67,19 +74,16 @@ def command(flags: CompareFlags) -> int:
     PATHS may be recordings or folders of them instead, each one side: what was measured stands beside each
     other, no model. A number that depends on the ramp is compared within one program only.
     """
-    from tissueid.cli.compare_measured import are_recordings, compare_recordings
-
     if are_recordings(flags.paths):
         return compare_recordings(flags)
-    from tissueid.contrast.document import contrast_document
+    from tissueid.contrast.decision import contrast_document
     from tissueid.measured.spread import measured_pairs
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 
     both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
     if len(both) < 2:
-        msg = "one tissue is nothing to compare: name a second bundle or output folder"
-        raise UsageError(msg)
+        refuse("one tissue is nothing to compare: name a second bundle or output folder")
     tissues = _apart([tissue for tissue, _ in both])
     measured = measured_pairs(
         [(tissue.name, rows) for tissue, (_, rows) in zip(tissues, both, strict=True) if rows]
@@ -90,37 +94,27 @@ def command(flags: CompareFlags) -> int:
     except UsageError:
         # models that share no speed can't be compared; what was measured at any time may
         if not flags.as_json and not flags.quiet:
-            _print_measured(typed(plain_json(measured), tuple[MeasuredPair, ...]))
+            echo_lines(_measured_lines(typed(plain_json(measured), tuple[MeasuredPair, ...])))
         raise
     plain = plain_json(found) | ({"measured": plain_json(measured)} if measured else {})
     check(plain, "contrast", where="contrast.json")
     document = typed(plain, Contrast)
     if flags.output is not None:
         _write(plain, Path(flags.output), quiet=flags.quiet)
-    if flags.as_json:
-        echo_json(plain)
-    elif not flags.quiet:
-        _print(document)
+    tell(flags, plain, _lines(document))
     return 0
 
 
 def _write(plain: Any, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
-    from datetime import UTC, datetime
-
     from tissueid.report.contrast_page import render_contrast
     from tissueid.store.files import json_bytes
 
     if target.suffix not in {".json", ".html"}:
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            msg = f"{target}: can't be made ({error.strerror}); choose another place with -o"
-            raise UsageError(msg) from error
-        target = target / "contrast.html"
-    page = render_contrast(typed(plain, Contrast), created=datetime.now(UTC).isoformat(timespec="seconds"))
-    write_output(str(target.with_suffix(".json")), json_bytes(plain))
-    write_output(str(target.with_suffix(".html")), page.encode("utf-8"))
+        target = made_folder(target) / "contrast.html"
+    page = render_contrast(typed(plain, Contrast), created=created_now())
+    write_output(target.with_suffix(".json"), json_bytes(plain))
+    write_output(target.with_suffix(".html"), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
 
@@ -130,8 +124,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
 
     if path.is_file():
         if interval == "total":
-            msg = f"{path}: a bundle holds no draws with the machine's calibration; name the output folder"
-            raise UsageError(msg)
+            refuse(f"{path}: a bundle holds no draws with the machine's calibration; name the output folder")
         return [(_compared(load_bundle(path), None), [])]
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
@@ -150,7 +143,7 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[Spread]]]:
 
 
 def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "statistical") -> Compared:
-    from tissueid.contrast.document import Compared
+    from tissueid.contrast.decision import Compared
 
     bundle.require_renderable()
     model = bundle.contact_model()
@@ -159,49 +152,40 @@ def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "s
         draws = None if stored is None else stored.draws_total
     if draws is None:
         kind = " with the machine's calibration" if interval == "total" else ""
-        msg = f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical"
-        raise UsageError(msg)
+        refuse(f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical")
     return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total")
 
 
 def _apart(tissues: list[Compared]) -> list[Compared]:
     """Tissues of one name told apart by a number."""
-    from collections import Counter
-    from dataclasses import replace
-
     often = Counter(tissue.name for tissue in tissues)
     seen: Counter[str] = Counter()
-    named = []
-    for tissue in tissues:
+    for place, tissue in enumerate(tissues):
         seen[tissue.name] += 1
-        again = often[tissue.name] > 1
-        named.append(replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})") if again else tissue)
-    return named
+        if often[tissue.name] > 1:
+            tissues[place] = replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})")
+    return tissues
 
 
-def _print_measured(pairs: Sequence[MeasuredPair]) -> None:
-    from tissueid.cli.compare_measured import measured_pair_lines
-
+def _measured_lines(pairs: Sequence[MeasuredPair]) -> Iterator[str]:
     for pair in pairs:
-        for line in measured_pair_lines(pair):
-            echo(line)
-        echo()
+        yield from [*measured_pair_lines(pair), ""]
 
 
-def _print(document: Contrast) -> None:
-    _print_measured(document.measured or ())
+def _lines(document: Contrast) -> Iterator[str]:
+    yield from _measured_lines(document.measured or ())
     common = document.common
     slow, fast = common.speeds_mm_s
-    echo(f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
+    yield f"compared to {common.depth_mm:.3g} mm, {slow:.3g} to {fast:.3g} mm/s"
     for pair in document.pairs:
         verdict = "differ" if pair.difference.different else "not shown to differ"
         probability = pair.difference.probability
-        echo()
-        echo(f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})")
+        yield ""
+        yield f"{pair.one} and {pair.other}: {verdict} (p = {probability:.2g})"
         width = max(len(row.name) for row in pair.numbers)
         for row in pair.numbers:
             ratio = "" if row.ratio is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row.ratio)
-            echo(
+            yield (
                 f"  {row.name:<{width}}  {row.one[1]:>9.4g}  {row.other[1]:>9.4g}  {ratio:<32} "
                 f"larger: {row.larger:.3f}"
             )
@@ -211,6 +195,86 @@ def _print(document: Contrast) -> None:
             limit = most.limit
             times = f"{most.times:.2g} times the just-noticeable difference"
             source = f"{limit.source}, doi {limit.doi}: {limit.conditions}"
-            echo(f"  a hand could tell: {most.name}, {times} ({source})")
+            yield f"  a hand could tell: {most.name}, {times} ({source})"
         else:
-            echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")
+            yield "  a hand would hardly tell: no difference exceeds a published just-noticeable one"
+
+
+#: Folders with one of these were written by a fit.
+_RESULT = "identification.json"
+
+
+def are_recordings(paths: Sequence[str]) -> bool:
+    """True where the paths are recordings, all of them."""
+    raw = [path for path in paths if not _is_fit(Path(path.partition("::")[0]))]
+    if raw and len(raw) < len(paths):
+        refuse(f"{raw[0]} is a recording and others are fits: compare recordings, or fits")
+    return bool(raw)
+
+
+def _is_fit(path: Path) -> bool:
+    if path.suffix == ".h5" and not path.is_file():
+        refuse(f"{path}: there is no such bundle")
+    return (path / _RESULT).is_file() if path.is_dir() else path.suffix == ".h5"
+
+
+def compare_recordings(flags: _CompareFlags) -> int:
+    """Say what recordings showed beside each other, no model: each path is one side."""
+    from tissueid.measured.spread import measured_pairs
+    from tissueid.store.files import json_bytes, plain_json
+
+    if len(flags.paths) < 2:
+        refuse("one side is nothing to compare: name a second recording or folder")
+    sides = [(path, _measured(path, flags)) for path in flags.paths]
+    written = {
+        "schema": "tissueid/measured-contrast/1",
+        "tissueid": __version__,
+        "pairs": measured_pairs(sides),
+    }
+    if flags.output is not None:
+        write_output(Path(flags.output).with_suffix(".json"), json_bytes(written), quiet=flags.quiet)
+    pairs = typed(plain_json(written), MeasuredContrast).pairs
+    tell(flags, written, (line for pair in pairs for line in ("", *measured_pair_lines(pair))))
+    return 0
+
+
+def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
+    """Measured pushes of the recordings of one path."""
+    from tissueid.inspection import measured_of, segmented
+    from tissueid.measured import spread
+    from tissueid.result import Refusal
+
+    options = segment_options(flags)
+    found = []
+    for item in read_in_order((path,), read_options(flags)):
+        if isinstance(item, Refusal):
+            raise item.as_error()
+        divided = segmented(item, options=options)
+        if isinstance(divided, Refusal):
+            raise divided.as_error()
+        found.append(measured_of(item, divided))
+    return spread(found)
+
+
+def measured_pair_lines(pair: MeasuredPair) -> list[str]:
+    """Lines of one pair: the numbers that may be compared, then those that may not, with the reason."""
+    lines = [f"{pair.one} and {pair.other}: measured, no model"]
+    known = [row for row in pair.numbers if row.reason is None]
+    width = max((len(_name(row)) for row in known), default=0)
+    for row in known:
+        one, other = (with_error(side.mean, side.sd) for side in (row.one, row.other))
+        ratio = "" if row.ratio is None else f"ratio {row.ratio:.3g}"
+        lines.append(f"  {_name(row):<{width}}  {one:>14}  {other:>14}  {ratio}".rstrip())
+    refused = [row for row in pair.numbers if row.reason is not None]
+    for reason in dict.fromkeys(row.reason for row in refused):
+        names = ", ".join(_name(row) for row in refused if row.reason == reason)
+        lines.append(f"  not compared: {names}: {reason}")
+    return lines
+
+
+def _name(row: MeasuredNumber) -> str:
+    time = "" if row.time_s is None else f" at {row.time_s:g} s"
+    unit = "" if row.unit == "1" else f" [{row.unit}]"
+    number = f", program {row.program}" if row.program > 1 else ""
+    number += f", hold {row.hold}" if row.hold > 1 else ""
+    return f"{row.name.replace('_', ' ')}{time}{number}{unit}"

@@ -1,22 +1,23 @@
-"""``tissueid completion``: what a shell needs to complete commands, options, choices and files."""
+"""``tissueid completion``: what shells need, and the names that they are offered."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from importlib import import_module, resources
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_bytes, echo_json, note, write_output
+from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
+from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, refuse, write_output
 from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid completion bash --install
-  tissueid completion zsh > _tissueid
-  tissueid completion fish --install
+EXAMPLES = """
+tissueid completion bash --install
+tissueid completion zsh > _tissueid
+tissueid completion fish --install
 """
 #: The variable by which a shell asks; click derives the same from the name of the program.
 VARIABLE = "_TISSUEID_COMPLETE"
@@ -28,21 +29,13 @@ FOUND_BY = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompletionFlags(OutputFlags):
-    """Flags of ``tissueid completion``."""
-
-    # fmt: off
+class _CompletionFlags(OutputFlags):
     shell: str = argument(type=click.Choice(list(FOUND_BY)))
-    install: bool = option(
-        "--install", is_flag=True, help="Write it where the shell looks; no file of yours is edited.",
-    )
-    # fmt: on
+    install: bool = option("Write it where the shell looks; no file of yours is edited.")
 
 
-@click.command("completion", epilog=EPILOG)
-@takes(CompletionFlags)
-def command(flags: CompletionFlags) -> int:
+@subcommand("completion", EXAMPLES)
+def command(flags: _CompletionFlags) -> int:
     """Print the script that completes tissueid in a shell, or install it.
 
     Completes commands, options, choices, files, readers, recipes and the words that tissueid explain knows.
@@ -55,18 +48,11 @@ def command(flags: CompletionFlags) -> int:
             echo_bytes(script.encode(), safe=True)
         return 0
     target = _target(flags.shell)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{target.parent}: can't be made ({error.strerror}); print the script and place it yourself"
-        raise UsageError(msg) from error
+    made_folder(target.parent, "print the script and place it yourself")
     write_output(str(target), script.encode("utf-8"))
     if flags.as_json:
         echo_json({"shell": flags.shell, "path": str(target)})
-    note(
-        f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}",
-        quiet=flags.quiet,
-    )
+    note(f"wrote {target}: {FOUND_BY[flags.shell].format(folder=target.parent)}", quiet=flags.quiet)
     return 0
 
 
@@ -77,8 +63,7 @@ def _script(shell: str) -> str:
 
     kind = get_completion_class(shell)
     if kind is None:
-        msg = f"click {click.__version__} knows no completion for {shell}"
-        raise UsageError(msg)
+        refuse(f"click {click.__version__} knows no completion for {shell}")
     maker = kind(cli, {}, "tissueid", VARIABLE)
     return maker.source_template % maker.source_vars() + "\n"
 
@@ -97,3 +82,43 @@ def _target(shell: str) -> Path:
         return Path(os.environ.get("ZDOTDIR") or home) / ".zfunc" / "_tissueid"
     config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
     return config / "fish" / "completions" / "tissueid.fish"
+
+
+_Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def named(names: Callable[[], Iterable[str]], *, or_file: bool = False) -> _Completer:
+    """Offer names, and files where one may stand instead."""
+
+    def complete(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+        found = [CompletionItem(name) for name in names() if name.startswith(typed)]
+        return found or ([CompletionItem(typed, type="file")] if or_file else [])
+
+    return complete
+
+
+def _scenes() -> Iterable[str]:
+    folder = resources.files("tissueid.rendering") / "scenes"
+    return sorted(one.name.removesuffix(".toml") for one in folder.iterdir() if one.name.endswith(".toml"))
+
+
+def subcommands(context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Names of commands below those that stand in ``name`` already."""
+    from tissueid.cli.main import cli
+
+    found = below(cli, context.params.get("name") or ())
+    if not isinstance(found, click.Group):
+        return []
+    names = found.list_commands(click.Context(found))
+    return [CompletionItem(name) for name in names if name.startswith(typed)]
+
+
+def _of(module: str, table: str) -> Callable[[], Iterable[str]]:
+    return lambda: getattr(import_module(module), table)
+
+
+readers = named(_of("tissueid.ingest", "RECIPES"))
+recipes = named(_of("tissueid.synth", "RECIPES"), or_file=True)
+dialects = named(_of("tissueid.synth", "EXPORTS"))
+presets = named(_of("tissueid.rendering.options", "PRESETS"))
+scenes = named(_scenes, or_file=True)

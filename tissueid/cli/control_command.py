@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.completing import presets
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, echo_lines
+from tissueid.cli.completion_command import presets
+from tissueid.cli.flags import ABOVE_0, FROM_0, REAL_FROM_0, Flags, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import refuse, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
 
@@ -18,13 +19,12 @@ if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
     from tissueid.rendering.tissue_block import Tissue
 
-EPILOG = """\b
-Examples:
-  tissueid control bundle.h5
-  tissueid control --preset paper-a --variant A --stiffness-scale 100
-  tissueid control bundle.h5 --task impacts --no-projection
-  tissueid control bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact
-  tissueid control bundle.h5 --device sim
+EXAMPLES = """
+tissueid control bundle.h5
+tissueid control --preset paper-a --variant A --stiffness-scale 100
+tissueid control bundle.h5 --task impacts --no-projection
+tissueid control bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact
+tissueid control bundle.h5 --device sim
 """
 #: Exit code where the loop that was asked for did not stay bounded.
 DIVERGED = 4
@@ -32,106 +32,76 @@ _ABOVE_0 = click.FloatRange(min=0.0, min_open=True)
 _FROM_0 = click.FloatRange(min=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _LoopFlags:
+class _LoopFlags(Flags):
     """Flags of the simulated loop."""
 
     # fmt: off
     preset: str | None = option(
-        "--preset", metavar="NAME", shell_complete=presets, help="A tissue that comes along: paper-a, meat.",
+        "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
     variant: str = option(
-        "--variant", type=click.Choice(["A", "B"]), default="B", show_default=True,
-        help="A estimates device and hand; B uses the measured force and estimates the device.",
+        "A estimates device and hand; B uses the measured force and estimates the device.",
+        type=click.Choice(["A", "B"]), default="B",
     )
     environment: str = option(
-        "--environment", type=click.Choice(["admittance", "impedance"]), default="admittance",
-        show_default=True, help="What touches the tissue: the virtual tool, or the device itself.",
+        "What touches the tissue: the virtual tool, or the device itself.",
+        type=click.Choice(["admittance", "impedance"]), default="admittance",
     )
     stiffness_scale: float = option(
-        "--stiffness-scale", type=_ABOVE_0, default=1.0, show_default=True, metavar="S",
-        help="Factor on the tissue's stiffness.",
+        "Factor on the tissue's stiffness.", type=ABOVE_0, default=1.0, metavar="S"
     )
     task: str = option(
-        "--task", type=click.Choice(["sustained", "free-contact", "impacts"]), default="sustained",
-        show_default=True, help="How the hand pushes.",
+        "How the hand pushes.",
+        type=click.Choice(["sustained", "free-contact", "impacts"]), default="sustained",
     )
     seconds: float = option(
-        "--seconds", type=click.FloatRange(1.0, 600.0), default=12.0, show_default=True, metavar="T",
-        help="Length of the run.",
+        "Length of the run.", type=click.FloatRange(1.0, 600.0), default=12.0, metavar="T"
     )
     rate: float = option(
-        "--rate", type=click.FloatRange(100.0, 20000.0), default=1000.0, show_default=True, metavar="HZ",
-        help="Of the controller.",
+        "Of the controller.", type=click.FloatRange(100.0, 20000.0), default=1000.0, metavar="HZ"
     )
     operator: tuple[float, float, float] | None = option(
-        "--operator", nargs=3, type=_FROM_0, metavar="M B K",
-        help="Hand: kg, N s/m, N/m. [default: 1.25 2 30, Table 3 as read]",
+        "Hand: kg, N s/m, N/m. [default: 1.25 2 30, Table 3 as read]",
+        nargs=3, type=REAL_FROM_0, metavar="M B K",
     )
     interface: tuple[float, float, float] | None = option(
-        "--interface", nargs=3, type=_FROM_0, metavar="M B K",
-        help="Device: kg, N s/m, N/m. [default: 1.158 115.4 31.46, Table 3 as read]",
+        "Device: kg, N s/m, N/m. [default: 1.158 115.4 31.46, Table 3 as read]",
+        nargs=3, type=REAL_FROM_0, metavar="M B K",
     )
-    virtual_mass: float = option(
-        "--virtual-mass", type=_ABOVE_0, default=2.0, show_default=True, metavar="KG",
-        help="Of the virtual tool.",
-    )
-    virtual_damping: float = option(
-        "--virtual-damping", type=_FROM_0, default=0.0, show_default=True, metavar="B", help="N s/m.",
-    )
+    virtual_mass: float = option("Of the virtual tool.", type=ABOVE_0, default=2.0, metavar="KG")
+    virtual_damping: float = option("N s/m.", type=REAL_FROM_0, default=0.0, metavar="B")
     # fmt: on
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ControllerFlags:
+class _ControllerFlags(Flags):
     """Flags of the controller."""
 
-    # fmt: off
-    frozen: bool = option("--frozen", is_flag=True, help="Ask for the controller that does not adapt.")
+    frozen: bool = option("Ask for the controller that does not adapt.")
     start: str = option(
-        "--start", type=click.Choice(["half", "zero", "true"]), default="half", show_default=True,
-        help="First estimates, of what is true.",
+        "First estimates, of what is true.", type=click.Choice(["half", "zero", "true"]), default="half"
     )
     gamma: tuple[float, float, float] | None = option(
-        "--gamma", nargs=3, type=_FROM_0, metavar="M B K", help="Gains of the adaptation.",
+        "Gains of the adaptation.", nargs=3, type=REAL_FROM_0, metavar="M B K"
     )
-    kr: float = option(
-        "--kr", type=_FROM_0, default=100.0, show_default=True, metavar="N s/m", help="Gain K_r.",
-    )
+    kr: float = option("Gain K_r.", type=REAL_FROM_0, default=100.0, metavar="N s/m")
     bound: float | None = option(
-        "--bound", type=_FROM_0, metavar="N",
-        help="Bound delta of what the estimates don't cover. [default: A 25, B 3]",
+        "Bound delta of what the estimates don't cover. [default: A 25, B 3]", type=REAL_FROM_0, metavar="N"
     )
-    no_projection: bool = option("--no-projection", is_flag=True, help="Let the estimates go anywhere.")
-    saturation: float | None = option(
-        "--saturation", type=_ABOVE_0, metavar="N", help="Largest control force. [default: none]",
-    )
-    noise: float = option(
-        "--noise", type=_FROM_0, default=0.0, show_default=True, metavar="N", help="Of the sensor.",
-    )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of that noise.",
-    )
-    device: str | None = option(
-        "--device", metavar="NAME", help="Render on a device with a force sensor as well: sim.",
-    )
-    # fmt: on
+    no_projection: bool = option("Let the estimates go anywhere.")
+    saturation: float | None = option("Largest control force. [default: none]", type=ABOVE_0, metavar="N")
+    noise: float = option("Of the sensor.", type=REAL_FROM_0, default=0.0, metavar="N")
+    seed: int = option("Of that noise.", type=FROM_0, default=0)
+    device: str | None = option("Render on a device with a force sensor as well: sim.", metavar="NAME")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ControlFlags(_LoopFlags, _ControllerFlags, OutputFlags):
-    """Flags of ``tissueid control``."""
-
-    # fmt: off
+class _ControlFlags(_LoopFlags, _ControllerFlags, OutputFlags):
     bundle: Path | None = argument(
-        required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path),
+        required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path)
     )
-    # fmt: on
 
 
-@click.command("control", epilog=EPILOG)
-@takes(ControlFlags)
-def command(flags: ControlFlags) -> int:
+@subcommand("control", EXAMPLES)
+def command(flags: _ControlFlags) -> int:
     """Simulate the adaptive controller for admittance-type rendering against an identified tissue.
 
     Beside the controller that was asked for runs the one that does not adapt (or the one that does, with
@@ -152,30 +122,24 @@ def command(flags: ControlFlags) -> int:
         on_device = render_on_simulated(tissue, stiffness_scale=flags.stiffness_scale).as_json()
     written = as_document(runs, source=source, device=on_device)
     document = typed(written, Control)
-    if flags.as_json:
-        echo_json(written)
-    elif not flags.quiet:
-        echo_lines(_lines(document))
+    tell(flags, written, _lines(document))
     return 0 if document.runs[0].measures.diverged_s is None else DIVERGED
 
 
-def _tissue(flags: ControlFlags) -> tuple[Tissue, str]:
-    from tissueid.errors import UsageError
+def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
     from tissueid.rendering.choice import as_tissue
     from tissueid.rendering.options import preset_tissue
     from tissueid.store.bundle import load_bundle
 
     if (flags.bundle is None) == (flags.preset is None):
-        msg = "give a bundle, or --preset, and not both: tissueid control bundle.h5"
-        raise UsageError(msg)
+        refuse("give a bundle, or --preset, and not both: tissueid control bundle.h5")
     if flags.preset is not None:
         return preset_tissue(flags.preset), f"preset {flags.preset}"
     assert flags.bundle is not None  # noqa: S101  (one of both was given)
     return as_tissue(load_bundle(flags.bundle)), "the fitted values of a bundle"
 
 
-def _settings(flags: ControlFlags, tissue: Tissue) -> ControlSettings:
-    import math
+def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
 
     from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
     from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool

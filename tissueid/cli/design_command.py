@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.design_printing import print_plan
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, note, progress_bar
+from tissueid.cli.flags import FOLDER, FROM_1, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import (
+    Column,
+    created_now,
+    echo,
+    echo_json,
+    echo_table,
+    made_folder,
+    note,
+    progress_bar,
+    refuse,
+    refuse_foreign,
+)
 from tissueid.documents import typed
-from tissueid.documents.design import Design
-from tissueid.errors import UsageError
+from tissueid.documents.design import Design, Protocol
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine
@@ -23,13 +33,12 @@ if TYPE_CHECKING:
     from tissueid.design.tissues import Tissues
     from tissueid.synth import Recipe
 
-EPILOG = """\b
-Examples:
-  tissueid design paper-a-30 --machine paper-a -o plan
-  tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
-  tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
+EXAMPLES = """
+tissueid design paper-a-30 --machine paper-a -o plan
+tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
+tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
 --machine bench
-  tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
+tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
 """
 
 #: Exit code where no protocol on this machine reaches the wants.
@@ -40,83 +49,55 @@ _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 DEFAULT_WANT = "5%"
 
 
-@dataclass(frozen=True, kw_only=True)
-class DesignFlags(OutputFlags):
-    """Flags of ``tissueid design``."""
-
+class _DesignFlags(OutputFlags):
     # fmt: off
-    source: str | None = argument(required=False, type=click.Path())
+    source: str | None = argument(required=False, type=PATH)
     guesses: tuple[str, ...] = option(
-        "--tissue", multiple=True, metavar="NAME=VALUE[~PERCENT%]",
-        help="A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+        "A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+        "--tissue", metavar="NAME=VALUE[~PERCENT%]",
     )
     machine: str | None = option(
-        "--machine", metavar="FILE|NAME", help="machine.toml, or a preset; without it the presets are named.",
+        "machine.toml, or a preset; without it the presets are named.", metavar="FILE|NAME"
     )
     wants: tuple[str, ...] = option(
-        "--want", multiple=True, metavar="NAME=PERCENT%",
-        help="Standard deviation that an estimate shall have at the most; repeat it. Default: what "
-            "--against reaches, or 5 % of every relaxation time and viscosity.",
+        "Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
+        "reaches, or 5 % of every relaxation time and viscosity.",
+        "--want", metavar="NAME=PERCENT%",
     )
     against: str | None = option(
-        "--against", metavar="RECIPE",
-        help="A protocol to compare with; a recipe as SOURCE is compared with.",
+        "A protocol to compare with; a recipe as SOURCE is compared with.", metavar="RECIPE"
     )
-    max_depth: float | None = option(
-        "--max-depth", type=float, metavar="MM", help="Depth that the tissue bears; default what is known.",
-    )
-    max_force: float | None = option(
-        "--max-force", type=float, metavar="N", help="Force that the tissue bears; default the load cell's.",
-    )
-    budget: str = option(
-        "--budget", default="8h", show_default=True, metavar="TIME",
-        help="Machine time a specimen: 90min, 2h.",
-    )
-    recovery: float = option(
-        "--recovery", type=float, default=60.0, show_default=True, metavar="S", help="Rest between logs.",
-    )
-    setup: float = option(
-        "--setup", type=float, default=600.0, show_default=True, metavar="S",
-        help="Changing and zeroing a specimen.",
-    )
+    max_depth: float | None = option("Depth that the tissue bears; default what is known.", metavar="MM")
+    max_force: float | None = option("Force that the tissue bears; default the load cell's.", metavar="N")
+    budget: str = option("Machine time a specimen: 90min, 2h.", default="8h", metavar="TIME")
+    recovery: float = option("Rest between logs.", default=60.0, metavar="S")
+    setup: float = option("Changing and zeroing a specimen.", default=600.0, metavar="S")
     specimens: int = option(
-        "--specimens", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
-        help="Specimens to test: the whole time is said as well.",
+        "Specimens to test: the whole time is said as well.", type=FROM_1, default=1, metavar="N"
     )
-    repeats: int = option(
-        "--repeats", type=click.IntRange(min=1), default=3, show_default=True, metavar="N",
-        help="Fewest repeats of each indentation.",
-    )
-    max_logs: int = option(
-        "--max-logs", type=click.IntRange(min=1), default=60, show_default=True, metavar="N",
-        help="Most logs a specimen.",
-    )
+    repeats: int = option("Fewest repeats of each indentation.", type=FROM_1, default=3, metavar="N")
+    max_logs: int = option("Most logs a specimen.", type=FROM_1, default=60, metavar="N")
     gain_sd: float = option(
-        "--gain-sd", type=float, default=0.02, show_default=True, metavar="SD",
-        help="Scatter of the force from log to log (standard deviation of the ln gain).",
+        "Scatter of the force from log to log (standard deviation of the ln gain).",
+        default=0.02, metavar="SD",
     )
     interval: str = option(
-        "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
-        help="total counts what is unknown of gains, skew, filter and frame.",
+        "total counts what is unknown of gains, skew, filter and frame.",
+        type=click.Choice(["statistical", "total"]), default="statistical",
     )
     assurance: float = option(
-        "--assurance", type=click.FloatRange(0.5, 1.0), default=0.9, show_default=True, metavar="SHARE",
-        help="Share of the tissues for which the precision must be reached.",
+        "Share of the tissues for which the precision must be reached.",
+        type=click.FloatRange(0.5, 1.0), default=0.9, metavar="SHARE",
     )
-    draws: int = option(
-        "--draws", type=click.IntRange(min=1), default=16, show_default=True, metavar="N",
-        help="Tissues drawn from what is known.",
-    )
+    draws: int = option("Tissues drawn from what is known.", type=FROM_1, default=16, metavar="N")
     out: str | None = option(
-        "-o", "--out", type=click.Path(file_okay=False),
-        help="Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.",
+        "Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.", "-o", type=FOLDER
     )
     # fmt: on
 
 
-@click.command("design", epilog=EPILOG)
-@takes(DesignFlags)
-def command(flags: DesignFlags) -> int:
+@subcommand("design", EXAMPLES)
+def command(flags: _DesignFlags) -> int:
     """Plan the protocol that reaches a wanted precision in the least machine time.
 
     SOURCE is a bundle (its draws are the tissues to plan for) or a recipe; or give guesses with --tissue. On
@@ -131,7 +112,11 @@ def command(flags: DesignFlags) -> int:
     from tissueid.store.schema import check
 
     machine, tissues, asked, given = _prepared(flags)
-    out = None if flags.out is None else _folder(flags.out)
+    out = None
+    if flags.out is not None:
+        out = made_folder(flags.out)
+        # a study file that no plan wrote is not written over
+        refuse_foreign(out, _FILES[1:], _FILES[0], "that no plan wrote")
     with progress_bar(show=not flags.quiet) as progress:
         started = datetime.now(UTC)
         plan = planned(machine, tissues, asked, progress)
@@ -154,10 +139,8 @@ def command(flags: DesignFlags) -> int:
     return EXIT_NONE
 
 
-def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
+def _prepared(flags: _DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:
     """Machine, tissues, wants and limits, and the protocol to compare with."""
-    from dataclasses import replace
-
     from tissueid.design.machine import found_machine
     from tissueid.design.plan import against, matched_wants
     from tissueid.design.precision import given_protocol
@@ -176,16 +159,15 @@ def _prepared(flags: DesignFlags) -> tuple[Machine, Tissues, Asked, Against | No
     return machine, tissues, asked, against(recipe.name, protocol, machine, tissues, asked)
 
 
-def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
+def _tissues(flags: _DesignFlags) -> tuple[Tissues, Recipe | None]:
     """Knowledge of the tissue, and the recipe it came from."""
-    from tissueid.cli.calibrate_source import bundle_file
+    from tissueid.cli.calibrate_command import bundle_file
     from tissueid.design.tissues import given_recipe, of_bundle, of_recipe_tissue, parsed_guess, plain_guesses
 
     source, guesses = flags.source, flags.guesses
     if (source is None) == (not guesses):
         both = "both SOURCE and --tissue are given" if guesses else "nothing is said of the tissue"
-        msg = f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)"
-        raise UsageError(msg)
+        refuse(f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)")
     if guesses:
         found = [parsed_guess(text) for text in guesses]
         return plain_guesses(found, depth_mm=_positive(flags.max_depth, "max-depth"), count=flags.draws), None
@@ -197,7 +179,7 @@ def _tissues(flags: DesignFlags) -> tuple[Tissues, Recipe | None]:
     return of_recipe_tissue(recipe), recipe
 
 
-def _asked(flags: DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
+def _asked(flags: _DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
     from tissueid.design.tissues import parsed_want, usual_wants
@@ -205,14 +187,12 @@ def _asked(flags: DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
     default = [f"{name}={DEFAULT_WANT}" for name in usual_wants(tissues.model)]
     wants = tuple(parsed_want(text, tissues.model) for text in flags.wants or default)
     if len({want.name for want in wants}) < len(wants):
-        msg = f"--want names a number twice: {', '.join(flags.wants)}"
-        raise UsageError(msg)
+        refuse(f"--want names a number twice: {', '.join(flags.wants)}")
     for name, value in (
         ("recovery", flags.recovery), ("setup", flags.setup), ("gain-sd", flags.gain_sd)
     ):  # fmt: skip
         if not 0.0 <= value < float("inf"):
-            msg = f"--{name} is {value}, must be 0 or above"
-            raise UsageError(msg)
+            refuse(f"--{name} is {value}, must be 0 or above")
     force = _positive(flags.max_force, "max-force")
     return Asked(
         wants=wants,
@@ -231,39 +211,20 @@ def _asked(flags: DesignFlags, machine: Machine, tissues: Tissues) -> Asked:
 
 def _positive(value: float | None, name: str) -> float | None:
     if value is not None and not 0.0 < value < float("inf"):
-        msg = f"--{name} is {value}, must be above 0"
-        raise UsageError(msg)
+        refuse(f"--{name} is {value}, must be above 0")
     return value
 
 
 def _time(text: str) -> float:
     """``90min`` in seconds."""
-    import re
-
     match = re.fullmatch(r"\s*([0-9.]+)\s*(s|min|h)\s*", text)
     try:
         seconds = float(match.group(1)) * _UNITS[match.group(2)] if match else 0.0
     except ValueError:
         seconds = 0.0
     if seconds <= 0.0:
-        msg = f"--budget {text}: write a time above 0 with its unit, as 90min or 2h"
-        raise UsageError(msg)
+        refuse(f"--budget {text}: write a time above 0 with its unit, as 90min or 2h")
     return seconds
-
-
-def _folder(name: str) -> Path:
-    """The output folder, made where it is missing; a study file that no plan wrote is not written over."""
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    foreign = [file for file in _FILES[1:] if (out / file).exists()]
-    if foreign and not (out / _FILES[0]).exists():
-        msg = f"{name} holds {', '.join(foreign)} that no plan wrote: choose another folder with -o"
-        raise UsageError(msg)
-    return out
 
 
 def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> None:
@@ -272,10 +233,9 @@ def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues
     from tissueid.report.design_page import render_design
     from tissueid.store.files import json_bytes, write_file
 
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     title = f"Plan for {tissues.name}"
     texts = {
-        "design.html": render_design(typed(plain, Design), created=created),
+        "design.html": render_design(typed(plain, Design), created=created_now()),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }
@@ -285,3 +245,78 @@ def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues
     for name, text in texts.items():
         write_file(out / name, text.encode("utf-8"))
     write_file(out / _FILES[0], json_bytes(plain))
+
+
+_SHORT = {"relaxation_time_s": "tau", "viscosity_N_s_per_mm": "eta", "stiffness_0_N_per_mm": "K"}
+MINUTE, HOUR = 60.0, 3600.0
+#: Limits that are printed; the page has them all.
+PRINTED_LIMITS = 5
+
+
+def time_words(seconds: float) -> str:
+    """``35 min`` or ``2.4 h``."""
+    if seconds < 2.0 * MINUTE:
+        return f"{seconds:.0f} s"
+    return f"{seconds / MINUTE:.1f} min" if seconds < 2.0 * HOUR else f"{seconds / HOUR:.2f} h"
+
+
+def short_name(name: str) -> str:
+    """``tau_b2`` for the relaxation time of the second branch."""
+    for full, short in _SHORT.items():
+        if name == full or name.startswith(f"{full}_b"):
+            return short + name.removeprefix(full)
+    return name
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %"
+
+
+def _indentations(protocol: Protocol) -> str:
+    return "\n".join(f"{one.repeats} x {one.words}" for one in protocol.indentations)
+
+
+def print_plan(document: Design) -> None:
+    """Print the plan to stdout."""
+    asked, best = document.asked, document.protocols[0]
+    wanted = ", ".join(f"{short_name(one.name)} to {_percent(one.share)}" for one in asked.wants)
+    head = f"{document.tissue.name} on {document.machine.name}: {wanted} ({asked.interval})"
+    echo(head)
+    if document.verdict.reached:
+        said = f"recommended: {best.logs} logs, {time_words(best.seconds)} a specimen"
+        if asked.specimens > 1:
+            said += f", {time_words(best.total_seconds)} for {asked.specimens}"
+    else:
+        reached = ", ".join(f"{short_name(one.name)} to {_percent(one.assured)}" for one in best.precision)
+        said = f"NONE on this machine reaches that; the nearest: {reached}"
+    echo(said)
+    titles = ["", "time", "logs", *(short_name(one.name) for one in asked.wants)]
+    columns = [*(Column(title, "right") for title in titles), Column("channel"), Column("indentations")]
+    rows = [_row(str(rank), one) for rank, one in enumerate(document.protocols, start=1)]
+    given = document.against
+    if given is not None and given.protocol is not None:
+        rows.append(_row(given.name, given.protocol))
+    echo_table(columns, rows, dim_last=given is not None and given.protocol is not None)
+    if given is not None and given.protocol is None:
+        echo(f"{given.name} can't be run here: {given.obstacle}")
+    _print_limits(document)
+    for remark in document.verdict.remarks:
+        echo(f"note: {remark}")
+
+
+def _row(rank: str, protocol: Protocol) -> list[str]:
+    precision = [_percent(one.assured) for one in protocol.precision]
+    setting = protocol.setting
+    low_pass = f", filter {setting.filter_s:g} s" if setting.filter_s > 0.0 else ""
+    channel = f"{setting.rate_Hz:g} Hz{low_pass}"
+    time, logs = time_words(protocol.seconds), str(protocol.logs)
+    return [rank, time, logs, *precision, channel, _indentations(protocol)]
+
+
+def _print_limits(document: Design) -> None:
+    limits = document.verdict.limits
+    if not limits and not document.verdict.reached:
+        echo("no single change of machine or channel would help by a tenth")
+    for one in limits[:PRINTED_LIMITS]:
+        much = "that would be enough" if one.enough else f"{one.factor:.2g} times as precise"
+        echo(f"limited by {one.name}: {one.words}: {much}")

@@ -2,39 +2,177 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import contextlib
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.device_opening import (
-    DeviceFlags,
-    MovedFlags,
-    ask_consent,
-    check_savable,
-    hang_mass,
-    made_device,
-    made_for_calibration,
-    opened,
-    save,
-)
-from tissueid.cli.flags import OutputFlags, option, takes
-from tissueid.cli.output import echo, echo_json
+from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
+from tissueid.cli.output import note, refuse, tell
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.devices import Info
+from tissueid.errors import DeviceError
 
 if TYPE_CHECKING:
-    from tissueid.haptics.device import HapticDevice
+    from tissueid.cli.render_command import RenderFlags
+    from tissueid.haptics.device import AskedDevice, HapticDevice
 
-EPILOG = """\b
-Examples:
-  tissueid devices list
-  tissueid devices info falcon
-  tissueid devices home
-  tissueid devices test falcon
-  tissueid devices emulate
+HANDS_OFF = (
+    "The motors will move the grip by themselves, with at most {clamp:.1f} N. Keep hands, hair and cables "
+    "away from it. If anything goes wrong, pull the power plug."
+)
+#: Time to hang the mass where no key can be pressed [s].
+HANG_S = 20.0
+
+
+class WayFlags(Flags):
+    """Flags of the way to a device."""
+
+    # fmt: off
+    firmware: str | None = option(
+        "Firmware of a Falcon that has none running. [default: $TISSUEID_FALCON_FIRMWARE]",
+        type=PATH, metavar="FILE",
+    )
+    port: str | None = option("Serial port or pseudo-terminal instead of USB.", metavar="PATH")
+    calibration: str | None = option(
+        "Calibration of a Falcon. [default: falcon.toml in the user's configuration directory]",
+        type=PATH, metavar="FILE",
+    )
+    # fmt: on
+
+
+class DeviceFlags(WayFlags, OutputFlags):
+    """Flags of a command that takes one device."""
+
+    name: str = argument(default="auto")
+
+
+class MovedFlags(WayFlags, OutputFlags):
+    """Flags of a command that moves the grip of one device by itself: not one that is merely there."""
+
+    name: str = argument(default="falcon")
+    yes: bool = option("Do not ask: nobody holds the grip.")
+
+
+def made_device(
+    flags: DeviceFlags | MovedFlags, *, hands_off: bool = False, stand_in: bool = False
+) -> HapticDevice:
+    """The device that was named, not opened; ``stand_in``: sim may be taken where none is there."""
+    from tissueid.haptics.registry import choose_device, configured, device_class, owners_of
+
+    asked = asked_device(flags, hands_off=hands_off)
+    name = flags.name
+    if name == "auto" and asked.port is not None:
+        name = owners_of("port")[0]
+    choice = choose_device(name)
+    if name == "auto" and choice.name == "sim" and not stand_in:
+        msg = f"{choice.why.partition(': ')[2]}. Name one that needs no hardware: emulator or sim"
+        raise DeviceError(msg)
+    if name == "auto":
+        note(choice.why, quiet=flags.quiet)
+    device = device_class(choice.name)(**configured(choice.name, asked))
+    device.tell = lambda sentence: note(sentence, quiet=flags.quiet)
+    return device
+
+
+def asked_device(flags: WayFlags | RenderFlags, *, hands_off: bool = False) -> AskedDevice:
+    """Options of the way to a device, of those on the command line."""
+    from tissueid.haptics.device import AskedDevice
+
+    file = flags.calibration
+    return AskedDevice(
+        port=flags.port,
+        firmware=flags.firmware,
+        calibration=None if file is None else Path(file),
+        hands_off=hands_off,
+        homing_timeout_s=getattr(flags, "timeout", None),
+    )
+
+
+@contextlib.contextmanager
+def opened(device: HapticDevice) -> Iterator[HapticDevice]:
+    """The device, open; it is closed with zero force on every way out, that of a signal too."""
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    signals = (signal.SIGTERM, signal.SIGHUP)
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        with device:
+            yield device
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def ask_consent(device: HapticDevice, flags: MovedFlags) -> None:
+    """Consent to a grip that moves by itself."""
+    warning = HANDS_OFF.format(clamp=device.limits.clamp_N)
+    if flags.yes:
+        note(warning, quiet=flags.quiet)
+        return
+    if not sys.stdin.isatty():
+        refuse(f"{warning} Give --yes where nobody can be asked")
+    click.confirm(f"{warning} Go on?", abort=True, err=True)
+
+
+def hang_mass(mass_g: float, *, quiet: int) -> Callable[[], None]:
+    """Ask for the mass to be hung; where nobody can answer, wait."""
+
+    def ask() -> None:
+        if sys.stdin.isatty():
+            click.prompt(f"Hang {mass_g:g} g on the grip, then press Enter", default="", err=True)
+        else:
+            note(f"hang {mass_g:g} g on the grip now: {HANG_S:g} s", quiet=quiet)
+            time.sleep(HANG_S)
+
+    return ask
+
+
+@contextlib.contextmanager
+def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
+    """The device that was named, open and homed, for a measurement that its calibration keeps.
+
+    Its grip is free and may move by itself: that is consented to before it is opened.
+    """
+    made = made_device(flags, hands_off=True)
+    if "calibration" not in made.takes:
+        refuse(f"the device {made.name} has no calibration that could keep a measurement; name a falcon")
+    ask_consent(made, flags)
+    with opened(made) as device:
+        device.home()
+        yield device
+
+
+def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
+    """Put what was measured into the calibration file."""
+    file = asked_device(flags).calibration
+    if device.keeps(file):
+        note(f"kept in {device.keep(file, changes)}", quiet=flags.quiet)
+    else:
+        note(
+            f"not kept: the device {device.name} has no calibration; name a file with --calibration",
+            quiet=flags.quiet,
+        )
+
+
+EXAMPLES = """
+tissueid devices list
+tissueid devices info falcon
+tissueid devices home
+tissueid devices test falcon
+tissueid devices emulate
 """
 
 GRAM = 1e-3
@@ -42,7 +180,7 @@ GRAM = 1e-3
 HANDS = ("step", "slow press", "tap", "release", "tremor", "hold")
 
 
-@click.group("devices", epilog=EPILOG)
+@click.group("devices", epilog=example_lines(EXAMPLES))
 def command() -> None:
     """Find, home, test and calibrate haptic devices, or emulate one.
 
@@ -51,154 +189,115 @@ def command() -> None:
     """
 
 
-def _sub(name: str, examples: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A sub-command with its examples."""
-
-    def decorate(function: Callable[..., int]) -> click.Command:
-        lines = "".join(f"  tissueid devices {line}\n" for line in examples.splitlines())
-        return command.command(name, epilog=f"\b\nExamples:\n{lines}")(function)
-
-    return decorate
-
-
-#: Not one that is merely there: the grip will move by itself.
-
-
-@dataclass(frozen=True, kw_only=True)
-class ListDevicesFlags(OutputFlags):
-    """Flags of ``tissueid list-devices``."""
-
-
-@_sub("list", "list\nlist --json")
-@takes(ListDevicesFlags)
-def list_devices(flags: ListDevicesFlags) -> int:
+@subcommand("list", "tissueid devices list\ntissueid devices list --json", command)
+def list_devices(flags: OutputFlags) -> int:
     """List the devices of this machine, with what stands in the way of each."""
     from tissueid.haptics.registry import detect_all, device_names
 
     found = list(detect_all())
-    if flags.as_json:
-        echo_json({"known": device_names(), "found": [asdict(one) for one in found]})
-        return 0
-    if flags.quiet:
-        return 0
-    for one in found:
-        echo(f"{one.name:16}{one.where}")
-        if one.note:
-            echo(f"{'':16}{one.note}")
+    lines = [
+        line for one in found for line in (f"{one.name:16}{one.where}", f"{'':16}{one.note}") if line.strip()
+    ]
     missing = sorted(set(device_names()) - {one.name for one in found})
-    if missing:
-        echo(f"not found: {', '.join(missing)}")
+    lines += [f"not found: {', '.join(missing)}"] if missing else []
+    tell(flags, {"known": device_names(), "found": [asdict(one) for one in found]}, lines)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class InfoFlags(DeviceFlags):
-    """Flags of ``tissueid info``."""
-
-
-@_sub("info", "info\ninfo falcon --json")
-@takes(InfoFlags)
-def info(flags: InfoFlags) -> int:
+@subcommand("info", "tissueid devices info\ntissueid devices info falcon --json", command)
+def info(flags: DeviceFlags) -> int:
     """Say what a device can do, and how much of it was measured."""
     device = made_device(flags, stand_in=True)
-    described = _described(device)
-    if flags.as_json:
-        echo_json(described)
-        return 0
-    if flags.quiet:
-        return 0
-    document = typed(described, Info)
-    echo(f"{document.name}: force at most {document.clamp_N:.2f} N, nominal")
-    echo(f"damping {document.damping_N_s_per_m:g} N s/m, delay {document.delay_ticks:g} ticks")
-    for axis, (low, high) in zip("xyz", document.workspace_mm, strict=True):
-        echo(f"{axis} from {low:.0f} to {high:.0f} mm")
-    for key, value in described.get("calibration", {}).items():
-        echo(f"{key} = {value}")
-    if document.hardware and not document.calibrated:
-        echo("not calibrated: a newton of this device may be anything from 0.5 to 2 N")
+    described = asdict(device.capabilities)
+    described["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in described.pop("workspace_m")]
+    described |= device.facts()
+    tell(flags, described, _info_lines(typed(described, Info), described.get("calibration", {})))
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class HomeFlags(DeviceFlags):
-    """Flags of ``tissueid home``."""
+def _info_lines(document: Info, calibration: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{document.name}: force at most {document.clamp_N:.2f} N, nominal"
+    yield f"damping {document.damping_N_s_per_m:g} N s/m, delay {document.delay_ticks:g} ticks"
+    for axis, (low, high) in zip("xyz", document.workspace_mm, strict=True):
+        yield f"{axis} from {low:.0f} to {high:.0f} mm"
+    yield from (f"{key} = {value}" for key, value in calibration.items())
+    if document.hardware and not document.calibrated:
+        yield "not calibrated: a newton of this device may be anything from 0.5 to 2 N"
 
-    # fmt: off
+
+class _HomeFlags(DeviceFlags):
     timeout: float = option(
-        "--timeout", type=click.FloatRange(min=1.0), default=60.0, show_default=True, metavar="S",
-        help="Give up after so many seconds.",
+        "Give up after so many seconds.", type=click.FloatRange(min=1.0), default=60.0, metavar="S"
     )
-    # fmt: on
 
 
-@_sub("home", "home\nhome falcon --firmware firmware.bin --timeout 120")
-@takes(HomeFlags)
-def home(flags: HomeFlags) -> int:
+@subcommand(
+    "home",
+    "tissueid devices home\ntissueid devices home falcon --firmware firmware.bin --timeout 120",
+    command,
+)
+def home(flags: _HomeFlags) -> int:
     """Load firmware if needed, and home the device with your hand; the motors stay without force."""
     with opened(made_device(flags)) as device:
         device.home()
         place = device.read().position_m
     millimetres = [round(1e3 * float(value), 2) for value in place]
-    if flags.as_json:
-        echo_json({"name": device.name, "homed": True, "position_mm": millimetres})
-    elif not flags.quiet:
-        echo(f"{device.name} is homed; the grip is at {millimetres} mm")
+    lines = [f"{device.name} is homed; the grip is at {millimetres} mm"]
+    tell(flags, {"name": device.name, "homed": True, "position_mm": millimetres}, lines)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class TestFlags(DeviceFlags):
-    """Flags of ``tissueid test``."""
-
-    # fmt: off
+class _TestFlags(DeviceFlags):
     seconds: float = option(
-        "--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True, metavar="S",
-        help="Time to measure for.",
+        "Time to measure for.", type=click.FloatRange(0.1, 3600.0), default=5.0, metavar="S"
     )
-    save: bool = option("--save", is_flag=True, help="Keep the measured delay in the calibration.")
-    # fmt: on
+    save: bool = option("Keep the measured delay in the calibration.")
 
 
-@_sub("test", "test\ntest falcon --seconds 30 --save\ntest falcon --port /dev/ttyUSB0 --json")
-@takes(TestFlags)
-def test(flags: TestFlags) -> int:
+@subcommand(
+    "test",
+    "tissueid devices test\n"
+    "tissueid devices test falcon --seconds 30 --save\n"
+    "tissueid devices test falcon --port /dev/ttyUSB0 --json",
+    command,
+)
+def test(flags: _TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
     from tissueid.haptics.measure.link import measure_link
 
     made = made_device(flags)
-    check_savable(made, flags, wanted=flags.save)
+    if flags.save and not made.keeps(asked_device(flags).calibration):
+        refuse(f"--save keeps the calibration of a real device, and the device is {made.name}")
     with opened(made) as device:
         report = measure_link(device, flags.seconds)
     document = {"name": device.name, **asdict(report)}
-    if flags.as_json:
-        echo_json(document)
-    elif not flags.quiet:
-        median, high, largest = report.round_trip_ms
-        echo(f"{report.rate_hz:.0f} replies a second, each command waiting for its answer")
-        echo(f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms")
-        echo(f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself")
-        unanswered = report.commands - report.replies
-        echo(f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies")
+    median, high, largest = report.round_trip_ms
+    unanswered = report.commands - report.replies
+    lines = [
+        f"{report.rate_hz:.0f} replies a second, each command waiting for its answer",
+        f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms",
+        f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself",
+        f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies",
+    ]
+    tell(flags, document, lines)
     if flags.save:
         save(device, flags, delay_ticks=report.delay_ticks, delay_measured=True)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateForceFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-force``."""
-
-    # fmt: off
+class _CalibrateForceFlags(MovedFlags):
     mass: float = option(
-        "--mass", type=click.FloatRange(10.0, 1000.0), required=True, metavar="G",
-        help="Mass hung on the grip [g].",
+        "Mass hung on the grip [g].", type=click.FloatRange(10.0, 1000.0), required=True, metavar="G"
     )
-    # fmt: on
 
 
-@_sub("calibrate-force", "calibrate-force --mass 100\ncalibrate-force falcon --mass 100 --yes --json")
-@takes(CalibrateForceFlags)
-def calibrate_force(flags: CalibrateForceFlags) -> int:
+@subcommand(
+    "calibrate-force",
+    "tissueid devices calibrate-force --mass 100\n"
+    "tissueid devices calibrate-force falcon --mass 100 --yes --json",
+    command,
+)
+def calibrate_force(flags: _CalibrateForceFlags) -> int:
     """Weigh a known mass with the device, and keep how many motor units make a newton.
 
     The device holds the grip, first alone, then with the mass hung on it. 50 to 150 g suit a device that was
@@ -206,33 +305,28 @@ def calibrate_force(flags: CalibrateForceFlags) -> int:
     """
     from tissueid.haptics.measure.weighing import weigh
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = weigh(device, flags.mass * GRAM, hang_mass(flags.mass, quiet=flags.quiet))
-    before = float(made.facts()["calibration"]["units_per_Nm"])
+    before = float(device.facts()["calibration"]["units_per_Nm"])
     units = before * found.ratio
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}
-    if flags.as_json:
-        echo_json(document)
-    elif not flags.quiet:
-        ratio = with_error(found.ratio, found.stderr)
-        echo(f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N")
-        echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
+    ratio = with_error(found.ratio, found.stderr)
+    lines = [
+        f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N",
+        f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m",
+    ]
+    tell(flags, document, lines)
     # a weight in the newtons of before is none
-    save(made, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
+    save(device, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateDampingFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-damping``."""
-
-
-@_sub("calibrate-damping", "calibrate-damping\ncalibrate-damping falcon --yes --json")
-@takes(CalibrateDampingFlags)
-def calibrate_damping(flags: CalibrateDampingFlags) -> int:
+@subcommand(
+    "calibrate-damping",
+    "tissueid devices calibrate-damping\ntissueid devices calibrate-damping falcon --yes --json",
+    command,
+)
+def calibrate_damping(flags: MovedFlags) -> int:
     """Let the free grip swing on a weak spring, and keep the damping of the arm.
 
     Calibrate the force first: damping is as wrong as the newton it is measured with.
@@ -240,29 +334,24 @@ def calibrate_damping(flags: CalibrateDampingFlags) -> int:
     from tissueid.haptics.measure.motion import TICK_S
     from tissueid.haptics.measure.ring_down import ring_down
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = ring_down(device, device.capabilities.delay_ticks * TICK_S)
-    if flags.as_json:
-        echo_json({**asdict(found), "safe_damping_N_s_per_m": found.safe_damping})
-    elif not flags.quiet:
-        damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
-        echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
-        echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
-    save(made, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
+    damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
+    lines = [
+        f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on",
+        f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N",
+    ]
+    tell(flags, {**asdict(found), "safe_damping_N_s_per_m": found.safe_damping}, lines)
+    save(device, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateWeightFlags(MovedFlags):
-    """Flags of ``tissueid calibrate-weight``."""
-
-
-@_sub("calibrate-weight", "calibrate-weight\ncalibrate-weight falcon --yes --json")
-@takes(CalibrateWeightFlags)
-def calibrate_weight(flags: CalibrateWeightFlags) -> int:
+@subcommand(
+    "calibrate-weight",
+    "tissueid devices calibrate-weight\ntissueid devices calibrate-weight falcon --yes --json",
+    command,
+)
+def calibrate_weight(flags: MovedFlags) -> int:
     """Hold the free grip at nine places, and keep the force that carries it there.
 
     A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
@@ -270,54 +359,41 @@ def calibrate_weight(flags: CalibrateWeightFlags) -> int:
     """
     from tissueid.haptics.measure.gravity import weigh_poses
 
-    made = made_for_calibration(flags)
-    ask_consent(made, flags)
-    with opened(made) as device:
-        device.home()
+    with homed_for_calibration(flags) as device:
         found = weigh_poses(device)
-    if flags.as_json:
-        echo_json(asdict(found))
-    elif not flags.quiet:
-        words = ", ".join(f"{value:.3f}" for value in found.weight_N)
-        echo(f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N")
-        echo(f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N")
+    words = ", ".join(f"{value:.3f}" for value in found.weight_N)
+    lines = [
+        f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N",
+        f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N",
+    ]
+    tell(flags, asdict(found), lines)
     slope = tuple(value for row in found.slope_N_per_m for value in row)
-    save(made, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
+    save(device, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class EmulateFlags(OutputFlags):
-    """Flags of ``tissueid emulate``."""
-
-    # fmt: off
-    no_firmware: bool = option(
-        "--no-firmware", is_flag=True, help="Switched on without firmware, as a real one.",
-    )
+class _EmulateFlags(OutputFlags):
+    no_firmware: bool = option("Switched on without firmware, as a real one.")
     failing_tries: int = option(
-        "--failing-tries", type=click.IntRange(min=0), default=0, metavar="N",
-        help="Uploads that fail first.",
+        "Uploads that fail first.", type=FROM_0, default=0, show_default=False, metavar="N"
     )
-    never_homes: bool = option("--never-homes", is_flag=True, help="The emulated user does not home it.")
-    hand: str | None = option("--hand", type=click.Choice(HANDS), help="What the hand does after homing.")
-    depth_mm: float = option(
-        "--depth-mm", type=float, default=10.0, show_default=True, help="Depth the hand aims at.",
-    )
+    never_homes: bool = option("The emulated user does not home it.")
+    hand: str | None = option("What the hand does after homing.", type=click.Choice(HANDS))
+    depth_mm: float = option("Depth the hand aims at.", default=10.0)
     script: str | None = option(
-        "--script", metavar="TEXT", help='Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".',
+        'Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".', metavar="TEXT"
     )
-    fault: tuple[str, ...] = option(
-        "--fault", multiple=True, metavar="KIND@S", help="Scripted fault, e.g. unplug@6 or jump@6:300.",
-    )
-    # fmt: on
+    fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 
-@_sub(
+@subcommand(
     "emulate",
-    'emulate\nemulate --no-firmware --failing-tries 2\nemulate --hand "slow press" --fault unplug@6',
+    "tissueid devices emulate\n"
+    "tissueid devices emulate --no-firmware --failing-tries 2\n"
+    'tissueid devices emulate --hand "slow press" --fault unplug@6',
+    command,
 )
-@takes(EmulateFlags)
-def emulate(flags: EmulateFlags) -> int:
+def emulate(flags: _EmulateFlags) -> int:
     """Emulate a Falcon on a pseudo-terminal, print its path, and serve it until Ctrl-C.
 
     Any program that speaks the Falcon's protocol may open the path; tissueid does with --port. Nobody has
@@ -332,11 +408,3 @@ def emulate(flags: EmulateFlags) -> int:
     for fault in flags.fault:
         words += ["--fault", fault]
     return main(words)
-
-
-def _described(device: HapticDevice) -> dict[str, Any]:
-    """Facts of a device."""
-    found = device.capabilities
-    document = asdict(found)
-    document["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in document.pop("workspace_m")]
-    return document | device.facts()

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict
 
-import click
-
-from tissueid.cli.flags import OutputFlags, option, takes
+from tissueid.cli.flags import OutputFlags, option, subcommand
 from tissueid.cli.output import echo, echo_json, note
 
-EPILOG = """\b
-Examples:
-  tissueid doctor --warm
-  tissueid doctor --json
+EXAMPLES = """
+tissueid doctor --warm
+tissueid doctor --json
 """
 #: Exit code where a part of tissueid does not work.
 EXIT_MISSING = 7
 _MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class DoctorFlags(OutputFlags):
-    """Flags of ``tissueid doctor``."""
-
-    # fmt: off
-    warm: bool = option("--warm", is_flag=True, help="Compile everything now, so that no later run has to.")
-    # fmt: on
+class _DoctorFlags(OutputFlags):
+    warm: bool = option("Compile everything now, so that no later run has to.")
 
 
-@click.command("doctor", epilog=EPILOG)
-@takes(DoctorFlags)
-def command(flags: DoctorFlags) -> int:
+@subcommand("doctor", EXAMPLES)
+def command(flags: _DoctorFlags) -> int:
     """Say what this machine can do with tissueid, and what stands in its way.
 
     Versions, numba's cache, real-time rights of the servo, devices, the viewer's page and a browser; each
@@ -51,5 +42,5 @@ def command(flags: DoctorFlags) -> int:
             echo(f"{'':21}{check.way_out}")
     missing = [check.name for check in checks if check.state == "missing"]
     if flags.as_json:
-        echo_json({"checks": [check.as_json() for check in checks], "missing": missing})
+        echo_json({"checks": [asdict(check) for check in checks], "missing": missing})
     return EXIT_MISSING if missing else 0

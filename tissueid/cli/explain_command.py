@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from textwrap import wrap
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.flags import OutputFlags, argument, takes
-from tissueid.cli.output import echo, echo_json, echo_lines
+from tissueid.cli.flags import OutputFlags, argument, subcommand
+from tissueid.cli.output import labelled, tell
 
-#: Columns, and where texts begin.
-WIDTH, MARGIN = 98, 16
+if TYPE_CHECKING:
+    from tissueid.explanations import Explanation
 
-EPILOG = """\b
-Examples:
-  tissueid explain not_identified
-  tissueid explain tau
-  tissueid explain 7
-  tissueid explain viscosity_N_s_per_mm --json
-  tissueid explain
+EXAMPLES = """
+tissueid explain not_identified
+tissueid explain tau
+tissueid explain 7
+tissueid explain viscosity_N_s_per_mm --json
+tissueid explain
 """
 
 
@@ -34,18 +34,12 @@ def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) 
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExplainFlags(OutputFlags):
-    """Flags of ``tissueid explain``."""
-
-    # fmt: off
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...", shell_complete=_complete)
-    # fmt: on
+class _ExplainFlags(OutputFlags):
+    names: tuple[str, ...] = argument(metavar="[NAME]...", shell_complete=_complete)
 
 
-@click.command("explain", epilog=EPILOG)
-@takes(ExplainFlags)
-def command(flags: ExplainFlags) -> int:
+@subcommand("explain", EXAMPLES)
+def command(flags: _ExplainFlags) -> int:
     """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
 
     NAME is the code of a flag, a parameter by its symbol or its name in identification.json, or an exit
@@ -54,28 +48,22 @@ def command(flags: ExplainFlags) -> int:
     from tissueid.explanations import explain, explanations
 
     entries = [explain(name) for name in flags.names] or list(explanations().values())
-    if flags.as_json:
-        echo_json([entry.as_json() for entry in entries])
-    elif flags.names and not flags.quiet:
-        _print_each(flags.names)
-    elif not flags.quiet:
-        width = max(len(entry.name) for entry in entries)
-        for entry in entries:
-            echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
+    width = max(len(entry.name) for entry in entries)
+    listed = (f"{one.kind:<9}  {one.name:<{width}}  {one.title or one.meaning}" for one in entries)
+    tell(flags, [asdict(one) for one in entries], _each(entries) if flags.names else listed)
     return 0
 
 
-def _print_each(names: tuple[str, ...]) -> None:
-    from tissueid.explanations import explain, gravity
+def _each(entries: Sequence[Explanation]) -> Iterator[str]:
+    from tissueid.explanations import gravity
 
-    for position, name in enumerate(names):
-        entry = explain(name)
+    for position, entry in enumerate(entries):
         if position:
-            echo()
+            yield ""
         title = f": {entry.title}" if entry.title else ""
         how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
-        echo(f"{entry.kind} {entry.symbol or entry.name}{title}{how}")
-        echo(f"  {entry.meaning}")
+        yield f"{entry.kind} {entry.symbol or entry.name}{title}{how}"
+        yield f"  {entry.meaning}"
         for label, text in (
             ("unit", f"{entry.unit}; {entry.name} in identification.json" if entry.unit else ""),
             ("depends", entry.depends),
@@ -84,12 +72,4 @@ def _print_each(names: tuple[str, ...]) -> None:
             ("what to do", entry.remedy),
         ):
             if text:
-                echo_lines(_wrapped(f"{label}:", text))
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    """A text behind its label, in lines that a terminal holds."""
-    if len(text) <= WIDTH - MARGIN:
-        return [f"  {label:<{MARGIN - 2}}{text}"]
-    first = f"  {label:<{MARGIN - 2}}"
-    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)
+                yield from labelled(label, text)

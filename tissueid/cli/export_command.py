@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_bytes, echo_json, note, write_output
-from tissueid.errors import printable
+from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo_bytes, echo_json, refuse, write_output
+from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EPILOG = """\b
-Examples:
-  tissueid export out
-  tissueid export out --format specimens -o specimens.csv
-  tissueid export out --format trials -o trials.csv
-  tissueid export out --format json -o result.json
-  tissueid export out --format netcdf -o chains.nc
-  tissueid export out --format mat -o tissues.mat
-  tissueid export out/bundle.h5 --format c-header -o tissue.h
-  tissueid export out --format abaqus --specimen kidney-3 --depth 4
+EXAMPLES = """
+tissueid export out
+tissueid export out --format specimens -o specimens.csv
+tissueid export out --format trials -o trials.csv
+tissueid export out --format json -o result.json
+tissueid export out --format netcdf -o chains.nc
+tissueid export out --format mat -o tissues.mat
+tissueid export out/bundle.h5 --format c-header -o tissue.h
+tissueid export out --format abaqus --specimen kidney-3 --depth 4
 """
 
 #: The tables of :data:`tissueid.store.tidy.TABLES`, named here so that --help loads nothing.
@@ -37,33 +36,25 @@ TISSUES = ("c-header", "febio", "abaqus")
 LISTED = 6
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportFlags(OutputFlags):
-    """Flags of ``tissueid export``."""
-
+class _ExportFlags(OutputFlags):
     # fmt: off
-    out: str = argument(type=click.Path(exists=True))
+    out: str = argument(type=THERE)
     form: str = option(
+        "The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted number; "
+        "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue as a "
+        "C header with its step, or as a Prony series for FEBio or Abaqus.",
         "--format", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
-        show_default=True,
-        help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted "
-            "number; the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one "
-            "tissue as a C header with its step, or as a Prony series for FEBio or Abaqus.",
     )
-    specimen: str | None = option(
-        "--specimen", metavar="NAME", help="Which one, where a single tissue is written.",
-    )
+    specimen: str | None = option("Which one, where a single tissue is written.", metavar="NAME")
     depth: float | None = option(
-        "--depth", type=float, metavar="MM",
-        help="A Prony series holds about this depth. [default: half of the claimed depth]",
+        "A Prony series holds about this depth. [default: half of the claimed depth]", metavar="MM"
     )
-    output: str | None = option("-o", "--output", type=click.Path(), help="File to write instead of stdout.")
+    output: str | None = option("File to write instead of stdout.", "-o", type=PATH)
     # fmt: on
 
 
-@click.command("export", epilog=EPILOG)
-@takes(ExportFlags)
-def command(flags: ExportFlags) -> int:
+@subcommand("export", EXAMPLES)
+def command(flags: _ExportFlags) -> int:
     """Write a finished fit in another form, from its output folder alone.
 
     OUT is the folder; for mat, c-header, febio and abaqus a bundle will do.
@@ -89,24 +80,24 @@ def command(flags: ExportFlags) -> int:
     # the bytes of identification.json have one spelling, so this is the hash of the file
     digest = hashlib.sha256(whole).hexdigest()
     content = whole if as_json else csv_bytes(tidy_table(document, flags.form, digest=digest))
-    if flags.output is not None:
-        write_output(flags.output, content)
-        note(f"wrote {flags.output}", quiet=flags.quiet)
-        return 0
-    echo_bytes(content)
+    _write(content, flags)
     return 0
 
 
-def _write_tissues(flags: ExportFlags) -> int:
-    from tissueid.errors import UsageError
+def _write(content: bytes, flags: _ExportFlags) -> None:
+    if flags.output is None:
+        echo_bytes(content)
+    else:
+        write_output(flags.output, content, quiet=flags.quiet)
 
+
+def _write_tissues(flags: _ExportFlags) -> int:
     bundles = _bundles(flags)
     if flags.form == "mat":
         from tissueid.export.matlab import mat_bytes
 
         if flags.output is None:
-            msg = "a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat"
-            raise UsageError(msg)
+            refuse("a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat")
         content = mat_bytes(bundles)
     elif len(bundles) > 1:
         msg = f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
@@ -115,15 +106,11 @@ def _write_tissues(flags: ExportFlags) -> int:
         raise UsageError(msg + (" ..." if len(bundles) > LISTED else ""))
     else:
         content = _tissue_bytes(bundles[0], flags)
-    if flags.output is None:
-        echo_bytes(content)
-        return 0
-    write_output(flags.output, content)
-    note(f"wrote {flags.output}", quiet=flags.quiet)
+    _write(content, flags)
     return 0
 
 
-def _tissue_bytes(bundle: Bundle, flags: ExportFlags) -> bytes:
+def _tissue_bytes(bundle: Bundle, flags: _ExportFlags) -> bytes:
     if flags.form == "c-header":
         from tissueid.export.c_header import c_header
 
@@ -135,11 +122,8 @@ def _tissue_bytes(bundle: Bundle, flags: ExportFlags) -> bytes:
     return abaqus_card(linearised(bundle, flags.depth))
 
 
-def _bundles(flags: ExportFlags) -> list[Bundle]:
+def _bundles(flags: _ExportFlags) -> list[Bundle]:
     """The bundle that was named, or those of a folder."""
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
@@ -150,28 +134,21 @@ def _bundles(flags: ExportFlags) -> list[Bundle]:
     names = bundle_names(one.specimen for one in read_results(str(path))[0].specimens)
     wanted = flags.specimen
     if wanted is not None and wanted not in names:
-        msg = f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}"
-        raise UsageError(msg)
+        refuse(f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}")
     return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
 
 
-def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: ExportFlags) -> int:
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
-    from tissueid.exchange import netcdf_bytes
+def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) -> int:
     from tissueid.store.files import file_names
+    from tissueid.uncertainty import netcdf_bytes
 
     if flags.output is None:
-        msg = "netcdf is no text for a terminal: name a file with -o, as -o chains.nc"
-        raise UsageError(msg)
+        refuse("netcdf is no text for a terminal: name a file with -o, as -o chains.nc")
     if not posteriors:
-        msg = f"{flags.out}: no posterior was sampled; run `tissueid fit` again without --sampler none"
-        raise UsageError(msg)
+        refuse(f"{flags.out}: no posterior was sampled; run `tissueid fit` again without --sampler none")
     first = Path(flags.output)
     names = file_names((one.specimen for one in posteriors), first.stem, first.suffix)
     for one in posteriors:
         path = first if len(posteriors) == 1 else first.with_name(names[one.specimen])
-        write_output(str(path), netcdf_bytes(one.to_arviz()))
-        note(f"wrote {path}", quiet=flags.quiet)
+        write_output(path, netcdf_bytes(one.to_arviz()), quiet=flags.quiet)
     return 0

@@ -1,19 +1,18 @@
-"""``tissueid fit``."""
+"""``tissueid fit``: its options, the order of its work, and its closing lines."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.fit_summary import print_summary
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json_text, note, progress_bar
-from tissueid.cli.quoting import QuotingFlags, quoting_values
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, Flags, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, echo_json_text, note, progress_bar, refuse
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
@@ -23,23 +22,29 @@ from tissueid.cli.reading import (
     refuse_same_folder,
     segment_options,
 )
+from tissueid.digits import with_error
+from tissueid.documents import typed
+from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
+from tissueid.report.specimen_lines import specimen_lines
+from tissueid.report.warning_lines import shared_codes, shared_lines
+from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
-    from tissueid.inference.posterior import PosteriorOptions
     from tissueid.manifest import Study
+    from tissueid.measured.geometry import Geometry
     from tissueid.pipeline import IdentifyOptions
+    from tissueid.study.assembly import Assembled
 
-EPILOG = """\b
-Examples:
-  tissueid fit lab_data/ -o out
-  tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
-  tissueid fit lab_data/study.toml -o out
-  tissueid fit meat.xlsx --json > meat.json
-  tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
-  tissueid fit lab_data/ --model auto
-  tissueid fit rig/ --model "power * impact" -o wall
-  tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
+EXAMPLES = """
+tissueid fit lab_data/ -o out
+tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
+tissueid fit lab_data/study.toml -o out
+tissueid fit meat.xlsx --json > meat.json
+tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
+tissueid fit lab_data/ --model auto
+tissueid fit rig/ --model "power * impact" -o wall
+tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
 #: A study of so many specimens is a cohort.
@@ -55,85 +60,88 @@ def _count(auto: str) -> click.Choice[str]:
 def _moved(_context: click.Context, _option: click.Parameter, value: str | None) -> None:
     """Refuse an option that became a model."""
     if value is not None:
-        msg = f'--contact-law {value}: name 1 model instead, as --model "power * impact"'
-        raise UsageError(msg)
+        refuse(f'--contact-law {value}: name 1 model instead, as --model "power * impact"')
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
-    """Flags of ``tissueid fit``."""
+class QuotingFlags(Flags):
+    """Flags that say which numbers are quoted beside those of the model."""
 
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
-        help="Output folder.",
+    unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
+    frequencies: str | None = option(
+        "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+        metavar="LIST",
     )
-    model: str | None = option(
-        "--model", metavar="NAME", show_default=KELVIN_VOIGT,
-        help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the "
-            "laws in tissueid models; auto, or several with | between them, takes the one that predicts "
-            "best.",
+    depths: str | None = option("Depths [mm] at which each loop's stiffness is given.", metavar="LIST")
+    tip: str | None = option(
+        "Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].", metavar="SHAPE:SIZE"
     )
-    branches: str = option(
-        "--branches", type=_count("123"), default="auto", show_default=True,
-        help="Relaxation branches; auto chooses by held-out data.",
+    thickness: float | None = option("Thickness of the layer under --tip.", metavar="MM")
+    poisson: float = option(
+        "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
     )
-    stiffness_degree: str = option(
-        "--stiffness-degree", type=_count("012"), default="auto", show_default=True,
-        help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
-    )
-    static: str = option(
-        "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
-        help="Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
-    )
-    noise: str = option(
-        "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
-        show_default=True, help="Noise of the force; auto takes what the residuals show.",
-    )
-    sampler: str = option(
-        "--sampler", type=click.Choice(["emcee", "none"]), default="emcee", show_default=True,
-        help="How the posterior is sampled; none gives standard errors only.",
-    )
-    draws: int = option(
-        "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
-        help="Effective posterior draws to go on for.",
-    )
-    require: tuple[str, ...] = option(
-        "--require", multiple=True, type=click.Choice(REQUIRED),
-        help="What must be identified for exit code 0. [default: viscosity and static]",
-    )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.",
-    )
-    workers: int | None = option(
-        "--workers", type=click.IntRange(min=1), metavar="N",
-        help="Processes that compute specimens. [default: as many as processors, where the work is worth it]",
-    )
-    scheduler: str = option(
-        "--scheduler", metavar="ADDRESS", default="local", show_default=True,
-        help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
-    )
-    population: str = option(
-        "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
-        help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of "
-            "five.",
-    )
-    mix_states: bool = option(
-        "--mix-states", is_flag=True, help="Let a population pool thawed specimens with fresh ones.",
-    )
-    study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE",
-        help="Study file. [default: study.toml of the folder that is fitted]",
-    )
-    no_study: bool = option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
     # fmt: on
 
 
-@click.command("fit", epilog=EPILOG)
-@click.option("--contact-law", hidden=True, expose_value=False, callback=_moved, help="Moved to --model.")
-@takes(FitFlags)
-def command(flags: FitFlags) -> int:
+class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
+    # fmt: off
+    contact_law: None = option("Moved to --model.", hidden=True, type=str, callback=_moved)
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    out: str = option("Output folder.", "-o", type=FOLDER, default="tissueid-out")
+    model: str | None = option(
+        "Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws in "
+        "tissueid models; auto, or several with | between them, takes the one that predicts best.",
+        metavar="NAME", show_default=KELVIN_VOIGT,
+    )
+    branches: str = option(
+        "Relaxation branches; auto chooses by held-out data.", type=_count("123"), default="auto"
+    )
+    stiffness_degree: str = option(
+        "Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
+        type=_count("012"), default="auto",
+    )
+    static: str = option(
+        "Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
+        type=click.Choice(["scaled", "partial", "shared"]), default="scaled",
+    )
+    noise: str = option(
+        "Noise of the force; auto takes what the residuals show.",
+        type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
+    )
+    sampler: str = option(
+        "How the posterior is sampled; none gives standard errors only.",
+        type=click.Choice(["emcee", "none"]), default="emcee",
+    )
+    draws: int = option(
+        "Effective posterior draws to go on for.", type=click.IntRange(min=100), default=2_000
+    )
+    require: tuple[str, ...] = option(
+        "What must be identified for exit code 0. [default: viscosity and static]",
+        type=click.Choice(REQUIRED),
+    )
+    seed: int = option("Seed of everything random.", type=FROM_0, default=0)
+    workers: int | None = option(
+        "Processes that compute specimens. [default: as many as processors, where the work is worth it]",
+        type=FROM_1, metavar="N",
+    )
+    scheduler: str = option(
+        "Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
+        metavar="ADDRESS", default="local",
+    )
+    population: str = option(
+        "What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
+        type=click.Choice(["auto", "yes", "no"]), default="auto",
+    )
+    mix_states: bool = option("Let a population pool thawed specimens with fresh ones.")
+    study: str | None = option(
+        "Study file. [default: study.toml of the folder that is fitted]", type=PATH, metavar="FILE"
+    )
+    no_study: bool = option("Fit without the folder's study.toml.")
+    # fmt: on
+
+
+@subcommand("fit", EXAMPLES)
+def command(flags: _FitFlags) -> int:
     """Identify the tissue behind recordings.
 
     PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
@@ -148,7 +156,6 @@ def command(flags: FitFlags) -> int:
     from tissueid.study.recordings import locate_study
     from tissueid.study.request import Request
 
-    quiet: int = flags.quiet
     reading = read_options(flags)
     study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     if study is not None:
@@ -170,7 +177,7 @@ def command(flags: FitFlags) -> int:
         all_read=by_pattern.say,
     )
     with OutputSet(flags.out) as run:
-        with progress_bar(show=not quiet) as progress:
+        with progress_bar(show=not flags.quiet) as progress:
             found = fit_cohort(request, run, progress)
             if found.fitted:
                 progress("writing the report", 0, 0)
@@ -181,11 +188,11 @@ def command(flags: FitFlags) -> int:
         if flags.as_json:
             echo_json_text(found.document.read_text(encoding="utf-8"))
         else:
-            print_summary(found, flags.out, quiet=quiet, verbose=flags.verbose)
+            print_summary(found, flags.out, quiet=flags.quiet, verbose=flags.verbose)
     return exit_code({found.exit.code, _population(flags, study, found.fitted)})
 
 
-def _population(flags: FitFlags, study: Study | None, fitted: int) -> int:
+def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     """Write the population of the specimens beside them where it is wanted; its exit code."""
     wanted = flags.population
     if wanted == "auto":
@@ -193,19 +200,18 @@ def _population(flags: FitFlags, study: Study | None, fitted: int) -> int:
         wanted = "yes" if named else "no"
     if wanted == "no" or not fitted:
         return 0
-    from tissueid.cli.population_lines import print_population
+    from tissueid.cli.cohort_command import print_population
     from tissueid.study.cohort import PopulationRequest, write_population
 
-    quiet = flags.quiet
     try:
-        with progress_bar(show=not quiet) as progress:
+        with progress_bar(show=not flags.quiet) as progress:
             asked = PopulationRequest(seed=flags.seed, mix_states=flags.mix_states)
             written = write_population(Path(flags.out), asked, progress)
     except (NotIdentifiedError, UsageError) as error:
-        note(error.message, quiet=quiet)
+        note(error.message, quiet=flags.quiet)
         return error.exit_status if flags.population == "yes" else 0
     if not flags.as_json:
-        print_population(written, flags.out, quiet=quiet)
+        print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NotIdentifiedError.exit_status
 
 
@@ -216,27 +222,13 @@ def _refuse_foreign(out: Path) -> None:
     names = ("identification.json", "report.html", "curves.h5", "bundle*.h5")
     foreign = sorted(path.name for name in names for path in out.glob(name))
     if foreign:
-        msg = (
+        refuse(
             f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
             "with -o, or move them away"
         )
-        raise UsageError(msg)
 
 
-def _posterior_options(flags: FitFlags) -> PosteriorOptions | None:
-    from tissueid.inference.posterior import PosteriorOptions
-
-    if flags.sampler == "none":
-        return None
-    return PosteriorOptions(
-        sampler=flags.sampler,
-        draws=flags.draws,
-        seed=flags.seed,
-        workers=os.cpu_count() or 1,
-    )
-
-
-def _checked_model(flags: FitFlags) -> FitFlags:
+def _checked_model(flags: _FitFlags) -> _FitFlags:
     """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
 
@@ -246,8 +238,7 @@ def _checked_model(flags: FitFlags) -> FitFlags:
         raise UsageError(str(error)) from None
     others = laws.paper is None or laws.choose
     if others and flags.unloading:
-        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}"
-        raise UsageError(msg)
+        refuse(f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}")
     if laws.paper is not None and laws.paper.branches is None:
         return flags
     context, asked = click.get_current_context(), []
@@ -259,16 +250,19 @@ def _checked_model(flags: FitFlags) -> FitFlags:
         elif getattr(flags, key) != "auto":
             asked.append(f"--{key.replace('_', '-')}")
     if asked:
-        msg = f"{' and '.join(asked)}: {flags.model!r} says it already; leave one of them out"
-        raise UsageError(msg)
+        refuse(f"{' and '.join(asked)}: {flags.model!r} says it already; leave one of them out")
     return flags
 
 
-def _identify_options(flags: FitFlags) -> IdentifyOptions:
+def _identify_options(flags: _FitFlags) -> IdentifyOptions:
+    from tissueid.inference.posterior import PosteriorOptions
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags.require if name != "none")
+    posterior = None
+    if flags.sampler != "none":
+        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed, workers=os.cpu_count() or 1)
     return IdentifyOptions(
         fit=FitOptions(
             model=flags.model or KELVIN_VOIGT,
@@ -279,7 +273,126 @@ def _identify_options(flags: FitFlags) -> IdentifyOptions:
             **quoting_values(flags),
         ),
         segment=segment_options(flags),
-        posterior=_posterior_options(flags),
+        posterior=posterior,
         required=required if flags.require else DEFAULT_REQUIRED,
         seed=flags.seed,
     )
+
+
+def _numbers(text: str | None, option: str) -> tuple[float, ...]:
+    """A list of positive numbers as typed."""
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or not all(0.0 < value < float("inf") for value in values):
+        refuse(f"{option} takes positive numbers with commas between, as 0.1,1,10; got {text!r}")
+    return values
+
+
+def _geometry(flags: QuotingFlags) -> Geometry | None:
+    """Tip and thickness as typed."""
+    from tissueid.measured.geometry import Geometry
+    from tissueid.model.moduli import Indenter
+
+    if flags.tip is None:
+        if flags.thickness is not None:
+            refuse("--thickness needs --tip; a study.toml may hold both, a thickness for each specimen")
+        return None
+    shape, _, size = flags.tip.partition(":")
+    try:
+        number = float(size)
+        tip = Indenter(shape, half_angle_deg=number) if shape == "cone" else Indenter(shape, number)
+        return Geometry(tip, flags.thickness, flags.poisson)
+    except ValueError as error:
+        msg = f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
+        raise UsageError(msg) from error
+
+
+def quoting_values(flags: QuotingFlags) -> dict[str, Any]:
+    """The fields of ``FitOptions`` that these options fill."""
+    return {
+        "unloading": flags.unloading,
+        "frequencies_Hz": _numbers(flags.frequencies, "--frequencies"),
+        "depths_mm": _numbers(flags.depths, "--depths"),
+        "geometry": _geometry(flags),
+        "poisson": flags.poisson,
+    }
+
+
+#: Specimens from which on each gets one line of what was measured.
+MANY = 4
+_COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
+
+
+def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
+    """Numbers to stdout, what was left out and what is missing to stderr."""
+    if 0 < found.beside < found.trials:
+        note(
+            f"{found.beside} of {found.trials} trials are not named by the study and were fitted as well "
+            "(only_listed = true leaves them out)",
+            quiet=quiet,
+        )
+    if not quiet:
+        _print(found, out, verbose=verbose)
+    print_reasons(found, quiet=quiet)
+
+
+def _print(found: Assembled, out: str, *, verbose: int) -> None:
+    if found.large:
+        echo(f"{found.fitted} of {found.jobs} specimens fitted")
+    elif found.fitted:
+        _print_specimens(load_identification(found.document).specimens, verbose=verbose)
+    for row in found.exclusions:
+        _print_exclusion(typed(row, Exclusion))
+    if found.fitted:
+        echo()
+        echo(f"Report: {out}/report.html")
+
+
+def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
+    shared = () if verbose else shared_codes(specimens)
+    brief = len(specimens) >= MANY and not verbose
+    for specimen in specimens:
+        echo()
+        for one in specimen_lines(specimen, shared, verbose=verbose, brief=brief):
+            echo(one.text, fg=_COLOURS.get(one.kind), bold=one.kind in {"title", "alarm"})
+    if shared:
+        echo()
+        echo(f"all {len(specimens)} specimens")
+        for line in shared_lines(specimens, shared):
+            echo(f"  ! {line}", fg="yellow")
+    if not verbose and any(specimen.sampler is not None for specimen in specimens):
+        echo("In brackets: 95 % intervals, with what is not known of the machine; -v prints both kinds.")
+
+
+def _print_exclusion(row: Exclusion) -> None:
+    """A trial that was left out, why, and what the specimen's numbers would be with it."""
+    where = row.path if row.sheet is None else f"{row.path} [{row.sheet}]"
+    echo()
+    echo(f"excluded  {where}: {row.because}")
+    if row.note:
+        echo(f"  {row.note}")
+    for one in row.with_it:
+        before = with_error(one.without, one.without_stderr)
+        after = with_error(one.with_it, one.with_stderr)
+        echo(f"  {one.symbol:<6} with it {after} {one.unit} (without: {before})")
+
+
+def print_reasons(found: Assembled, *, quiet: int) -> None:
+    """On stderr: every refused input, and why else the exit code is not 0."""
+    for one in found.refused:
+        echo(f"refused ({one.code})  {one}", fg="red", err=True)
+    told = {str(one) for one in found.refused}
+    same: dict[str, list[str]] = {}
+    for reason in found.exit.reasons:
+        if reason not in told:
+            specimen, separator, missing = reason.rpartition(": not identified: ")
+            same.setdefault(missing if separator else "", []).append(specimen if separator else reason)
+    for reason in same.pop("", []):
+        note(reason, quiet=quiet)
+    for missing, specimens in same.items():
+        # each is named, however many they are
+        note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)

@@ -1,25 +1,35 @@
-"""Flags of a command as a frozen dataclass: each field is declared once, with its option beside it."""
+"""Commands whose flags are a frozen object: each is declared once, with its option beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import wraps
 from inspect import get_annotations
-from typing import Any
+from pathlib import Path
+from typing import Any, dataclass_transform, get_type_hints
 
 import click
 
 #: Key of a field's option among its metadata.
 _DECLARED = "click"
+_TYPES = {"int": int, "float": float, "Path": click.Path(dir_okay=False, path_type=Path)}
+#: Types that many options have.
+PATH, THERE = click.Path(), click.Path(exists=True)
+FILE, FOLDER = click.Path(dir_okay=False), click.Path(file_okay=False)
+FOLDER_THERE = click.Path(exists=True, file_okay=False)
+FROM_0, FROM_1 = click.IntRange(min=0), click.IntRange(min=1)
+REAL_FROM_0, ABOVE_0 = click.FloatRange(min=0.0), click.FloatRange(min=0.0, min_open=True)
+PORT = click.IntRange(1, 65535)
 
 
-def option(*names: str, **settings: Any) -> Any:
-    """Declare an option at the field that holds it.
+def option(words: str, *names: str, **settings: Any) -> Any:
+    """Declare an option at the field that holds it: ``words`` are its help.
 
-    ``names``: as typed, ``--out`` and the like; ``settings``: those of :func:`click.option`.
+    Its annotation says what the option is where ``settings``, of :func:`click.option`, do not: a bool is a
+    flag, a tuple of any length may be given several times.  ``names``: where not the field's own.
     """
-    return field(metadata={_DECLARED: (click.option, names, settings)})
+    return field(metadata={_DECLARED: (click.option, names, {"help": words, **settings})})
 
 
 def argument(**settings: Any) -> Any:
@@ -27,35 +37,86 @@ def argument(**settings: Any) -> Any:
     return field(metadata={_DECLARED: (click.argument, (), settings)})
 
 
-def takes(kind: type[Any]) -> Callable[[Callable[[Any], int]], Callable[..., int]]:
-    """Give a command the options of a dataclass, and the dataclass to its function.
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(option, argument))
+class Flags:
+    """Base of the flags of a command: its subclasses are frozen dataclasses of options and arguments."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True)(cls)
+
+
+def subcommand(
+    name: str, examples: str, group: click.Group | None = None
+) -> Callable[[Callable[[Any], int]], click.Command]:
+    """Make a command of a function that takes ``flags``, with the options of their class.
 
     Options stand in ``--help`` in the order of the fields: of the class itself, then of those it is made of.
+    ``examples``: lines as one types them.
     """
 
-    def decorate(function: Callable[[Any], int]) -> Callable[..., int]:
+    def decorate(function: Callable[[Any], int]) -> click.Command:
+        kind = get_type_hints(function)["flags"]
+
         @wraps(function)
         def called(**values: Any) -> int:
             return function(kind(**values))
 
-        command: Callable[..., int] = called
-        for name, (declared, names, settings) in reversed(list(_declared(kind))):
-            command = declared(*names, name, **settings)(command)
-        return command
+        for declare in reversed(list(_declared(kind))):
+            declare(called)
+        make = click.command if group is None else group.command
+        return make(name, epilog=example_lines(examples))(called)
 
     return decorate
 
 
-def _declared(kind: type[Any]) -> Iterator[tuple[str, Any]]:
+def example_lines(examples: str) -> str:
+    """The end of a command's help."""
+    return "\b\nExamples:\n" + "".join(f"  {line}\n" for line in examples.strip().splitlines())
+
+
+def _declared(kind: type[Any]) -> Iterator[Callable[[Any], Any]]:
     for part in kind.__mro__:
-        for name in get_annotations(part):
-            yield name, kind.__dataclass_fields__[name].metadata[_DECLARED]
+        for name, annotation in get_annotations(part).items():
+            declared, names, given = kind.__dataclass_fields__[name].metadata[_DECLARED]
+            known = {"type": _TYPES.get(annotation.removesuffix(" | None"))}
+            several = annotation.startswith("tuple[") and annotation.endswith(", ...]")
+            if declared is click.argument:
+                yield click.argument(name, **{**known, **({"nargs": -1} if several else {}), **given})
+                continue
+            if annotation == "bool":
+                known = {} if any("/" in one for one in names) else {"is_flag": True}
+            elif "count" in given:
+                known = {}
+            if not any(one.startswith("--") for one in names):
+                names = (*names, f"--{name.replace('_', '-')}")
+            shown = given.get("default") is not None and annotation != "bool"
+            settings = {**known, "multiple": several, "show_default": shown or None, **given}
+            yield click.option(*names, name, **settings)
 
 
-@dataclass(frozen=True, kw_only=True)
-class OutputFlags:
+def below(group: click.Command, names: Iterable[str]) -> click.Command | None:
+    """The command that names lead to from a group; ``None`` where there is none."""
+    found: click.Command | None = group
+    for part in names:
+        found = found.get_command(click.Context(found), part) if isinstance(found, click.Group) else None
+    return found
+
+
+def walk(
+    command: click.Command, name: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """A command with its names, and where it is a group all that stand below it."""
+    yield name, command
+    if isinstance(command, click.Group):
+        for part in command.list_commands(click.Context(command)):
+            found = below(command, (part,))
+            if found is not None:
+                yield from walk(found, (*name, part))
+
+
+class OutputFlags(Flags):
     """Amount and form of what is printed."""
 
-    quiet: int = option("-q", "--quiet", count=True, help="Print errors only.")
-    verbose: int = option("-v", "--verbose", count=True, help="Say more; a bug shows its traceback.")
-    as_json: bool = option("--json", is_flag=True, help="Print one JSON document to stdout.")
+    quiet: int = option("Print errors only.", "-q", count=True)
+    verbose: int = option("Say more; a bug shows its traceback.", "-v", count=True)
+    as_json: bool = option("Print one JSON document to stdout.", "--json")

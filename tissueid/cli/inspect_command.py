@@ -1,78 +1,71 @@
-"""``tissueid inspect``."""
+"""``tissueid inspect``: a line a recording, tables, and the page that is served."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import csv
+import io
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
-import click
 from msgspec import structs
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, echo_json, note, progress_bar, refuse, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
-from tissueid.documents.inspect import Trial
+from tissueid.documents.inspect import Trial, Watch
+from tissueid.documents.measured import MeasuredHold, MeasuredLoop, MeasuredPush
+from tissueid.errors import exit_code, printable
+from tissueid.flags import FLAGS, harm_rank
 
 if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection
 
-EPILOG = """\b
-Examples:
-  tissueid inspect Specimen_RawData_1.csv
-  tissueid inspect lab_data/ --html inspection.html
-  tissueid inspect lab_data/study.toml --html inspection.html
-  tissueid inspect lab_data/ --serve
-  tissueid inspect lab_data/ --json
-  tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
-  tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
+EXAMPLES = """
+tissueid inspect Specimen_RawData_1.csv
+tissueid inspect lab_data/ --html inspection.html
+tissueid inspect lab_data/study.toml --html inspection.html
+tissueid inspect lab_data/ --serve
+tissueid inspect lab_data/ --json
+tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
+tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
 """
 
 SECONDS_PER_MINUTE = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class InspectFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid inspect``."""
-
+class _InspectFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
     html: str | None = option(
-        "--html", type=click.Path(dir_okay=False), metavar="FILE",
-        help="Write a page that draws every recording, with its flags and the lines of study.toml to change "
-            "it.",
+        "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
+        type=FILE, metavar="FILE",
     )
-    csv: str | None = option(
-        "--csv", type=click.Path(dir_okay=False), metavar="FILE",
-        help="Write what was measured as a table, one row a hold.",
-    )
-    xlsx: str | None = option(
-        "--xlsx", type=click.Path(dir_okay=False), metavar="FILE", help="The same table as a workbook.",
-    )
+    csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
+    xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
     study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE",
-        help="Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
+        "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
+        type=PATH, metavar="FILE",
     )
-    no_study: bool = option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
+    no_study: bool = option("Leave the folder's study.toml aside.")
     serve: bool = option(
-        "--serve", is_flag=True,
-        help="Serve that page on this machine: what is corrected on it is written into study.toml.",
+        "Serve that page on this machine: what is corrected on it is written into study.toml."
     )
-    no_browser: bool = option(
-        "--no-browser", is_flag=True, help="With --serve: print the page's address, open nothing.",
-    )
+    no_browser: bool = option("With --serve: print the page's address, open nothing.")
     viewer_port: int | None = option(
-        "--viewer-port", type=click.IntRange(1, 65535), metavar="N",
-        help="With --serve: its port. [default: 8765, or a free one]",
+        "With --serve: its port. [default: 8765, or a free one]", type=PORT, metavar="N"
     )
     # fmt: on
 
 
-@click.command("inspect", epilog=EPILOG)
-@takes(InspectFlags)
-def command(flags: InspectFlags) -> int:
+@subcommand("inspect", EXAMPLES)
+def command(flags: _InspectFlags) -> int:
     """Say what recordings hold, one line each: peak, depth, speed, forces in the hold, keep it or look.
 
     -v says how each was read and divided: format, columns, phases, first, last and peak samples, and every
@@ -80,17 +73,14 @@ def command(flags: InspectFlags) -> int:
     --serve. `tissueid FILE...` is the same. Exit code 0 if all were read, 7 if some were refused, 3 if all
     were.
     """
-    from tissueid.errors import exit_code
-
     if flags.serve:
-        from tissueid.cli.inspect_serving import serve
-
         return serve(flags, lambda asked: inspected(asked, drawn=True))
     found = inspected(flags, drawn=flags.html is not None)
     if flags.html is not None:
-        write_output(flags.html, found.page().encode("utf-8"))
-        note(f"wrote {flags.html}", quiet=flags.quiet)
-    _write_tables(found.read, flags)
+        write_output(flags.html, found.page().encode("utf-8"), quiet=flags.quiet)
+    for path, written in ((flags.csv, measured_csv), (flags.xlsx, measured_xlsx)):
+        if path is not None:
+            write_output(path, written(found.read), quiet=flags.quiet)
     if flags.as_json:
         echo_json(found.printed)
     else:
@@ -98,7 +88,7 @@ def command(flags: InspectFlags) -> int:
     return exit_code({7 if found.read else 3}) if found.refused else 0
 
 
-def inspected(flags: InspectFlags, *, drawn: bool) -> Inspection:
+def inspected(flags: _InspectFlags, *, drawn: bool) -> Inspection:
     """Everything that the command line names, by the study file as it stands."""
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection, study_folder
@@ -114,18 +104,8 @@ def inspected(flags: InspectFlags, *, drawn: bool) -> Inspection:
     return found
 
 
-def _write_tables(read: list[Trial], flags: InspectFlags) -> None:
-    from tissueid.cli.inspect_table import measured_csv, measured_xlsx
-
-    for path, written in ((flags.csv, measured_csv), (flags.xlsx, measured_xlsx)):
-        if path is not None:
-            write_output(path, written(read))
-            note(f"wrote {path}", quiet=flags.quiet)
-
-
 def print_all(described: list[Trial | Refusal], *, quiet: int, verbose: int) -> None:
     """A line a recording, its block with -v, and how many are to be looked at."""
-    from tissueid.cli.inspect_lines import COLOURS, names_of, recording_lines, summary_lines
     from tissueid.result import Refusal
 
     read = [one for one in described if not isinstance(one, Refusal)]
@@ -216,3 +196,259 @@ def _print_cycles(one: Trial) -> None:
             if measure.value is not None
         ]
         echo(f"  loop {cycle.number:<6} to {cycle.peak_depth_mm:.4g} {length}: {', '.join(parts)}")
+
+
+#: What a level asks for, and its colour.
+WORDS = {"good": "keep", "look": "look", "repeat": "push again"}
+COLOURS = {"good": None, "look": "yellow", "repeat": "red"}
+#: Times after the stop that stand in the line [s].
+TIMES_S = (1.0, 10.0)
+DIGITS = 4
+#: Columns of a line, and what goes before its second one.
+WIDTH, INDENT = 100, "    "
+#: Flags of a batch that are counted.
+MOST_SHARED = 5
+
+
+def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
+    """Heading, empty but before the first of several sheets of a file, and name of every recording."""
+    folder = _shared_folder(described)
+    sheets = Counter(one.path for one in described)
+    found = []
+    before = None
+    for one in described:
+        path = one.path.removeprefix(folder)
+        if one.sheet is None or sheets[one.path] == 1:
+            found.append(("", recording_name(one, folder)))
+        else:
+            found.append((path if one.path != before else "", f"  {one.sheet}"))
+        before = one.path
+    return found
+
+
+def recording_name(one: Trial | Watch, folder: str = "") -> str:
+    """Path, without a folder in front, and sheet."""
+    path = one.path.removeprefix(folder)
+    return path if one.sheet is None else f"{path} [{one.sheet}]"
+
+
+def _shared_folder(described: Sequence[Trial]) -> str:
+    """The folder of all recordings; empty for a single one."""
+    folders = {os.path.dirname(one.path) for one in described}  # noqa: PTH120 -- paths as they were typed
+    if len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1:
+        return ""
+    return os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
+
+
+def recording_lines(one: Trial | Watch, name: str, *, alone: bool = True) -> list[str]:
+    """Numbers and verdict of a recording in 100 columns; ``alone``: no summary follows that counts flags."""
+    verdict, flags = one.verdict, len(one.flags)
+    word = WORDS[verdict.level]
+    if one.excluded is not None:
+        word = f"excluded ({one.excluded})"
+    elif verdict.reason is not None and (alone or verdict.level != "good"):
+        word += f": {verdict.reason}"
+    if flags and alone:
+        word += f"  {flags} flag{'s' * (flags > 1)}"
+    return _broken([name, _numbers(one), word])
+
+
+def _broken(parts: Sequence[str]) -> list[str]:
+    """Parts of a line, those that pass its width on lines of their own."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        if len(lines[-1]) + 2 + len(part) <= WIDTH:
+            lines[-1] += f"  {part}"
+        else:
+            lines += wrap(part, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
+    return lines
+
+
+def _numbers(one: Trial | Watch) -> str:
+    measured = one.measured
+    assert measured is not None  # noqa: S101  (what is refused has no such line)
+    assert one.units is not None  # noqa: S101
+    length, force = one.units.length, one.units.force
+    holds = [(hold.push.peak.force_N, hold) for hold in measured.holds if hold.push is not None]
+    hold = max(holds, key=lambda each: each[0])[1] if holds else None
+    push = measured.push if hold is None else hold.push
+    if push is None:
+        return _looped(measured.loops, f"{force} {length}") if measured.loops else "nothing was loaded"
+    parts = [_pushed(push, length, force)]
+    if hold is None:
+        parts.append("no hold")
+    elif hold.control == "force":
+        parts.append(f"creeps {hold.creep_mm:.3g} {length} in {hold.end_s - hold.start_s:.3g} s")
+    else:
+        at = {row.time_s: row.after_stop_N for row in hold.forces}
+        known = [f"F({t:g} s) {at[t]:.{DIGITS}g}" for t in TIMES_S if at.get(t) is not None]
+        parts.append(f"{', '.join(known)} {force}" if known else f"hold of {hold.end_s - hold.start_s:.3g} s")
+    if len(measured.holds) > 1:
+        parts.append(f"{len(measured.holds)} holds")
+    return "; ".join(parts)
+
+
+def _pushed(push: MeasuredPush, length: str, force: str) -> str:
+    deep = push.travel_mm if push.depth_mm is None else push.depth_mm
+    speed = f"{push.speed_mm_s:.3g} {length}/s in {push.ramp_time_s:.3g} s"
+    return f"{push.peak.force_N:.{DIGITS}g} {force} at {deep:.3g} {length}, {speed}"
+
+
+def _looped(loops: Sequence[MeasuredLoop], unit: str) -> str:
+    last = loops[-1]
+    area = "" if last.area_mJ is None else f", area {last.area_mJ:.{DIGITS}g} {unit}"
+    return f"{len(loops)} loops, the last to {last.depth_mm:.3g}{area}"
+
+
+def summary_lines(described: Sequence[Trial], refused: int) -> list[str]:
+    """``49 read, 3 to look at, 1 to push again, 2 refused``, and how many share a flag, the worst first."""
+    counts: Counter[str] = Counter(one.verdict.level for one in described)
+    parts = [f"{len(described)} read"]
+    for level, words in (("look", "to look at"), ("repeat", "to push again")):
+        if counts[level]:
+            parts.append(f"{counts[level]} {words}")
+    if refused:
+        parts.append(f"{refused} refused")
+    shared = Counter(code for one in described for code in {flag.code for flag in one.flags})
+    said = [code for code in sorted(shared, key=harm_rank) if shared[code] > 1 and code in FLAGS]
+    several = [f"{shared[code]} {FLAGS[code].many}" for code in said[:MOST_SHARED]]
+    counted = "; ".join([*several, "-v lists flags"]) if several else ""
+    return [", ".join(parts), *wrap(counted, WIDTH, subsequent_indent=INDENT)]
+
+
+#: Flags that ask for another output than the page.
+_OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
+
+
+def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> int:
+    """Serve until Ctrl-C what is inspected again after each correction."""
+    from tissueid.cli.view_command import open_browser
+    from tissueid.study.correcting import CorrectedInspection
+    from tissueid.viewer.page_server import PageServer
+
+    other = next((flag for name, flag in _OTHERS.items() if getattr(flags, name)), None)
+    if other is not None:
+        refuse(f"--serve writes study.toml and shows its page: leave {other} out")
+    manifest = _manifest(flags)
+
+    def inspect() -> Any:
+        return inspected(replace(flags, study=str(manifest)) if manifest.exists() else flags)
+
+    shown = CorrectedInspection(manifest, inspect, read_options(flags))
+    shown.page()
+    try:
+        with PageServer(shown, flags.viewer_port) as server:
+            # what was asked for is told however quiet: nobody guesses a token
+            echo(f"page       {server.url}", err=True)
+            folder = manifest.parent
+            note(
+                f"corrections go into {manifest}; `tissueid fit {folder}` follows it; Ctrl-C ends",
+                quiet=flags.quiet,
+            )
+            if not flags.no_browser:
+                open_browser(server.url)
+            server.run()
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+def _manifest(flags: _InspectFlags) -> Path:
+    """The study file that is followed and written."""
+    from tissueid.ingest.manifest import MANIFEST
+    from tissueid.study.inspected import study_folder
+
+    if flags.study is not None:
+        named = Path(flags.study)
+        return named / MANIFEST if named.is_dir() else named
+    stated = [Path(path) for path in flags.paths if path.casefold().endswith(".toml")]
+    return stated[0] if stated else study_folder(flags.paths) / MANIFEST
+
+
+TABLE_TIMES_S = (0.1, 1.0, 10.0, 100.0)
+_PUSH = ("ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
+_MODULUS = ("formula", "loading_kPa", "held_kPa", "refused")
+
+HEAD = (
+    "path", "sheet", "specimen", "excluded", "verdict", "reason", "hold", "control", "start_s", "end_s",
+    *_PUSH, "peak_N", "peak_time_s", "base_N", "base_source",
+    *(f"force_{time:g}s_N" for time in TABLE_TIMES_S),
+    *(f"force_{time:g}s_over_10s" for time in TABLE_TIMES_S if time != 10.0),
+    *(f"force_{time:g}s_after_peak_N" for time in TABLE_TIMES_S),
+    *(f"force_{time:g}s_over_peak_depends_on_ramp" for time in TABLE_TIMES_S),
+    "relaxation_time_s", "relaxation_window_start_s", "relaxation_window_end_s",
+    *(f"modulus_{name}" for name in _MODULUS),
+    "loop_areas_mJ", "force_unit", "length_unit", "flags",
+)  # fmt: skip
+
+Cell = str | float | bool | None
+
+
+def measured_rows(described: Sequence[Trial]) -> list[list[Cell]]:
+    """Rows in the order of :data:`HEAD`."""
+    return [[row.get(name) for name in HEAD] for one in described for row in _rows(one)]
+
+
+def _rows(one: Trial) -> Iterator[dict[str, Cell]]:
+    measured = one.measured
+    areas = [loop.area_mJ for loop in measured.loops if loop.area_mJ is not None]
+    common: dict[str, Cell] = {
+        "path": one.path,
+        "sheet": one.sheet,
+        "specimen": one.specimen,
+        "excluded": one.excluded,
+        "verdict": one.verdict.level,
+        "reason": one.verdict.reason,
+        "base_N": measured.base.recorded_N,
+        "base_source": measured.base.source,
+        "loop_areas_mJ": "; ".join(f"{area:.6g}" for area in areas) or None,
+        "force_unit": one.units.force,
+        "length_unit": one.units.length,
+        "flags": " ".join(dict.fromkeys(flag.code for flag in one.flags)) or None,
+    }
+    for number, hold in enumerate(measured.holds, start=1):
+        yield common | {"hold": number} | _of_hold(hold) | _of_push(hold.push)
+    if not measured.holds:
+        yield common | _of_push(measured.push)
+
+
+def _of_push(push: MeasuredPush | None) -> dict[str, Cell]:
+    if push is None:
+        return {}
+    row: dict[str, Cell] = {name: getattr(push, name) for name in _PUSH}
+    row |= {"peak_N": push.peak.force_N, "peak_time_s": push.peak.time_s}
+    return row | {f"modulus_{name}": getattr(push.modulus, name, None) for name in _MODULUS}
+
+
+def _of_hold(hold: MeasuredHold) -> dict[str, Cell]:
+    row: dict[str, Cell] = {"control": hold.control, "start_s": hold.start_s, "end_s": hold.end_s}
+    for force in hold.forces:
+        at = f"force_{force.time_s:g}s"
+        row |= {
+            f"{at}_N": force.after_stop_N,
+            f"{at}_over_10s": force.over_10s,
+            f"{at}_after_peak_N": force.after_peak_N,
+            f"{at}_over_peak_depends_on_ramp": force.over_peak,
+        }
+    tau = hold.tau
+    if tau is not None:
+        row["relaxation_time_s"] = tau.single_s
+        row["relaxation_window_start_s"], row["relaxation_window_end_s"] = tau.window_s
+    return row
+
+
+def measured_csv(described: Sequence[Trial]) -> bytes:
+    """The table as CSV in UTF-8: numbers to their last digit, text without what could steer a reader."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(HEAD)
+    for row in measured_rows(described):
+        writer.writerow([printable(cell) if isinstance(cell, str) else cell for cell in row])
+    return stream.getvalue().encode("utf-8")
+
+
+def measured_xlsx(described: Sequence[Trial]) -> bytes:
+    """The table as a workbook."""
+    from tissueid.store.xlsx import Sheet, xlsx_bytes
+
+    return xlsx_bytes([Sheet("measured", HEAD, measured_rows(described))])

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid import __version__
+from tissueid.cli.flags import example_lines
 from tissueid.cli.output import echo, terminal_line
-from tissueid.errors import EXIT_INTERRUPTED, TissueidError
+from tissueid.errors import EXIT_INTERRUPTED, TissueidError, was_interrupted
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -72,11 +73,10 @@ EXIT_OUTPUT = 6
 UNSET = frozenset({"completion", "config", "doctor", "explain", "models"})
 HELP = frozenset({"-h", "--help"})
 
-EPILOG = """\b
-Examples:
-  tissueid lab_data/*.csv
-  tissueid fit lab_data/ -o out
-  tissueid report out
+EXAMPLES = """
+tissueid lab_data/*.csv
+tissueid fit lab_data/ -o out
+tissueid report out
 """
 
 
@@ -131,7 +131,9 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=17, col_spacing=2)
 
 
-@click.command(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    cls=LazyGroup, epilog=example_lines(EXAMPLES), context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, "--version", prog_name="tissueid", message="%(prog)s %(version)s")
 @click.pass_context
 def cli(context: click.Context) -> None:
@@ -152,7 +154,7 @@ def cli(context: click.Context) -> None:
 
 def _settings(name: str) -> dict[str, Any]:
     """Defaults of a command from configuration files and the environment, as click takes them."""
-    from tissueid.cli.settings import as_default_map, settings_files, settings_of
+    from tissueid.cli.config_command import as_default_map, settings_files, settings_of
 
     command = cli.get_command(click.Context(cli), name)
     if command is None:
@@ -161,10 +163,7 @@ def _settings(name: str) -> dict[str, Any]:
 
 
 def with_verb(args: list[str]) -> list[str]:
-    """``inspect`` before arguments that begin with a recording, or with an option and name one.
-
-    A command goes before a file of its name; ``./fit`` is the file.
-    """
+    """``inspect`` before arguments that name a recording; a command goes before a file of its name."""
     if not args or args[0] in COMMANDS or args[0] in {*HELP, "--version"}:
         return args
     if next((arg for arg in args if not arg.startswith("-")), None) in COMMANDS:
@@ -182,13 +181,6 @@ def _is_recording(arg: str) -> bool:
 
 def _verbose(args: list[str]) -> bool:
     return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _interrupted() -> int:
@@ -242,10 +234,7 @@ def _broken(error: Exception, args: list[str]) -> int:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the command line; the entry point of the console script.
-
-    Returns exit code, see :mod:`tissueid.errors`.
-    """
+    """Run the command line, the entry point of the console script; returns its exit code."""
     args = with_verb(sys.argv[1:] if args is None else args)
     try:
         outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False, obj=args)
@@ -269,7 +258,7 @@ def main(args: list[str] | None = None) -> int:
         echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
         return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
-        return _interrupted() if _was_interrupted(error) else _broken(error, args)
+        return _interrupted() if was_interrupted(error) else _broken(error, args)
     return outcome if isinstance(outcome, int) else 0
 
 

@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from pathlib import Path
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, takes
+from tissueid.cli.flags import THERE, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo_json, note
 
-EPILOG = """\b
-Examples:
-  tissueid migrate out
-  tissueid migrate kidney.h5
+EXAMPLES = """
+tissueid migrate out
+tissueid migrate kidney.h5
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class MigrateFlags(OutputFlags):
-    """Flags of ``tissueid migrate``."""
-
-    # fmt: off
-    targets: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path(exists=True))
-    # fmt: on
+class _MigrateFlags(OutputFlags):
+    targets: tuple[str, ...] = argument(required=True, type=THERE)
 
 
-@click.command("migrate", epilog=EPILOG)
-@takes(MigrateFlags)
-def command(flags: MigrateFlags) -> int:
+@subcommand("migrate", EXAMPLES)
+def command(flags: _MigrateFlags) -> int:
     """Bring output folders or bundles that an earlier tissueid wrote to the version of this one.
 
     A file is replaced by its new version once that was read back whole. What is of this version already is
     not touched.
     """
-    from pathlib import Path
-
     from tissueid.store.migrate import migrate_bundle, migrate_folder
 
     found = []

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from textwrap import wrap
+from collections.abc import Iterator
 from typing import Any
 
-import click
+from tissueid.cli.flags import OutputFlags, argument, subcommand
+from tissueid.cli.output import MARGIN, labelled, refuse, tell
 
-from tissueid.cli.flags import OutputFlags, argument, takes
-from tissueid.cli.output import echo, echo_json, echo_lines
-from tissueid.errors import UsageError
-
-WIDTH, MARGIN = 98, 16
-
-EPILOG = """\b
-Examples:
-  tissueid models
-  tissueid models fractional
-  tissueid models --json
+EXAMPLES = """
+tissueid models
+tissueid models fractional
+tissueid models --json
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelsFlags(OutputFlags):
-    """Flags of ``tissueid models``."""
-
-    # fmt: off
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...")
-    # fmt: on
+class _ModelsFlags(OutputFlags):
+    names: tuple[str, ...] = argument(metavar="[NAME]...")
 
 
-@click.command("models", epilog=EPILOG)
-@takes(ModelsFlags)
-def command(flags: ModelsFlags) -> int:
+@subcommand("models", EXAMPLES)
+def command(flags: _ModelsFlags) -> int:
     """List the laws that contact models are made of, for fit --model.
 
     A model is kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING; NAME is the word of one
@@ -46,32 +33,28 @@ def command(flags: ModelsFlags) -> int:
         known = {row["key"]: row for row in rows}
         missing = [name for name in flags.names if name not in known]
         if missing:
-            msg = f"no law {missing[0]!r}; there are {', '.join(known)}"
-            raise UsageError(msg)
+            refuse(f"no law {missing[0]!r}; there are {', '.join(known)}")
         rows = [known[name] for name in flags.names]
-    if flags.as_json:
-        echo_json(rows)
-    elif not flags.quiet:
-        (_each if flags.names else _table)(rows)
+    tell(flags, rows, (_each if flags.names else _table)(rows))
     return 0
 
 
-def _table(rows: list[dict[str, Any]]) -> None:
+def _table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """One line a law, under its kind."""
     kind = ""
     for row in rows:
         if row["kind"] != kind:
             kind = row["kind"]
-            echo(f"{kind}:")
-        echo(f"  {row['key']:<{MARGIN - 4}}  {row['equation']}")
+            yield f"{kind}:"
+        yield f"  {row['key']:<{MARGIN - 4}}  {row['equation']}"
 
 
-def _each(rows: list[dict[str, Any]]) -> None:
+def _each(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Everything of some laws."""
     for position, row in enumerate(rows):
         if position:
-            echo()
-        echo(f"{row['key']} ({row['kind']}): {row['equation']}")
+            yield ""
+        yield f"{row['key']} ({row['kind']}): {row['equation']}"
         names = ", ".join(f"{one['symbol']} [{one['unit']}]" for one in row["parameters"])
         for label, text in (
             ("parameters", names or "none of its own"),
@@ -79,5 +62,4 @@ def _each(rows: list[dict[str, Any]]) -> None:
             ("refuses", row["refuses"]),
             ("source", f"doi {row['source']}" if row["source"][:3] == "10." else row["source"]),
         ):
-            first = f"  {label + ':':<{MARGIN - 2}}"
-            echo_lines(wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN))
+            yield from labelled(label, text)

@@ -1,32 +1,23 @@
-"""``docs/options.md``: every command with its options, written from the command line itself."""
+"""``docs/options.md`` and ``docs/api.md``, written from the command line, signatures and docstrings."""
 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator
+from dataclasses import is_dataclass
+from importlib import import_module
+from typing import Any
 
 import click
 
+import tissueid
+from tissueid.cli.config_command import TYPED_ONLY, option_name
+from tissueid.cli.flags import walk
 from tissueid.cli.main import cli
-from tissueid.cli.settings import TYPED_ONLY, option_name
 
 #: Options that every command has; told once.
 COMMON = frozenset({"quiet", "verbose", "json"})
-
-
-def every_command() -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """Every command and group below ``tissueid``, and ``tissueid`` itself first, with its names."""
-    yield from _below((), cli)
-
-
-def _below(name: tuple[str, ...], command: click.Command) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    yield name, command
-    if isinstance(command, click.Group):
-        context = click.Context(command)
-        for part in command.list_commands(context):
-            found = command.get_command(context, part)
-            if found is not None:
-                yield from _below((*name, part), found)
 
 
 def examples_of(command: click.Command) -> list[str]:
@@ -46,7 +37,7 @@ def options_page() -> str:
         "† are typed each time.",
         "",
     ]
-    for name, command in every_command():
+    for name, command in walk(cli):
         if not name:
             continue
         lines += [f"## `tissueid {' '.join(name)}`", "", *_help(command), ""]
@@ -73,3 +64,120 @@ def _row(option: click.Option) -> str | None:
     names, words = (part.replace("|", "\\|") for part in record)
     mark = " †" if key in TYPED_ONLY else ""
     return f"| `{names}`{mark} | {words} |"
+
+
+#: What the functions give and raise, by the module it stands in.
+RESULTS = {
+    "tissueid.trial": ("Trial",),
+    "tissueid.manifest": ("Study",),
+    "tissueid.result": ("Identification", "SpecimenFit", "Estimate"),
+    "tissueid.uncertainty": ("ParameterUncertainty", "Posterior"),
+    "tissueid.store.bundle": ("Bundle",),
+    "tissueid.errors": ("TissueidError", "UsageError", "InputError", "NotIdentifiedError", "BundleError"),
+}
+_HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+_ENTRY = re.compile(r"^(\S.*?)(?: : (.+))?$")
+EXAMPLE = """\
+```python
+import tissueid as ti
+
+trials = ti.read("datasets_synthetic/paper-a-hold-100Hz")
+fit = ti.fit(trials, "kelvin-voigt")
+print(fit["eta"].value, fit["eta"].stderr, [flag.code for flag in fit.flags])
+fit  # in a notebook: a table and a drawing
+
+options = ti.IdentifyOptions(fit=ti.FitOptions(branches=1, stiffness_degree=0))
+found = ti.identify(trials, options=options)  # every specimen among the recordings
+```
+"""
+
+
+def api_page() -> str:
+    """The page."""
+    lines = [
+        "# From Python",
+        "",
+        "Written by `scripts/write-docs` from signatures and docstrings. Units are mm, N and s. Names of",
+        "`tissueid` are loaded on first use. `Trial`, `Study`, `Identification`, `SpecimenFit`, `Estimate`,",
+        "`Posterior` and `Bundle` show themselves in notebooks, without a script and without the network.",
+        "",
+        EXAMPLE,
+        "## `tissueid`",
+        "",
+    ]
+    for name in sorted((one for one in tissueid.__all__ if not one.startswith("_")), key=str.lower):
+        lines += _entry(f"tissueid.{name}", getattr(tissueid, name))
+    lines += ["## What they give and raise", ""]
+    for module, names in RESULTS.items():
+        for name in names:
+            lines += _entry(f"{module}.{name}", getattr(import_module(module), name))
+    return "\n".join(lines)
+
+
+def _entry(name: str, thing: Any) -> list[str]:
+    lines = [f"### `{name}`", ""]
+    if not inspect.isclass(thing) or (is_dataclass(thing) and name.endswith("Options")):
+        lines += ["```", _signature(name.rpartition(".")[2], thing), "```", ""]
+    return [*lines, *_words(inspect.getdoc(thing) or ""), *_methods(thing)]
+
+
+def _signature(name: str, thing: Any) -> str:
+    """The call, one parameter a line where it is long; a default that a factory makes has no name."""
+    parameters = [
+        re.sub(r": '([^']*)'", r": \1", str(one)).replace("<factory>", "...")
+        for one in inspect.signature(thing).parameters.values()
+    ]
+    kinds = [one.kind for one in inspect.signature(thing).parameters.values()]
+    if inspect.Parameter.KEYWORD_ONLY in kinds:
+        parameters.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
+    short = f"{name}({', '.join(parameters)})"
+    return short if len(short) <= 90 else "\n".join([f"{name}(", *(f"    {one}," for one in parameters), ")"])
+
+
+def _words(text: str) -> list[str]:
+    """A docstring in Markdown: its sections as lists, without its examples."""
+    parts = _HEADING.split(text)
+    lines = [*_plain(parts[0]).strip().splitlines(), ""]
+    for title, body in zip(parts[1::2], parts[2::2], strict=True):
+        if title != "Examples":
+            lines += [f"*{title}*", "", *_listed(body.strip("\n")), ""]
+    return lines
+
+
+def _listed(body: str) -> Iterator[str]:
+    """``name : type`` with an indented description as one item each."""
+    head, rest = "", []
+    for line in [*body.splitlines(), "end"]:
+        if line.startswith(" ") or not line.strip():
+            rest.append(line.strip())
+            continue
+        if head:
+            words = " ".join(filter(None, rest))
+            yield f"* {head}: {_plain(words)}" if words else f"* {head}"
+        found = _ENTRY.match(line)
+        assert found is not None  # noqa: S101 -- a line that is not empty
+        name, kind = found.groups()
+        head, rest = f"`{name}`" + (f" ({kind})" if kind else ""), []
+
+
+def _plain(text: str) -> str:
+    """Without the marks of reStructuredText."""
+    return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`").replace("<", "&lt;")
+
+
+def _methods(thing: Any) -> list[str]:
+    if not inspect.isclass(thing):
+        return []
+    found = [
+        (name, value)
+        for name, value in vars(thing).items()
+        if not name.startswith("_") and (inspect.isfunction(value) or isinstance(value, property))
+    ]
+    if not found:
+        return []
+    lines = ["*Methods and properties*", ""]
+    for name, value in found:
+        call = "" if isinstance(value, property) else "()"
+        first = (inspect.getdoc(value) or "").partition("\n\n")[0].replace("\n", " ")
+        lines.append(f"* `{name}{call}`: {_plain(first)}")
+    return [*lines, ""]

@@ -8,12 +8,18 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from datetime import UTC, datetime
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
 from tissueid.digits import plain_exponents, typeset
-from tissueid.errors import printable
+from tissueid.errors import UsageError, printable
+
+if TYPE_CHECKING:
+    from tissueid.cli.flags import OutputFlags
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +30,8 @@ class Column:
     side: Literal["left", "right"] = "left"
 
 
+#: Columns, and where texts behind a label begin.
+WIDTH, MARGIN = 98, 16
 #: Marks of direction that are no control characters.
 _MARKS = re.compile("[\u200e\u200f\u061c]")
 #: Everything that steers a terminal and may stand raw in JSON.
@@ -63,10 +71,7 @@ def _typed(text: str) -> str:
 
 
 def echo(message: str = "", *, err: bool = False, fg: str | None = None, bold: bool = False) -> None:
-    """One line to stdout or stderr: the only way by which words reach a terminal.
-
-    ``message``: its own line breaks are shown as escapes: several lines are several calls; ``fg``: colour.
-    """
+    """One line to stdout or stderr, line breaks as escapes: the only way by which words reach a terminal."""
     line = _written(terminal_line(message), sys.stderr if err else sys.stdout)
     click.echo(click.style(line, fg=fg, bold=bold or None) if fg or bold else line, err=err)
 
@@ -77,11 +82,14 @@ def echo_lines(lines: Iterable[str]) -> None:
         echo(line)
 
 
-def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_last: bool = False) -> None:
-    """A table to stdout; a cell may have several lines.
+def labelled(label: str, text: str) -> list[str]:
+    """A text behind its label, in lines that a terminal holds."""
+    first = f"  {label + ':':<{MARGIN - 2}}"
+    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)
 
-    ``dim_last``: the last row stands apart.
-    """
+
+def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_last: bool = False) -> None:
+    """A table to stdout; a cell may have several lines."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -114,10 +122,7 @@ def echo_json_text(text: str) -> None:
 
 
 def echo_bytes(content: bytes, *, safe: bool = False) -> None:
-    """UTF-8 text to stdout as it is: neither the terminal's encoding nor its line ends change it.
-
-    On a terminal its lines are escaped, unless it is known to be safe.
-    """
+    """UTF-8 text to stdout as it is; on a terminal its lines are escaped, unless it is known to be safe."""
     if not safe and sys.stdout.isatty():
         echo_lines(content.decode("utf-8", "backslashreplace").removesuffix("\n").split("\n"))
         return
@@ -130,20 +135,22 @@ def echo_bytes(content: bytes, *, safe: bool = False) -> None:
         stream.flush()
 
 
+def tell(flags: OutputFlags, document: Any, lines: Iterable[str]) -> None:
+    """The JSON document where it was asked for, else lines of it; neither where it shall be quiet."""
+    if flags.as_json:
+        echo_json(document)
+    elif not flags.quiet:
+        echo_lines(lines)
+
+
 def note(message: str, *, quiet: int = 0) -> None:
     """A line on stderr."""
     if not quiet:
         echo(message, err=True)
 
 
-def write_output(path: str, content: bytes) -> None:
-    """Write a file the user named, whole or not at all.
-
-    Raises UsageError: if it can't be written there.
-    """
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
+def write_output(path: str | Path, content: bytes, *, quiet: int = 1) -> None:
+    """Write a file the user named, whole or not at all, and say so where not ``quiet``."""
     from tissueid.store.files import write_file
 
     try:
@@ -151,14 +158,41 @@ def write_output(path: str, content: bytes) -> None:
     except OSError as error:
         msg = f"{path}: can't be written ({error.strerror}); choose another place"
         raise UsageError(msg) from error
+    note(f"wrote {path}", quiet=quiet)
+
+
+def refuse(message: str) -> NoReturn:
+    """Refuse what makes no sense as it was typed."""
+    raise UsageError(message)
+
+
+def made_folder(path: str | Path, way_out: str = "choose another folder with -o") -> Path:
+    """The folder the user named, made where it is missing."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{path}: can't be made ({error.strerror}); {way_out}"
+        raise UsageError(msg) from error
+    return folder
+
+
+def refuse_foreign(folder: Path, names: Iterable[str], maker: str, why: str) -> None:
+    """Refuse to write over files of our names that stand there without the one that goes with them."""
+    foreign = [name for name in names if (folder / name).exists()]
+    if foreign and not (folder / maker).exists():
+        msg = f"{folder} holds {', '.join(foreign)} {why}: choose another folder with -o"
+        raise UsageError(msg)
+
+
+def created_now() -> str:
+    """Time at which a page is written, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 @contextmanager
 def progress_bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress line on stderr while it is a terminal; silent in pipes.
-
-    Yields ``report(message, done, total)``; total 0 is "not known yet".
-    """
+    """A progress line on a terminal's stderr; yields ``report(message, done, total)``, total 0: unknown."""
     if not (show and sys.stderr.isatty()):
         yield lambda _message, _done, _total: None
         return

@@ -5,19 +5,18 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.completing import readers
-from tissueid.cli.flags import option
-from tissueid.cli.output import echo
-from tissueid.errors import UsageError
+from tissueid.cli.completion_command import readers
+from tissueid.cli.flags import Flags, option
+from tissueid.cli.output import echo, refuse
+from tissueid.errors import InputError
 
 if TYPE_CHECKING:
-    from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
     from tissueid.result import Refusal
@@ -37,60 +36,51 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 DECIMALS = {"point": ".", "comma": ","}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadingFlags:
+class ReadingFlags(Flags):
     """Flags that say how recordings are read and cut."""
 
     # fmt: off
     columns: str | None = option(
-        "--columns", metavar="MAP", help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
+        'Which column is what: "time=Zeit,displacement=Weg,force=Kraft".', metavar="MAP"
     )
     units: str | None = option(
-        "--units", metavar="MAP", help='Units, where the file has none or wrong ones: "displacement=um".',
+        'Units, where the file has none or wrong ones: "displacement=um".', metavar="MAP"
     )
-    axes: str | None = option(
-        "--axes", metavar="MAP", help='Normalised channels: "displacement=strain,force=stress".',
-    )
+    axes: str | None = option('Normalised channels: "displacement=strain,force=stress".', metavar="MAP")
     specimen_by: str | None = option(
-        "--specimen-by", metavar="PATTERN",
-        help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
+        "Regular expression on the path (path::sheet in a workbook) that names the specimen.",
+        metavar="PATTERN",
     )
     recipe: str | None = option(
-        "--recipe", metavar="KEY", shell_complete=readers,
-        help="Reader to use, not the detected one; a KEY that is none lists them.",
+        "Reader to use, not the detected one; a KEY that is none lists them.",
+        metavar="KEY", shell_complete=readers,
     )
     sheet: str | None = option(
-        "--sheet", metavar="NAME",
-        help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one "
-            "file.",
+        "Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one file.",
+        metavar="NAME",
     )
     delimiter: str | None = option(
-        "--delimiter", type=click.Choice(list(DELIMITERS)),
-        help="What parts the cells, where the text leaves it open.",
+        "What parts the cells, where the text leaves it open.", type=click.Choice(list(DELIMITERS))
     )
     decimal: str | None = option(
-        "--decimal", type=click.Choice(list(DECIMALS)), help="Decimal mark, where the numbers leave it open.",
+        "Decimal mark, where the numbers leave it open.", type=click.Choice(list(DECIMALS))
     )
     compression: str | None = option(
-        "--compression", type=click.Choice(["positive", "negative"]),
-        help="Which direction of displacement is compression, where the guess is wrong.",
+        "Which direction of displacement is compression, where the guess is wrong.",
+        type=click.Choice(["positive", "negative"]),
     )
     contact: float | None = option(
-        "--contact", type=float, metavar="MM",
-        help="Displacement at contact as recorded [mm], where the detected one is wrong.",
+        "Displacement at contact as recorded [mm], where the detected one is wrong.", metavar="MM"
     )
     hold_from: float | None = option(
-        "--hold-from", type=float, metavar="S",
-        help="Time at which the hold begins as recorded [s], where the detected one is wrong.",
+        "Time at which the hold begins as recorded [s], where the detected one is wrong.", metavar="S"
     )
     hold_to: float | None = option(
-        "--hold-to", type=float, metavar="S",
-        help="Time at which the hold ends as recorded [s]; what follows doesn't count.",
+        "Time at which the hold ends as recorded [s]; what follows doesn't count.", metavar="S"
     )
-    no_rupture: bool = option("--no-rupture", is_flag=True, help="No fall of force is a rupture.")
+    no_rupture: bool = option("No fall of force is a rupture.")
     exclude: tuple[str, ...] = option(
-        "--exclude", multiple=True, metavar="PATTERN",
-        help="Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).",
+        "Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).", metavar="PATTERN"
     )
     # fmt: on
 
@@ -102,11 +92,10 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
     for part in text.split(","):
         key, separator, value = part.partition("=")
         if not separator or key.strip() not in QUANTITIES or not value.strip():
-            msg = (
+            refuse(
                 f'{flag} takes pairs like "time=Zeit,force=Kraft" with {", ".join(QUANTITIES)} on the left; '
                 f"{part!r} is none"
             )
-            raise UsageError(msg)
         pairs[key.strip()] = value.strip()
     return pairs
 
@@ -139,11 +128,9 @@ def segment_options(flags: ReadingFlags) -> SegmentOptions:
 
     contact, start, end = flags.contact, flags.hold_from, flags.hold_to
     if contact is not None and not abs(contact) <= LONGEST_TRAVEL_MM:
-        msg = f"--contact is {contact}; give a displacement in mm as recorded"
-        raise UsageError(msg)
+        refuse(f"--contact is {contact}; give a displacement in mm as recorded")
     if start is not None and end is not None and not start < end:
-        msg = f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded"
-        raise UsageError(msg)
+        refuse(f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded")
     return SegmentOptions(
         compression_sign={None: None, "positive": 1, "negative": -1}[flags.compression],
         contact_displacement_mm=contact,
@@ -154,48 +141,23 @@ def segment_options(flags: ReadingFlags) -> SegmentOptions:
     )
 
 
-def _refusal(error: InputError) -> Refusal:
-    from tissueid.result import Refusal
-
-    return Refusal(
-        path=error.path,
-        sheet=error.sheet,
-        code=error.code,
-        message=error.message,
-        line=error.line,
-        column=error.column,
-    )
-
-
 def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
-    """Refuse an output folder that is an input as well, also through a link.
-
-    Raises UsageError: results would stand among recordings.
-    """
+    """Refuse an output folder that is an input as well, also through a link."""
     for path in paths:
         folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
         if folder.is_dir() and os.path.realpath(folder) == os.path.realpath(out):
-            msg = f"{path} is read and -o {out} is the same folder: name another with -o, as -o results"
-            raise UsageError(msg)
+            refuse(f"{path} is read and -o {out} is the same folder: name another with -o, as -o results")
 
 
 def read_in_order(
     paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
 ) -> Iterator[Trial | Refusal]:
-    """Trials of all paths, one at a time; a refusal stands in the place of what was refused.
-
-    With a study, columns and units are those it decides, and what it names in vain is refused first.
-
-    Raises UsageError: at once, where a path does not exist.
-    """
+    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
     return _read(inputs_in_order(paths, study), options, study)
 
 
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
-    """Files of all paths, each with the sheet that was named; a refusal stands where something was refused.
-
-    Raises UsageError: where a path does not exist.
-    """
+    """Files of all paths with the sheet that was named; a refusal stands where something was refused."""
     from tissueid.ingest.manifest import unmatched_files
     from tissueid.study.file_list import FileList
     from tissueid.study.recordings import picked_sheet
@@ -216,19 +178,18 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
 
 
 def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
-    from tissueid.errors import InputError
     from tissueid.ingest import each_input
+    from tissueid.result import Refusal
 
     try:
         for file in each_input([name]):
-            yield _refusal(file) if isinstance(file, InputError) else (file, sheet)
+            yield Refusal.of(file) if isinstance(file, InputError) else (file, sheet)
     except InputError as error:
         # a folder without recordings does not stop the others
-        yield _refusal(error)
+        yield Refusal.of(error)
 
 
 def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:
-    from tissueid.errors import InputError
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
@@ -241,7 +202,7 @@ def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterato
         own = options if sheet is None else replace(options, sheet=sheet)
         for item in read_decided(path, own, study):
             if isinstance(item, InputError):
-                yield _refusal(item)
+                yield Refusal.of(item)
             else:
                 by_pattern.add(item.source.path, item.source.sheet)
                 yield item
@@ -294,8 +255,7 @@ class PatternCheck:
             return
         shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
         if self._named == 0 and not self._stated:
-            msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
-            raise UsageError(msg)
+            refuse(f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}")
         message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
         echo(f"warning: {message}", fg="yellow", err=True)
 

@@ -2,202 +2,158 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+import select
+import sys
+import time
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.completing import presets, scenes
-from tissueid.cli.flags import argument, option, takes
-from tissueid.cli.output import echo, echo_json, note
-from tissueid.cli.viewer_serving import ViewerFlags, served, telling_stop
+from tissueid.cli.completion_command import presets, scenes
+from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
+from tissueid.cli.output import draw, echo, echo_json, note, progress_bar, refuse
+from tissueid.cli.view_command import ViewerFlags, served, telling_stop
+from tissueid.errors import DeviceError, exit_code
 
 if TYPE_CHECKING:
     from tissueid.rendering.options import RenderOptions
     from tissueid.rendering.scene import Scene
     from tissueid.rendering.servo import ServoProcess
     from tissueid.rendering.servo_spawn import SpawnedServo
-    from tissueid.rendering.session import Outcome, Session
+    from tissueid.rendering.session import Outcome, Session, Wish
     from tissueid.rendering.session_plan import SessionPlan
+    from tissueid.rendering.summary import SessionSummary
     from tissueid.viewer.serving import ServedViewer
 
-EPILOG = """\b
-Examples:
-  tissueid render bundle.h5
-  tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
-  tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
-  tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
-  tissueid render a.h5 --against b.h5 --blind --log P17.h5
-  tissueid render bundle.h5 --replay out.h5
-  tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
-  tissueid render out/population.h5 --draw-specimen 7
-  tissueid render bundle.h5 --twin --against hold-8-1.csv
-  tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
-  tissueid render                                  a tissue that comes along, moved by the mouse
+EXAMPLES = """
+tissueid render bundle.h5
+tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
+tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
+tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
+tissueid render a.h5 --against b.h5 --blind --log P17.h5
+tissueid render bundle.h5 --replay out.h5
+tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
+tissueid render out/population.h5 --draw-specimen 7
+tissueid render bundle.h5 --twin --against hold-8-1.csv
+tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
+tissueid render                                  a tissue that comes along, moved by the mouse
 """
 
 #: Options that choose among the draws of bundles.
 _CHOICES = ("draw", "draw_specimen", "quantile", "against", "against_draw", "against_quantile")
+#: Options of a tissue, which a scene may have too, and those that go to the session under their own name.
+_TISSUE = ("bundle", "preset", "force_scale", "motion_scale", "surface")
+_ALIKE = (
+    *_CHOICES, "of", "script", "seconds", "environment", "blind", "presentations", "pseudonym", "replay",
+    "virtual",
+)  # fmt: skip
 #: What is felt where nothing was asked for.
 DEMONSTRATED = "paper-a"
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-#: Groups of options, each applied to the command in this order.
-@dataclass(frozen=True, kw_only=True)
-class _TissueFlags:
+class _TissueFlags(Flags):
     """Flags of the tissue that is felt."""
 
     # fmt: off
     preset: str | None = option(
-        "--preset", metavar="NAME", shell_complete=presets, help="A tissue that comes along: paper-a, meat.",
+        "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
-    draw: int | None = option(
-        "--draw", type=int, metavar="N", help="Feel posterior draw N instead of the fitted values.",
-    )
+    draw: int | None = option("Feel posterior draw N instead of the fitted values.", metavar="N")
     draw_specimen: str | None = option(
-        "--draw-specimen", metavar="[SEED]", is_flag=False, flag_value="new",
-        help="Feel a specimen drawn from a population.h5; without a seed another each time.",
+        "Feel a specimen drawn from a population.h5; without a seed another each time.",
+        metavar="[SEED]", is_flag=False, flag_value="new",
     )
-    quantile: float | None = option(
-        "--quantile", type=float, metavar="Q", help="Feel the draw nearest this quantile of --of.",
-    )
+    quantile: float | None = option("Feel the draw nearest this quantile of --of.", metavar="Q")
     of: str = option(
-        "--of", metavar="TEXT", default="force at 6 mm, 250 mm/min", show_default=True,
-        help="Which number the quantile, and the comparison of two tissues, is of.",
+        "Which number the quantile, and the comparison of two tissues, is of.",
+        metavar="TEXT", default="force at 6 mm, 250 mm/min",
     )
     against: Path | None = option(
-        "--against", type=_FILE, metavar="BUNDLE",
-        help="A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
+        "A second tissue; Enter switches. With --twin, the recording whose travel is driven.",
+        metavar="BUNDLE",
     )
-    against_draw: int | None = option("--against-draw", type=int, metavar="N", help="... of this draw.")
-    against_quantile: float | None = option(
-        "--against-quantile", type=float, metavar="Q", help="... of this quantile.",
-    )
-    environment: str | None = option(
-        "--environment", metavar="NAME", help="An installed force law instead of a tissue.",
-    )
+    against_draw: int | None = option("... of this draw.", metavar="N")
+    against_quantile: float | None = option("... of this quantile.", metavar="Q")
+    environment: str | None = option("An installed force law instead of a tissue.", metavar="NAME")
     scene: str | None = option(
-        "--scene", metavar="NAME|FILE", shell_complete=scenes,
-        help="A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
+        "A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor.",
+        metavar="NAME|FILE", shell_complete=scenes,
     )
     plan: Path | None = option(
-        "--plan", type=_FILE, metavar="FILE",
-        help="Axis and entry point to be guided to, instead of the scene's.",
+        "Axis and entry point to be guided to, instead of the scene's.", metavar="FILE"
     )
     # fmt: on
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ScaleFlags:
+class _ScaleFlags(Flags):
     """Flags of scale and surface."""
 
-    # fmt: off
-    force_scale: float | None = option(
-        "--force-scale", type=float, metavar="S", help="Device force over tissue force.",
-    )
-    motion_scale: float | None = option(
-        "--motion-scale", type=float, metavar="S", help="Device travel over tissue depth. [default: 5]",
-    )
+    force_scale: float | None = option("Device force over tissue force.", metavar="S")
+    motion_scale: float | None = option("Device travel over tissue depth. [default: 5]", metavar="S")
     surface: str | None = option(
-        "--surface", metavar="TEXT",
-        help="'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]",
+        "'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]", metavar="TEXT"
     )
     tip_radius: float | None = option(
-        "--tip-radius", type=click.FloatRange(min=0.0, min_open=True), metavar="MM",
-        help="Radius of the tool tip; another than identified is refused.",
+        "Radius of the tool tip; another than identified is refused.", type=ABOVE_0, metavar="MM"
     )
-    no_control: bool = option("--no-control", is_flag=True, help="The passivity controller only watches.")
-    # fmt: on
+    no_control: bool = option("The passivity controller only watches.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _SessionFlags:
+class _SessionFlags(Flags):
     """Flags of the session."""
 
     # fmt: off
     name: str = option(
-        "--device", default="auto", show_default=True, metavar="NAME",
-        help="auto, sim, emulator, falcon, forcedimension, or an installed one.",
+        "auto, sim, emulator, falcon, forcedimension, or an installed one.",
+        "--device", default="auto", metavar="NAME",
     )
-    firmware: str | None = option(
-        "--firmware", type=click.Path(), metavar="FILE", help="Firmware of a Falcon without any.",
-    )
-    port: str | None = option("--port", metavar="PATH", help="Serial port of a Falcon instead of USB.")
-    calibration: str | None = option(
-        "--calibration", type=click.Path(), metavar="FILE", help="Calibration of a Falcon.",
-    )
-    script: str | None = option(
-        "--script", metavar="TEXT", help="Strokes of the simulated grip, see docs/render.md.",
-    )
-    seconds: float | None = option(
-        "--seconds", type=float, metavar="S", help="End after this time; else with Ctrl-C.",
-    )
-    virtual: bool = option("--virtual", is_flag=True, help="Run a script as fast as it can be computed.")
-    log: Path | None = option(
-        "--log", type=_FILE, metavar="FILE", help="Record the session to this HDF5 file.",
-    )
-    replay: Path | None = option(
-        "--replay", type=_FILE, metavar="LOG", help="Render the motion of a recorded session.",
-    )
-    bridge: str | None = option(
-        "--bridge", metavar="PORT", help="Send positions to PORT by UDP, hear parameters on the next.",
-    )
+    firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
+    port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")
+    calibration: str | None = option("Calibration of a Falcon.", type=PATH, metavar="FILE")
+    script: str | None = option("Strokes of the simulated grip, see docs/render.md.", metavar="TEXT")
+    seconds: float | None = option("End after this time; else with Ctrl-C.", metavar="S")
+    virtual: bool = option("Run a script as fast as it can be computed.")
+    log: Path | None = option("Record the session to this HDF5 file.", metavar="FILE")
+    replay: Path | None = option("Render the motion of a recorded session.", metavar="LOG")
+    bridge: str | None = option("Send positions to PORT by UDP, hear parameters on the next.", metavar="PORT")
     bridge_token: str | None = option(
-        "--bridge-token", metavar="TEXT",
-        help="What requests to the bridge must carry. [default: drawn, and printed]",
+        "What requests to the bridge must carry. [default: drawn, and printed]", metavar="TEXT"
     )
-    viewer: bool = option(
-        "--viewer", is_flag=True, help="Show the session in a browser; a mouse leads --device sim.",
-    )
-    selftest: bool = option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave.")
-    yes: bool = option("--yes", is_flag=True, help="Do not ask for consent: it was given.")
-    twin: bool = option(
-        "--twin", is_flag=True,
-        help="Drive the program of a test machine on an emulated device, and fit what is felt.",
-    )
+    viewer: bool = option("Show the session in a browser; a mouse leads --device sim.")
+    selftest: bool = option("Measure the servo on this machine, and leave.")
+    yes: bool = option("Do not ask for consent: it was given.")
+    twin: bool = option("Drive the program of a test machine on an emulated device, and fit what is felt.")
     felt: Path | None = option(
-        "--felt", type=_FILE, metavar="RECORDING",
-        help="With --twin, what a test machine recorded at the grip of a real device.",
+        "With --twin, what a test machine recorded at the grip of a real device.", metavar="RECORDING"
     )
     out: Path | None = option(
-        "--out", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
-        help="Where --twin writes. [default: twin, beside the BUNDLE]",
+        "Where --twin writes. [default: twin, beside the BUNDLE]",
+        type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
     )
     # fmt: on
 
 
-@dataclass(frozen=True, kw_only=True)
-class _BlindFlags:
+class _BlindFlags(Flags):
     """Flags of a blind comparison."""
 
-    # fmt: off
-    blind: bool = option("--blind", is_flag=True, help="Compare without telling which is felt.")
-    presentations: int | None = option(
-        "--presentations", type=int, metavar="N", help="How many, evenly shared. [default: 10]",
-    )
-    pseudonym: str | None = option("--pseudonym", metavar="P17", help="Letters and a number; never a name.")
-    key: Path | None = option(
-        "--key", type=_FILE, metavar="FILE", help="Where the answers go. [default: beside the log]",
-    )
-    # fmt: on
+    blind: bool = option("Compare without telling which is felt.")
+    presentations: int | None = option("How many, evenly shared. [default: 10]", metavar="N")
+    pseudonym: str | None = option("Letters and a number; never a name.", metavar="P17")
+    key: Path | None = option("Where the answers go. [default: beside the log]", metavar="FILE")
 
 
-@dataclass(frozen=True, kw_only=True)
 class RenderFlags(_TissueFlags, _ScaleFlags, _SessionFlags, _BlindFlags, ViewerFlags):
-    """Flags of ``tissueid render``."""
+    """Everything that a session is asked for with."""
 
-    # fmt: off
-    bundle: Path | None = argument(required=False, type=_FILE)
-    # fmt: on
+    bundle: Path | None = argument(required=False)
 
 
-@click.command("render", epilog=EPILOG)
-@takes(RenderFlags)
+@subcommand("render", EXAMPLES)
 def command(flags: RenderFlags) -> int:
     """Feel the tissue of a BUNDLE.
 
@@ -205,8 +161,6 @@ def command(flags: RenderFlags) -> int:
     Scale and stability are checked, and printed, before any force. No real device has confirmed this
     software: hardware starts at 2 N with the dead-man button on. Without a device, --device sim tries it all.
     """
-    from tissueid.errors import DeviceError, UsageError, exit_code
-
     if flags.selftest:
         return _selftest(flags)
     if flags.twin:
@@ -214,8 +168,7 @@ def command(flags: RenderFlags) -> int:
 
         return twin(flags)
     if flags.felt is not None:
-        msg = "--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it"
-        raise UsageError(msg)
+        refuse("--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it")
     flags = _demonstrated(flags)
     with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)
@@ -243,37 +196,22 @@ def _demonstrated(flags: RenderFlags) -> RenderFlags:
     return flags
 
 
-@contextmanager
-def _viewer(flags: RenderFlags) -> Iterator[ServedViewer | None]:
+def _viewer(flags: RenderFlags) -> AbstractContextManager[ServedViewer | None]:
     """The viewer, where one is wanted."""
-    from tissueid.errors import UsageError
-
-    if not flags.viewer:
-        yield None
-        return
-    if flags.virtual:
-        msg = "--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`"
-        raise UsageError(msg)
-    with served(flags) as viewer:
-        yield viewer
+    if flags.viewer and flags.virtual:
+        refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
+    return served(flags) if flags.viewer else nullcontext()
 
 
-@contextmanager
-def _waiting_servo(flags: RenderFlags) -> Iterator[SpawnedServo | None]:
+def _waiting_servo(flags: RenderFlags) -> AbstractContextManager[SpawnedServo | None]:
     """A servo's process that loads while the plan is made; none where no clock runs."""
     from tissueid.rendering.servo_spawn import spawn_servo
 
-    if flags.virtual:
-        yield None
-        return
-    with closing(spawn_servo()) as spawned:
-        yield spawned
+    return nullcontext() if flags.virtual else closing(spawn_servo())
 
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
     """Everything that can be refused before a force."""
-    from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
-    from tissueid.errors import DeviceError, UsageError
     from tissueid.rendering.bridge import UdpBridge, parse_address
     from tissueid.rendering.plan import plan_session
     from tissueid.rendering.recorder import Recorder
@@ -289,8 +227,7 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
     for line in plan.lines:
         note(line, quiet=flags.quiet)
     if flags.blind and flags.log is None:
-        msg = "--blind is worth nothing without a record: add --log FILE"
-        raise UsageError(msg)
+        refuse("--blind is worth nothing without a record: add --log FILE")
     ask_for_consent(plan, given=flags.yes, quiet=flags.quiet)
     _write_key(flags, plan)
     bridge = None
@@ -322,44 +259,26 @@ def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, b
 
 
 def _asked(flags: RenderFlags) -> RenderOptions:
+    from tissueid.cli.devices_command import asked_device
+    from tissueid.haptics.registry import configured
     from tissueid.rendering.options import RenderOptions
 
     scene = _scene(flags)
     if scene is not None and scene.device is not None and flags.name == "auto":
         flags = replace(flags, name=scene.device)
-    asked: dict[str, Any] = {
-        "bundle": flags.bundle,
-        "preset": flags.preset,
-        "force_scale": flags.force_scale,
-        "motion_scale": flags.motion_scale,
-        "tip_radius_mm": flags.tip_radius,
-        "surface": flags.surface,
-    }
-    if scene is not None:
-        # what is said on the command line comes before what the scene says
-        asked = {**scene.tissue, **{key: value for key, value in asked.items() if value is not None}}
-    given: dict[str, Any] = {key: value for key, value in asked.items() if value is not None}
+    asked = {key: getattr(flags, key) for key in _TISSUE} | {"tip_radius_mm": flags.tip_radius}
+    # what is said on the command line comes before what the scene says
+    said = {} if scene is None else {key: one for key, one in scene.tissue.items() if one is not None}
+    said |= {key: value for key, value in asked.items() if value is not None}
+    alike: dict[str, Any] = {key: getattr(flags, key) for key in _ALIKE}
     return RenderOptions(
-        **{"surface": "plane", **given},
+        **{"surface": "plane", **said},
+        **alike,
         scene=scene,
-        draw=flags.draw,
-        draw_specimen=flags.draw_specimen,
-        quantile=flags.quantile,
-        of=flags.of,
-        against=flags.against,
-        against_draw=flags.against_draw,
-        against_quantile=flags.against_quantile,
         device=flags.name,
-        device_options=_device_options(flags),
-        script=flags.script,
-        seconds=flags.seconds,
-        environment=flags.environment,
+        # the device itself is made where it is used, in the servo's process
+        device_options=configured(flags.name, asked_device(flags)),
         control=not flags.no_control,
-        blind=flags.blind,
-        presentations=flags.presentations,
-        pseudonym=flags.pseudonym,
-        replay=flags.replay,
-        virtual=flags.virtual,
         bridge=flags.bridge is not None,
         led=flags.viewer,
     )
@@ -367,33 +286,19 @@ def _asked(flags: RenderFlags) -> RenderOptions:
 
 def _scene(flags: RenderFlags) -> Scene | None:
     """The scene that was asked for; it brings its own tissue, or guidance in its place."""
-    from tissueid.errors import UsageError
-
     if flags.scene is None:
         if flags.plan is not None:
-            msg = "--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own"
-            raise UsageError(msg)
+            refuse("--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own")
         return None
     from tissueid.rendering.scene import load_scene
 
     if flags.bundle is not None or flags.preset is not None or flags.environment is not None:
-        msg = "--scene brings what is felt: leave bundle, --preset and --environment out"
-        raise UsageError(msg)
+        refuse("--scene brings what is felt: leave bundle, --preset and --environment out")
     return load_scene(flags.scene, plan=flags.plan)
-
-
-def _device_options(flags: RenderFlags) -> dict[str, Any]:
-    """Options of a driver; the device itself is made where it is used, in the servo's process."""
-    from tissueid.cli.device_opening import asked_device
-    from tissueid.haptics.registry import configured
-
-    return configured(flags.name, asked_device(flags))
 
 
 def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
     """A device's refusal, with what works without a device."""
-    from tissueid.errors import DeviceError
-
     if "--device sim" in error.message or (plan is not None and not plan.capabilities.hardware):
         return error
     return DeviceError(f"{error.message.rstrip('.')}; without a device: --device sim")
@@ -422,8 +327,6 @@ def _write_key(flags: RenderFlags, plan: SessionPlan) -> None:
 
 def _report(flags: RenderFlags, plan: SessionPlan, outcome: Outcome) -> None:
     """The session in numbers."""
-    from tissueid.cli.render_screen import summary_lines
-
     if flags.as_json:
         echo_json(
             {
@@ -447,9 +350,6 @@ def _report(flags: RenderFlags, plan: SessionPlan, outcome: Outcome) -> None:
 
 def _selftest(flags: RenderFlags) -> int:
     """Figures of the servo on this machine."""
-    from dataclasses import asdict
-
-    from tissueid.cli.output import progress_bar
     from tissueid.rendering.selftest import DEFAULT_SECONDS, run_selftest
 
     seconds = flags.seconds or DEFAULT_SECONDS
@@ -473,3 +373,117 @@ def _selftest(flags: RenderFlags) -> int:
     for remedy in found.remedies:
         note(f"remedy: {remedy}", quiet=flags.quiet)
     return 0
+
+
+#: Time between two status lines [s].
+SHOW_EVERY_S = 0.1
+#: Shares below this are not worth a word.
+SMALLEST_SHARE = 5e-4
+
+
+def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
+    """Print what is to be agreed to, and ask; only motors and people need it."""
+    from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
+
+    texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
+    texts += [CONSENT_BLIND] if plan.order is not None else []
+    if not texts:
+        return
+    for line in "\n".join(texts).splitlines():
+        note(line, quiet=quiet if given else 0)
+    if given:
+        return
+    if not sys.stdin.isatty():
+        refuse("consent is needed and nobody can be asked here; give --yes where it was given")
+    click.confirm("Do you agree?", abort=True, err=True)
+
+
+class Keyboard:
+    """Enter asks for the next tissue, q and Enter for the end; where there is no terminal, nothing."""
+
+    def __init__(self, *, switches: bool) -> None:
+        self._heard = sys.stdin is not None and sys.stdin.isatty()
+        if self._heard:
+            note("Enter: next tissue; q, Enter: end" if switches else "q, Enter: end")
+
+    def __call__(self) -> Wish:
+        """Keys typed since the last call; never waits."""
+        from tissueid.rendering.session import Wish
+
+        if not self._heard or not select.select([sys.stdin], [], [], 0.0)[0]:
+            return Wish()
+        line = sys.stdin.readline()
+        if not line:
+            self._heard = False
+            return Wish()
+        typed = line.strip().lower()
+        return Wish(switch=typed == "", stop=typed in {"q", "quit"})
+
+
+class StatusLine:
+    """One line that is written over and over, on a terminal only."""
+
+    def __init__(self, plan: SessionPlan, *, quiet: bool) -> None:
+        self._plan = plan
+        self._shown_s = 0.0
+        self._on = not quiet and sys.stderr.isatty()
+
+    def __call__(self, record: Any, summary: SessionSummary) -> None:
+        """Show a record, unless the last was shown a moment ago."""
+        now = time.monotonic()
+        if not self._on or now - self._shown_s < SHOW_EVERY_S:
+            return
+        self._shown_s = now
+        draw("\r\x1b[K" + status_text(record, summary, blind=self._plan.order is not None))
+
+
+def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
+    """A record in one line, for eyes and screen readers."""
+    from tissueid.haptics.states import Lamp, State
+
+    force = float((record["force_N"] ** 2).sum() ** 0.5)
+    lamps = " ".join(str(lamp.name).lower().replace("_", " ") for lamp in Lamp(int(record["lamps"])))
+    which = f"presentation {int(record['label'])}  " if blind else ""
+    tissue = "" if blind else f" (tissue {float(record['tissue_force_N']):.1f} N)"
+    return (
+        f"{summary.seconds:7.1f} s  {State(int(record['state'])).name.lower():8} {which}"
+        f"depth {float(record['depth_mm']):6.2f} mm  force {force:5.2f} N{tissue}  {lamps}"
+    )
+
+
+def summary_lines(outcome: Outcome) -> list[str]:
+    """The session in a few lines."""
+    from tissueid.documents import typed
+    from tissueid.documents.session import Summary
+    from tissueid.store.files import plain_json
+
+    summary = typed(plain_json(outcome.summary), Summary)
+    period = summary.period_us
+    ended = (
+        f"{outcome.message}; {summary.seconds:.1f} s, {summary.ticks} ticks, "
+        f"{summary.skipped_ticks} skipped, {summary.lost_records} records lost"
+    )
+    peak = (
+        f"{summary.peak_device_force_N:.3g} N at the device, {summary.peak_tissue_force_N:.4g} N of "
+        f"tissue, {summary.deepest_mm:.3g} mm deep; {1e3 * summary.energy_J:.3g} mJ taken from the hand"
+    )
+    timing = (
+        f"{summary.scheduling}; period error median {period.median:.0f}, p99 {period.p99:.0f}, "
+        f"p99.9 {period.p99_9:.0f}, max {period.max:.0f} us"
+        + ("; TIMING DEGRADED" if summary.timing_degraded else "")
+    )
+    text = [f"ended      {ended}", f"peak       {peak}", f"timing     {timing}"]
+    lit = [
+        f"{lamp.replace('_', ' ')} {100.0 * share:.2g} %"
+        for lamp, share in summary.shares.items()
+        if share >= SMALLEST_SHARE
+    ]
+    if lit:
+        text.append(f"lamps      of the ticks: {', '.join(lit)}")
+    if summary.timing_degraded:
+        text += [f"remedy     {remedy}" for remedy in outcome.remedies]
+    if outcome.log is not None:
+        text.append(f"log        {outcome.log}")
+    if summary.recording_stopped is not None:
+        text.append(f"RECORDING STOPPED before the end: {summary.recording_stopped}")
+    return text

@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from pathlib import Path
 
-import click
+from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import created_now, echo_json, note, write_output
+from tissueid.errors import BundleError
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, note, write_output
-
-EPILOG = """\b
-Examples:
-  tissueid report out
-  tissueid report out -o for-a-colleague.html
+EXAMPLES = """
+tissueid report out
+tissueid report out -o for-a-colleague.html
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReportFlags(OutputFlags):
-    """Flags of ``tissueid report``."""
-
-    # fmt: off
-    out: str = argument(type=click.Path(exists=True))
-    output: str | None = option(
-        "-o", "--output", type=click.Path(), help="File to write instead of OUT/report.html.",
-    )
-    # fmt: on
+class _ReportFlags(OutputFlags):
+    out: str = argument(type=THERE)
+    output: str | None = option("File to write instead of OUT/report.html.", "-o", type=PATH)
 
 
-@click.command("report", epilog=EPILOG)
-@takes(ReportFlags)
-def command(flags: ReportFlags) -> int:
+@subcommand("report", EXAMPLES)
+def command(flags: _ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
-    from pathlib import Path
-
-    from tissueid.errors import BundleError
     from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_plain, read_results, read_twin
@@ -56,9 +42,10 @@ def command(flags: ReportFlags) -> int:
             msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
             raise BundleError(msg)
         _, curves, posteriors = read_results(out)
-        created = datetime.now(UTC).isoformat(timespec="seconds")
         twin = read_twin(out)
-        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
+        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created_now()).encode(
+            "utf-8"
+        )
         if target is not None:
             write_output(target, page)
         else:

@@ -3,51 +3,41 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import replace
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note, progress_bar
+from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import created_now, made_folder, note, progress_bar, tell
 from tissueid.documents import typed
 from tissueid.documents.reproduction import Reproduction
-from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid reproduce all
-  tissueid reproduce sadeghnejad -o paper-a --json
-  tissueid reproduce sadeghnejad --set stiffness=linear --set criterion=weighted-force
-  tissueid reproduce pires --set surface=cone
+EXAMPLES = """
+tissueid reproduce all
+tissueid reproduce sadeghnejad -o paper-a --json
+tissueid reproduce sadeghnejad --set stiffness=linear --set criterion=weighted-force
+tissueid reproduce pires --set surface=cone
 """
 FILES = ("reproduction.json", "reproduction.html")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReproduceFlags(OutputFlags):
-    """Flags of ``tissueid reproduce``."""
-
+class _ReproduceFlags(OutputFlags):
     # fmt: off
     paper: str = argument(type=click.Choice(["sadeghnejad", "pires", "all"]))
     out: str = option(
-        "-o", "--out", type=click.Path(file_okay=False), default="tissueid-reproduction", show_default=True,
-        help="Folder for reproduction.json and reproduction.html.",
+        "Folder for reproduction.json and reproduction.html.",
+        "-o", type=FOLDER, default="tissueid-reproduction",
     )
     settings: tuple[str, ...] = option(
-        "--set", multiple=True, metavar="NAME=CHOICE",
-        help="Read a lost equation otherwise; the page lists names and choices.",
+        "Read a lost equation otherwise; the page lists names and choices.", "--set", metavar="NAME=CHOICE"
     )
-    seed: int | None = option(
-        "--seed", type=click.IntRange(min=0), help="Seed of everything random. [default: fixed]",
-    )
+    seed: int | None = option("Seed of everything random. [default: fixed]", type=FROM_0)
     # fmt: on
 
 
-@click.command("reproduce", epilog=EPILOG)
-@takes(ReproduceFlags)
-def command(flags: ReproduceFlags) -> int:
+@subcommand("reproduce", EXAMPLES)
+def command(flags: _ReproduceFlags) -> int:
     """Recompute tables and figures of the two papers this project starts from.
 
     PAPER is sadeghnejad (sinus surgery: model, identification, adaptive controller), pires (hip resurfacing:
@@ -55,8 +45,6 @@ def command(flags: ReproduceFlags) -> int:
     what stands behind it: reproduced, recomputed (no number is printed beside it), given (an input), a round
     trip (the number was among the inputs), assumed, or not reproducible.
     """
-    from dataclasses import replace
-
     from tissueid.report.reproduction_page import render_reproduction
     from tissueid.reproduce.document import PAPERS, reproduction
     from tissueid.reproduce.published import readings_from
@@ -64,47 +52,32 @@ def command(flags: ReproduceFlags) -> int:
     from tissueid.store.files import json_bytes, plain_json, write_file
     from tissueid.store.schema import check as check_schema
 
-    quiet: int = flags.quiet
     readings = readings_from(flags.settings)
-    out = _folder(flags.out)
+    out = made_folder(flags.out)
     papers = PAPERS if flags.paper == "all" else (flags.paper,)
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         effort = Effort(progress=lambda message: progress(message, 0, 0))
         if flags.seed is not None:
             effort = replace(effort, seed=flags.seed)
         written = plain_json(reproduction(papers, readings, effort))
     check_schema(written, "reproduction", where=FILES[0])
     document = typed(written, Reproduction)
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     write_file(out / FILES[0], json_bytes(written))
-    write_file(out / FILES[1], render_reproduction(document, created=created).encode("utf-8"))
-    if flags.as_json:
-        echo_json(written)
-    elif not quiet:
-        _print(document)
-    note(f"{out / FILES[1]}", quiet=quiet)
+    write_file(out / FILES[1], render_reproduction(document, created=created_now()).encode("utf-8"))
+    tell(flags, written, _lines(document))
+    note(f"{out / FILES[1]}", quiet=flags.quiet)
     return 0
 
 
-def _folder(name: str) -> Path:
-    out = Path(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
-        raise UsageError(msg) from error
-    return out
-
-
-def _print(document: Reproduction) -> None:
+def _lines(document: Reproduction) -> Iterator[str]:
     for item in document.items:
         agrees = {None: "", True: "agrees", False: "differs"}[item.agrees]
-        echo(
+        yield (
             f"{item.item:<32} {_value(item.published):>16} {_value(item.recomputed):>18}  "
-            f"{agrees:<8} {item.kind}",
+            f"{agrees:<8} {item.kind}"
         )
     counts = Counter(item.kind for item in document.items)
-    echo("  ".join(f"{kind}: {count}" for kind, count in counts.items()))
+    yield "  ".join(f"{kind}: {count}" for kind, count in counts.items())
 
 
 def _value(value: float | tuple[float, ...] | None) -> str:

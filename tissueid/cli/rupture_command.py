@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, echo_lines, note, progress_bar
+from tissueid.cli.flags import FOLDER, PATH, REAL_FROM_0, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, note, progress_bar, tell
 from tissueid.cli.reading import (
     ReadingFlags,
     read_all,
@@ -25,11 +24,10 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
-EPILOG = """\b
-Examples:
-  tissueid rupture study.toml -o rupture
-  tissueid rupture lab_data/ -o rupture --criterion auto
-  tissueid rupture lab_data/ -o rupture --criterion work --specimen-by "(sheep-[0-9]+)"
+EXAMPLES = """
+tissueid rupture study.toml -o rupture
+tissueid rupture lab_data/ -o rupture --criterion auto
+tissueid rupture lab_data/ -o rupture --criterion work --specimen-by "(sheep-[0-9]+)"
 """
 #: What may be asked for, written out so that help need not load it; a test holds it against the code.
 ASKED = ("none", "auto", "work", "weighted-force", "stored-energy", "depth")
@@ -37,33 +35,22 @@ EXIT_INCOMPLETE = 7
 S_PER_MIN = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class RuptureFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid rupture``."""
-
+class _RuptureFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    paths: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    out: str = option(
-        "-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.",
-    )
+    paths: tuple[str, ...] = argument(required=True, type=PATH)
+    out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
     criterion: str = option(
-        "--criterion", type=click.Choice(ASKED), default="none", show_default=True,
-        help="What the bundles rupture by; auto takes what the evidence decides for, or none.",
+        "What the bundles rupture by; auto takes what the evidence decides for, or none.",
+        type=click.Choice(ASKED), default="none",
     )
-    weight: float = option(
-        "--weight", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-        help="w of the weighted force F_s + w F_d.",
-    )
-    study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE", help="Study file, where not the folder's own.",
-    )
-    no_study: bool = option("--no-study", is_flag=True, help="Without the folder's study.toml.")
+    weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)
+    study: str | None = option("Study file, where not the folder's own.", type=PATH, metavar="FILE")
+    no_study: bool = option("Without the folder's study.toml.")
     # fmt: on
 
 
-@click.command("rupture", epilog=EPILOG)
-@takes(RuptureFlags)
-def command(flags: RuptureFlags) -> int:
+@subcommand("rupture", EXAMPLES)
+def command(flags: _RuptureFlags) -> int:
     """Study tests to rupture: force, depth and work at failure, against speed, and what broke the tissue.
 
     PATHS are recordings, folders of them, or a study.toml; tests that did not rupture belong to it. Compares
@@ -73,22 +60,18 @@ def command(flags: RuptureFlags) -> int:
     """
     from tissueid.rupture.document import write_rupture
 
-    quiet = flags.quiet
     refuse_same_folder(flags.paths, flags.out)
-    with progress_bar(show=not quiet) as progress:
+    with progress_bar(show=not flags.quiet) as progress:
         written = write_rupture(Path(flags.out), lambda: _run(flags, progress))
     document = typed(written, Rupture)
-    if flags.as_json:
-        echo_json(written)
-    elif not quiet:
-        echo_lines(_lines(document))
+    tell(flags, written, _lines(document))
     for row in document.left_out:
         echo(f"left out  {row.path}: {row.reason}", fg="red", err=True)
-    note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=quiet)
+    note(f"wrote rupture.json, rupture.html and the bundles to {flags.out}", quiet=flags.quiet)
     return EXIT_INCOMPLETE if document.left_out else 0
 
 
-def _run(flags: RuptureFlags, progress: Any) -> RuptureRun:
+def _run(flags: _RuptureFlags, progress: Any) -> RuptureRun:
     from tissueid.pipeline import IdentifyOptions
     from tissueid.rupture.run import run_rupture
     from tissueid.study.recordings import locate_study, read_decided_one

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
-import click
-
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, echo_lines
+from tissueid.cli.flags import FOLDER_THERE, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import tell
 from tissueid.documents import typed
 from tissueid.documents.folder import Status
 
-EPILOG = """\b
-Examples:
-  tissueid status out
-  tissueid status out --watch
-  tissueid status out --json
+EXAMPLES = """
+tissueid status out
+tissueid status out --watch
+tissueid status out --json
 """
 #: Time between two looks [s].
 WATCH_S = 2.0
@@ -30,19 +26,13 @@ STATES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class StatusFlags(OutputFlags):
-    """Flags of ``tissueid status``."""
-
-    # fmt: off
-    out: str = argument(type=click.Path(exists=True, file_okay=False))
-    watch: bool = option("--watch", is_flag=True, help="Look again every two seconds until the run ends.")
-    # fmt: on
+class _StatusFlags(OutputFlags):
+    out: str = argument(type=FOLDER_THERE)
+    watch: bool = option("Look again every two seconds until the run ends.")
 
 
-@click.command("status", epilog=EPILOG)
-@takes(StatusFlags)
-def command(flags: StatusFlags) -> int:
+@subcommand("status", EXAMPLES)
+def command(flags: _StatusFlags) -> int:
     """Say how far the fit of a folder is: specimens done, rate, time left, failures.
 
     Reads the index of the folder, at any time and without disturbing a run that writes it.  Exit code 7
@@ -53,10 +43,7 @@ def command(flags: StatusFlags) -> int:
     while True:
         read = read_status(Path(flags.out))
         status = typed(read, Status)
-        if flags.as_json:
-            echo_json(read)
-        elif not flags.quiet:
-            echo_lines(_lines(status))
+        tell(flags, read, _lines(status))
         if not flags.watch or status.state != "running":
             return 7 if status.specimens.failed or status.files.refused else 0
         time.sleep(WATCH_S)

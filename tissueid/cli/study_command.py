@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.flags import (
+    FOLDER,
+    FOLDER_THERE,
+    THERE,
+    OutputFlags,
+    argument,
+    example_lines,
+    option,
+    subcommand,
+)
+from tissueid.cli.output import echo, echo_json, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
 from tissueid.errors import UsageError
 
@@ -23,17 +32,16 @@ if TYPE_CHECKING:
 FEW_MISSING = 8
 EXIT_INCOMPLETE = 7
 
-EPILOG = """\b
-Examples:
-  tissueid study init lab_data/
-  tissueid study check lab_data/
-  tissueid study exclude lab_data/run_7.csv --because "the tool slipped"
-  tissueid study include lab_data/run_7.csv
-  tissueid study export lab_data/ --crate crate/ --anonymise
+EXAMPLES = """
+tissueid study init lab_data/
+tissueid study check lab_data/
+tissueid study exclude lab_data/run_7.csv --because "the tool slipped"
+tissueid study include lab_data/run_7.csv
+tissueid study export lab_data/ --crate crate/ --anonymise
 """
 
 
-@click.group("study", epilog=EPILOG)
+@click.group("study", epilog=example_lines(EXAMPLES))
 def command() -> None:
     """Write, check, correct and publish study.toml.
 
@@ -41,15 +49,6 @@ def command() -> None:
     decisions and their reasons. fit reads it. exclude asks for --because; export writes a folder, --crate,
     and takes names out with --anonymise.
     """
-
-
-def _sub(name: str, epilog: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A sub-command with its examples."""
-
-    def decorate(function: Callable[..., int]) -> click.Command:
-        return command.command(name, epilog=f"\b\nExamples:\n{epilog}")(function)
-
-    return decorate
 
 
 def _read_all(
@@ -62,19 +61,13 @@ def _read_all(
     return list(read_all(read_in_order(paths, reading, study), refused)), refused
 
 
-@dataclass(frozen=True, kw_only=True)
-class InitFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid init``."""
-
-    # fmt: off
-    folder: str = argument(type=click.Path(exists=True, file_okay=False))
-    force: bool = option("--force", is_flag=True, help="Write over a study.toml that is there.")
-    # fmt: on
+class _InitFlags(ReadingFlags, OutputFlags):
+    folder: str = argument(type=FOLDER_THERE)
+    force: bool = option("Write over a study.toml that is there.")
 
 
-@_sub("init", "  tissueid study init lab_data/\n  tissueid study init lab_data/ --force\n")
-@takes(InitFlags)
-def init(flags: InitFlags) -> int:
+@subcommand("init", "tissueid study init lab_data/\ntissueid study init lab_data/ --force", command)
+def init(flags: _InitFlags) -> int:
     """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
     from tissueid.ingest.manifest import MANIFEST
     from tissueid.store.files import write_file
@@ -83,12 +76,10 @@ def init(flags: InitFlags) -> int:
     folder = Path(flags.folder)
     target = folder / MANIFEST
     if target.exists() and not flags.force:
-        msg = f"{target} is there already: edit it, or write over it with --force"
-        raise UsageError(msg)
+        refuse(f"{target} is there already: edit it, or write over it with --force")
     trials, refused = _read_all((flags.folder,), flags, None)
     if not trials:
-        msg = f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})"
-        raise UsageError(msg)
+        refuse(f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})")
     content = draft_study(folder, trials, refused).encode("utf-8")
     try:
         write_file(target, content)
@@ -103,18 +94,14 @@ def init(flags: InitFlags) -> int:
     return EXIT_INCOMPLETE if refused else 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckFlags(OutputFlags):
-    """Flags of ``tissueid check``."""
-
-    # fmt: off
-    study: str = argument(type=click.Path(exists=True))
-    # fmt: on
+class _CheckFlags(OutputFlags):
+    study: str = argument(type=THERE)
 
 
-@_sub("check", "  tissueid study check lab_data/\n  tissueid study check lab_data/study.toml --json\n")
-@takes(CheckFlags)
-def check(flags: CheckFlags) -> int:
+@subcommand(
+    "check", "tissueid study check lab_data/\ntissueid study check lab_data/study.toml --json", command
+)
+def check(flags: _CheckFlags) -> int:
     """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
 
     Exit code 0 where nothing essential is missing, 7 where something is or a named file is not there, 3
@@ -149,28 +136,22 @@ def check(flags: CheckFlags) -> int:
     return 0 if found.usable else EXIT_INCOMPLETE
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExcludeFlags(OutputFlags):
-    """Flags of ``tissueid exclude``."""
-
-    # fmt: off
+class _IncludeFlags(OutputFlags):
     trial: str = argument()
-    because: str = option(
-        "--because", required=True, metavar="TEXT", help="Why; shown wherever the trial is missed.",
-    )
-    study: str | None = option(
-        "--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]",
-    )
-    # fmt: on
+    study: str | None = option("Study file. [default: the nearest above TRIAL]", type=THERE)
 
 
-@_sub(
+class _ExcludeFlags(_IncludeFlags):
+    because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
+
+
+@subcommand(
     "exclude",
-    '  tissueid study exclude lab_data/run_7.csv --because "the tool slipped"\n'
-    '  tissueid study exclude "meat.xlsx::Sheet 3" --because "thawed" --study lab_data/\n',
+    'tissueid study exclude lab_data/run_7.csv --because "the tool slipped"\n'
+    'tissueid study exclude "meat.xlsx::Sheet 3" --because "thawed" --study lab_data/',
+    command,
 )
-@takes(ExcludeFlags)
-def exclude(flags: ExcludeFlags) -> int:
+def exclude(flags: _ExcludeFlags) -> int:
     """Take a recording out of the fit, with the reason; the report shows the numbers with and without it.
 
     TRIAL is a file, or file::sheet for one sheet of a workbook.
@@ -184,21 +165,8 @@ def exclude(flags: ExcludeFlags) -> int:
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class IncludeFlags(OutputFlags):
-    """Flags of ``tissueid include``."""
-
-    # fmt: off
-    trial: str = argument()
-    study: str | None = option(
-        "--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]",
-    )
-    # fmt: on
-
-
-@_sub("include", "  tissueid study include lab_data/run_7.csv\n")
-@takes(IncludeFlags)
-def include(flags: IncludeFlags) -> int:
+@subcommand("include", "tissueid study include lab_data/run_7.csv", command)
+def include(flags: _IncludeFlags) -> int:
     """Take a recording back into the fit."""
     from tissueid.study.exclusions import find_manifest, include
 
@@ -214,44 +182,35 @@ def _changed(manifest: Path, named: str, flags: OutputFlags, message: str) -> in
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid export``."""
-
+class _ExportFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    study: str = argument(type=click.Path(exists=True))
+    study: str = argument(type=THERE)
     crate: str = option(
-        "--crate", required=True, type=click.Path(file_okay=False), metavar="OUT",
-        help="Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
+        "Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
+        required=True, type=FOLDER, metavar="OUT",
     )
     anonymise: bool = option(
-        "--anonymise", is_flag=True,
-        help="Without names of people, places and animals, dates and ethics number; recordings without "
-            "headers.",
+        "Without names of people, places and animals, dates and ethics number; recordings without headers."
     )
-    date: str | None = option("--date", help="Day of publication, YYYY-MM-DD. [default: today]")
+    date: str | None = option("Day of publication, YYYY-MM-DD. [default: today]")
     # fmt: on
 
 
-@_sub(
+@subcommand(
     "export",
-    "  tissueid study export lab_data/ --crate crate/\n"
-    "  tissueid study export lab_data/ --crate crate/ --anonymise\n",
+    "tissueid study export lab_data/ --crate crate/\n"
+    "tissueid study export lab_data/ --crate crate/ --anonymise",
+    command,
 )
-@takes(ExportFlags)
-def export(flags: ExportFlags) -> int:
+def export(flags: _ExportFlags) -> int:
     """Publish a study: recordings, study file and metadata in one folder."""
-    from dataclasses import replace
-    from datetime import UTC, date, datetime
-
     from tissueid.collection import display_names
     from tissueid.study.crate import Anonymiser, crate_files, crate_metadata, read_salt, write_crate
     from tissueid.study.recordings import locate_study
 
     study, paths = locate_study((flags.study,))
     if study is None:
-        msg = f"{flags.study}: there is no study.toml; `tissueid study init` writes one"
-        raise UsageError(msg)
+        refuse(f"{flags.study}: there is no study.toml; `tissueid study init` writes one")
     try:
         day = date.fromisoformat(flags.date) if flags.date else datetime.now(UTC).date()
     except ValueError as error:
@@ -274,7 +233,6 @@ def export(flags: ExportFlags) -> int:
     note(f"wrote {len(files)} files and their metadata to {flags.crate}", quiet=flags.quiet)
     if anonymiser is not None:
         note(
-            "read the reasons and the machine's name once more: free text can name people",
-            quiet=flags.quiet,
+            "read the reasons and the machine's name once more: free text can name people", quiet=flags.quiet
         )
     return EXIT_INCOMPLETE if refused else 0

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
 
 import click
 
-from tissueid.cli.completing import dialects, recipes
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.completion_command import dialects, recipes
+from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, echo_json, note, refuse
+from tissueid.errors import UsageError
 
-EPILOG = """\b
-Examples:
-  tissueid synth paper-a-30 -o synthetic --rate 100
-  tissueid synth my_recipe.toml -o synthetic --seed 7 --dialect semicolon
-  tissueid synth --dialects
+EXAMPLES = """
+tissueid synth paper-a-30 -o synthetic --rate 100
+tissueid synth my_recipe.toml -o synthetic --seed 7 --dialect semicolon
+tissueid synth --dialects
 """
 
 
@@ -34,60 +35,38 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
     context.exit()
 
 
-@dataclass(frozen=True, kw_only=True)
-class SynthFlags(OutputFlags):
-    """Flags of ``tissueid synth``."""
-
+class _SynthFlags(OutputFlags):
     # fmt: off
+    list_dialects: None = option(
+        "List the dialects and leave.", "--dialects", is_flag=True, is_eager=True, callback=_list_dialects
+    )
     recipe: str = argument(shell_complete=recipes)
-    out: str = option(
-        "-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.",
-    )
-    seed: int = option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True,
-        help="Seed of the noise and the scatter.",
-    )
-    rate: float | None = option(
-        "--rate", type=float, metavar="HZ", help="Sampling rate, where not the recipe's.",
-    )
+    out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
+    seed: int = option("Seed of the noise and the scatter.", type=FROM_0, default=0)
+    rate: float | None = option("Sampling rate, where not the recipe's.", metavar="HZ")
     dialect: str = option(
-        "--dialect", metavar="NAME", default="bare", show_default=True, shell_complete=dialects,
-        help="How each log is written: a locale or option of Bluehill, or another machine's format.",
+        "How each log is written: a locale or option of Bluehill, or another machine's format.",
+        metavar="NAME", default="bare", shell_complete=dialects,
     )
     # fmt: on
 
 
-@click.command("synth", epilog=EPILOG)
-@click.option(
-    "--dialects",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_list_dialects,
-    help="List the dialects and leave.",
-)
-@takes(SynthFlags)
-def command(flags: SynthFlags) -> int:
+@subcommand("synth", EXAMPLES)
+def command(flags: _SynthFlags) -> int:
     """Write synthetic exports with a known truth.
 
     RECIPE is a name (paper-a-30, paper-a-30-k1, paper-a-22) or a recipe.toml.
     """
-    from dataclasses import replace
-    from pathlib import Path
-
-    from tissueid.errors import UsageError
     from tissueid.synth import RECIPES, load_recipe, recipe, write_set
 
     named = flags.recipe
     is_file = named not in RECIPES and Path(named).suffix == ".toml"
     if is_file and not Path(named).exists():
-        msg = f"{named}: no such file"
-        raise UsageError(msg)
+        refuse(f"{named}: no such file")
     plan = load_recipe(named) if is_file else recipe(named)
     if flags.rate is not None:
         if not 0.0 < flags.rate <= HIGHEST_RATE_HZ:
-            msg = f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
-            raise UsageError(msg)
+            refuse(f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
         plan = replace(plan, rate_Hz=flags.rate)
     try:
         files = write_set(plan, flags.out, seed=flags.seed, dialect=flags.dialect)

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import click
 from msgspec.structs import asdict
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import echo_json, echo_lines, note, write_output
+from tissueid.cli.flags import ABOVE_0, FILE, THERE, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import note, refuse, tell, write_output
 from tissueid.documents import plain
 from tissueid.documents.session import Attempt, Learning, Refused, Training
+from tissueid.errors import BundleError, exit_code
 
-EPILOG = """\b
-Examples:
-  tissueid training hip-*.h5
-  tissueid training sessions/ --json
-  tissueid training P17-*.h5 --cone-entry 30 --html P17.html
+EXAMPLES = """
+tissueid training hip-*.h5
+tissueid training sessions/ --json
+tissueid training P17-*.h5 --cone-entry 30 --html P17.html
 """
 #: Measures that practice is looked for in, with their words.
 LEARNED: Mapping[Literal["end_error_mm", "angle_deg", "seconds"], str] = {
@@ -29,55 +27,39 @@ LEARNED: Mapping[Literal["end_error_mm", "angle_deg", "seconds"], str] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingFlags(OutputFlags):
-    """Flags of ``tissueid training``."""
-
-    # fmt: off
-    logs: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path(exists=True))
+class _TrainingFlags(OutputFlags):
+    logs: tuple[str, ...] = argument(required=True, type=THERE)
     cone_entry: float = option(
-        "--cone-entry", type=click.FloatRange(min=0.0, min_open=True), default=40.0, show_default=True,
-        metavar="MM", help="Height above the bone at which an attempt begins.",
+        "Height above the bone at which an attempt begins.", type=ABOVE_0, default=40.0, metavar="MM"
     )
     html: str | None = option(
-        "--html", type=click.Path(dir_okay=False), metavar="FILE",
-        help="Write a page of attempts, their ways, and how practice changed them.",
+        "Write a page of attempts, their ways, and how practice changed them.", type=FILE, metavar="FILE"
     )
-    # fmt: on
 
 
-@click.command("training", epilog=EPILOG)
-@takes(TrainingFlags)
-def command(flags: TrainingFlags) -> int:
+@subcommand("training", EXAMPLES)
+def command(flags: _TrainingFlags) -> int:
     """Measure guided sessions: error, angle of the track, time, path, force, smoothness, learning.
 
     LOGS are logs of `tissueid render --scene hip-resurfacing`, or folders of them. A Falcon knows no
     orientation: the angle is that of the chord from the cone's entry to the end of the drilling. Exit code 7
     where a log holds no attempt. For research: no number here says that somebody may operate.
     """
-    from tissueid.errors import UsageError, exit_code
-
     document, tracks = _measured(flags)
     if not document.attempts and not document.refused:
-        msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
-        raise UsageError(msg)
+        refuse("there is no session log (.h5) in what was given; record one with tissueid render --log FILE")
     if flags.html is not None:
         from tissueid.report.training_page import render_training
 
-        write_output(flags.html, render_training(document, tracks).encode())
-        note(f"wrote {flags.html}", quiet=flags.quiet)
-    if flags.as_json:
-        echo_json(plain(document))
-    elif not flags.quiet:
-        echo_lines(_lines(document))
+        write_output(flags.html, render_training(document, tracks).encode(), quiet=flags.quiet)
+    tell(flags, plain(document), _lines(document))
     for one in document.refused:
         note(f"{one.file}: {one.reason}")
     return exit_code({7} if document.refused else set())
 
 
-def _measured(flags: TrainingFlags) -> tuple[Training, dict[str, Any]]:
+def _measured(flags: _TrainingFlags) -> tuple[Training, dict[str, Any]]:
     """The document, and the ways of attempts where a page is wanted."""
-    from tissueid.errors import BundleError
     from tissueid.store.session_log import read_session_log
     from tissueid.training.measures import measured, track
 

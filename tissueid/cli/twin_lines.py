@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+from tissueid.cli.output import echo, echo_json, made_folder, note, progress_bar, refuse, write_output
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
@@ -25,7 +24,6 @@ HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 def twin(flags: RenderFlags) -> int:
     """Run the twin of a bundle, write it, print it."""
     from tissueid.documents import plain
-    from tissueid.errors import UsageError
     from tissueid.ingest import read_trials
     from tissueid.notebook import svg_file
     from tissueid.report.twin_page import render_twin
@@ -37,18 +35,12 @@ def twin(flags: RenderFlags) -> int:
     said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
     if said or flags.bundle is None:
         words = f"leave out {', '.join(said)}" if said else "name a BUNDLE"
-        msg = f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}"
-        raise UsageError(msg)
+        refuse(f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}")
     bundle = load_bundle(flags.bundle)
     bundle.require_renderable()
     felt = None if flags.felt is None else read_trials(flags.felt)[0]
     asked = Setup(_program(flags, bundle), flags.force_scale, flags.motion_scale, felt)
-    out: Path = flags.out or flags.bundle.parent / "twin"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{out}: can't be made ({error.strerror}); choose another place with --out"
-        raise UsageError(msg) from error
+    out = made_folder(flags.out or flags.bundle.parent / "twin", "choose another place with --out")
     with progress_bar(show=not flags.quiet) as progress:
         twinned = run_twin(bundle, flags.bundle, asked, out, progress)
     write_output(str(out / "twin.json"), json_bytes(plain(twinned.found)))

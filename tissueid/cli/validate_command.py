@@ -2,56 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from pathlib import Path
 
-import click
+from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
+from tissueid.cli.output import echo, echo_json, refuse
+from tissueid.errors import BundleError
 
-from tissueid.cli.flags import OutputFlags, argument, takes
-from tissueid.cli.output import echo, echo_json
-
-EPILOG = """\b
-Examples:
-  tissueid validate out
-  tissueid validate kidney.h5 --json
+EXAMPLES = """
+tissueid validate out
+tissueid validate kidney.h5 --json
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Validated:
-    """A target, and what is wrong with it."""
-
-    path: str
-    valid: bool
-    problem: str | None
+class _ValidateFlags(OutputFlags):
+    targets: tuple[str, ...] = argument(required=True, type=PATH)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ValidateFlags(OutputFlags):
-    """Flags of ``tissueid validate``."""
-
-    # fmt: off
-    targets: tuple[str, ...] = argument(nargs=-1, required=True, type=click.Path())
-    # fmt: on
-
-
-@click.command("validate", epilog=EPILOG)
-@takes(ValidateFlags)
-def command(flags: ValidateFlags) -> int:
+@subcommand("validate", EXAMPLES)
+def command(flags: _ValidateFlags) -> int:
     """Check output folders or single bundles: whole, of one run, readable, passive.
 
     An interrupted refresh is finished first. Exit code 6 where something is wrong.
     """
-    from pathlib import Path
-
-    from tissueid.errors import BundleError, UsageError
     from tissueid.store.bundle import load_bundle
     from tissueid.store.results import validate_outputs
 
-    results: list[Validated] = []
+    results: list[dict[str, str | bool | None]] = []
     for target in flags.targets:
         if not Path(target).exists():
-            msg = f"{target}: no such file or folder"
-            raise UsageError(msg)
+            refuse(f"{target}: no such file or folder")
         problem = None
         try:
             if Path(target).is_dir():
@@ -60,13 +39,12 @@ def command(flags: ValidateFlags) -> int:
                 load_bundle(target)
         except BundleError as error:
             problem = error.message
-        results.append(Validated(str(target), problem is None, problem))
+        results.append({"path": target, "valid": problem is None, "problem": problem})
     if flags.as_json:
-        echo_json([asdict(one) for one in results])
-    else:
-        for one in results:
-            if one.valid and not flags.quiet:
-                echo(f"{one.path}: valid")
-            elif not one.valid:
-                echo(f"tissueid: {one.problem}", err=True)
-    return 0 if all(one.valid for one in results) else 6
+        echo_json(results)
+    for one in [] if flags.as_json else results:
+        if one["problem"] is not None:
+            echo(f"tissueid: {one['problem']}", err=True)
+        elif not flags.quiet:
+            echo(f"{one['path']}: valid")
+    return 0 if all(one["valid"] for one in results) else 6

@@ -1,44 +1,59 @@
-"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser."""
+"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser; serving a viewer."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import argument, option, takes
-from tissueid.cli.output import echo, note
-from tissueid.cli.viewer_serving import ViewerFlags, open_browser, served
-from tissueid.errors import UsageError
+from tissueid.cli.flags import PORT, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import echo, note, refuse
+from tissueid.errors import DeviceError
 
-EPILOG = """\b
-Examples:
-  tissueid view out.h5
-  tissueid view out/twin/felt.h5 --beside hold-8-1.csv
-  tissueid view 192.0.2.7:8765 --token ABC
+if TYPE_CHECKING:
+    from tissueid.rendering.recorder import Recorder
+    from tissueid.viewer.serving import ServedViewer
+
+EXAMPLES = """
+tissueid view out.h5
+tissueid view out/twin/felt.h5 --beside hold-8-1.csv
+tissueid view 192.0.2.7:8765 --token ABC
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class ViewFlags(ViewerFlags):
-    """Flags of ``tissueid view``."""
+class ViewerFlags(OutputFlags):
+    """Flags of a viewer's address and audience."""
 
     # fmt: off
-    what: str = argument(metavar="LOG|HOST:PORT")
-    beside: Path | None = option(
-        "--beside", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
-        help="A test machine's recording, drawn beside the LOG from contact on.",
+    no_browser: bool = option("Print the viewer's address, open nothing.")
+    host: str = option(
+        "Serve the viewer to other machines, with a token in its address.",
+        metavar="ADDRESS", default="127.0.0.1",
     )
-    token: str | None = option(
-        "--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.",
-    )
+    viewer_port: int | None = option("Of the viewer. [default: 8765, or a free one]", type=PORT, metavar="N")
+    certificate: Path | None = option("Serve the viewer by TLS ...", metavar="FILE")
+    certificate_key: Path | None = option("... with this key.", metavar="FILE")
     # fmt: on
 
 
-@click.command("view", epilog=EPILOG)
-@takes(ViewFlags)
-def command(flags: ViewFlags) -> int:
+class _ViewFlags(ViewerFlags):
+    # fmt: off
+    what: str = argument(metavar="LOG|HOST:PORT")
+    beside: Path | None = option(
+        "A test machine's recording, drawn beside the LOG from contact on.",
+        type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
+    )
+    token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
+    # fmt: on
+
+
+@subcommand("view", EXAMPLES)
+def command(flags: _ViewFlags) -> int:
     """Look at a recorded LOG, or at the session that HOST:PORT serves.
 
     A log is played as it was felt; the session elsewhere must have been started with --viewer and --host.
@@ -47,8 +62,7 @@ def command(flags: ViewFlags) -> int:
     if Path(what).exists() or not _is_address(what):
         return _play(flags, Path(what))
     if flags.beside is not None:
-        msg = "--beside is for a LOG: a session elsewhere is watched as it goes"
-        raise UsageError(msg)
+        refuse("--beside is for a LOG: a session elsewhere is watched as it goes")
     return _open_elsewhere(flags, what)
 
 
@@ -57,9 +71,8 @@ def _is_address(text: str) -> bool:
     return bool(colon) and port.isascii() and port.isdigit()
 
 
-def _play(flags: ViewFlags, path: Path) -> int:
+def _play(flags: _ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
-    from tissueid.errors import DeviceError
     from tissueid.viewer.showing import check_log, recording_beside, show_log
 
     log = check_log(path)
@@ -76,7 +89,7 @@ def _play(flags: ViewFlags, path: Path) -> int:
     raise DeviceError(msg)
 
 
-def _open_elsewhere(flags: ViewFlags, what: str) -> int:
+def _open_elsewhere(flags: _ViewFlags, what: str) -> int:
     """Open the page of a session that is served already, once it answers."""
     from tissueid.viewer.serving import reach
 
@@ -85,3 +98,58 @@ def _open_elsewhere(flags: ViewFlags, what: str) -> int:
     if not flags.no_browser:
         open_browser(url)
     return 0
+
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+#: One of these is set where a browser has a screen.
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+@contextmanager
+def served(flags: ViewerFlags) -> Iterator[ServedViewer]:
+    """A viewer that is served from now on; its address is printed."""
+    from tissueid.viewer.bundling import BUNDLE
+    from tissueid.viewer.serving import ServedViewer, ViewerOptions
+
+    options = ViewerOptions(flags.host, flags.viewer_port, flags.certificate, flags.certificate_key)
+    with ServedViewer(options) as viewer:
+        # what was asked for is told however quiet: nobody guesses a token
+        echo(f"viewer     {viewer.url}", err=True)
+        if viewer.access.token is not None and not viewer.access.tls:
+            note(
+                "the picture goes over the network unencrypted: --certificate and --certificate-key "
+                "encrypt it",
+                quiet=flags.quiet,
+            )
+        if not (BUNDLE / "index.html").is_file():
+            note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
+        elif not flags.no_browser:
+            open_browser(viewer.url)
+        yield viewer
+
+
+def telling_stop(
+    viewer: ServedViewer | None, recorder: Recorder | None, show: Callable[[Any, Any], None]
+) -> Callable[[Any, Any], None]:
+    """Callback that shows a record, tends the viewer, and says there too that a recording has stopped."""
+    told = False
+
+    def shown(record: Any, summary: Any) -> None:
+        nonlocal told
+        show(record, summary)
+        if viewer is not None and viewer.tend():
+            note("the viewer has ended; the session goes on unseen, its hand is let go")
+        if viewer is not None and recorder is not None and recorder.stopped is not None and not told:
+            told = True
+            viewer.tell(recording_stopped=recorder.stopped)
+
+    return shown
+
+
+def open_browser(url: str) -> None:
+    """Open the user's browser, where there is a screen for it."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in SCREENS):
+        return
+    import webbrowser
+
+    webbrowser.open(url)

@@ -6,34 +6,31 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from tissueid.cli.flags import OutputFlags, argument, option, takes
-from tissueid.cli.output import draw, echo, echo_json_text, note
+from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.inspect import Parameter, Watch
-from tissueid.errors import UsageError
+from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
-    from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
 
-EPILOG = """\b
-Examples:
-  tissueid watch "D:/session 3" -o verdicts
-  tissueid watch lab_data/ --same-specimen --bell
-  tissueid watch lab_data/ --once --json
+EXAMPLES = """
+tissueid watch "D:/session 3" -o verdicts
+tissueid watch lab_data/ --same-specimen --bell
+tissueid watch lab_data/ --once --json
 """
 
 COLOURS = {"good": None, "look": "yellow", "repeat": "red", "refused": "red"}
@@ -42,47 +39,32 @@ SHORTEST_INTERVAL_S = 0.05
 LOOKS = 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class WatchFlags(ReadingFlags, OutputFlags):
-    """Flags of ``tissueid watch``."""
-
+class _WatchFlags(ReadingFlags, OutputFlags):
     # fmt: off
-    folder: str = argument(type=click.Path())
-    out: str | None = option(
-        "-o", "--out", type=click.Path(file_okay=False),
-        help="Folder for watch.jsonl, from which a later watch goes on.",
-    )
+    folder: str = argument(type=PATH)
+    out: str | None = option("Folder for watch.jsonl, from which a later watch goes on.", "-o", type=FOLDER)
     interval: float = option(
-        "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=0.5, show_default=True,
-        metavar="S", help="Seconds between two looks; a file is judged when two looks find it the same.",
+        "Seconds between two looks; a file is judged when two looks find it the same.",
+        type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=0.5, metavar="S",
     )
-    once: bool = option("--once", is_flag=True, help="Judge what is there, and end.")
-    new_only: bool = option(
-        "--new-only", is_flag=True, help="Pass over the recordings that are there at the start.",
-    )
-    same_specimen: bool = option(
-        "--same-specimen", is_flag=True, help="All recordings of the folder are of one specimen.",
-    )
+    once: bool = option("Judge what is there, and end.")
+    new_only: bool = option("Pass over the recordings that are there at the start.")
+    same_specimen: bool = option("All recordings of the folder are of one specimen.")
     fit: bool = option(
+        "Fit each test alone as well, after its line; with --json the line comes again. [default: no-fit]",
         "--fit/--no-fit", default=False,
-        help="Fit each test alone as well, after its line; with --json the line comes again. [default: "
-            "no-fit]",
     )
-    bell: bool = option(
-        "--bell", is_flag=True,
-        help="Ring the terminal's bell after each test, twice where it must be repeated.",
-    )
+    bell: bool = option("Ring the terminal's bell after each test, twice where it must be repeated.")
     study: str | None = option(
-        "--study", type=click.Path(), metavar="FILE",
-        help="Study file whose decisions are followed. [default: study.toml of the folder]",
+        "Study file whose decisions are followed. [default: study.toml of the folder]",
+        type=PATH, metavar="FILE",
     )
-    no_study: bool = option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
+    no_study: bool = option("Leave the folder's study.toml aside.")
     # fmt: on
 
 
-@click.command("watch", epilog=EPILOG)
-@takes(WatchFlags)
-def command(flags: WatchFlags) -> int:
+@subcommand("watch", EXAMPLES)
+def command(flags: _WatchFlags) -> int:
     """Watch a folder beside the machine, and give a verdict after each test.
 
     A recording has its line within three seconds of being whole: what was measured, and keep it, look or push
@@ -103,30 +85,23 @@ def command(flags: WatchFlags) -> int:
         note("", quiet=flags.quiet)
     if not flags.as_json and not flags.quiet:
         _summary(session)
-    return _exit_code(session) if flags.once else 0
+    refused = [one["verdict"]["level"] == "refused" for one in session.verdicts]
+    return (3 if all(refused) else 7) if flags.once and any(refused) else 0
 
 
-def _session(flags: WatchFlags) -> WatchSession:
+def _session(flags: _WatchFlags) -> WatchSession:
     # readers load it at their first table, which would be waited for with a specimen on the machine
     import_module("pandas")
     from tissueid.study.recordings import locate_study
     from tissueid.watch import FolderWatch, judge
-    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log
+    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log, quick_fit
 
     folder = Path(flags.folder)
     if not folder.is_dir():
-        msg = f"{folder}: there is no such folder to watch"
-        raise UsageError(msg)
+        refuse(f"{folder}: there is no such folder to watch")
     reading = read_options(flags)
     segmenting = segment_options(flags)
-    log = None
-    if flags.out is not None:
-        log = Path(flags.out) / LOG
-        try:
-            log.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            msg = f"{log.parent}: can't be made a folder ({error.strerror}); choose another"
-            raise UsageError(msg) from error
+    log = None if flags.out is None else made_folder(flags.out) / LOG
     study, _ = locate_study([flags.folder], named=flags.study, ignore=flags.no_study)
     specimen = folder.resolve().name if flags.same_specimen else None
     watch = FolderWatch(lambda: _recordings(folder))
@@ -139,19 +114,12 @@ def _session(flags: WatchFlags) -> WatchSession:
         lambda trial, earlier: judge(trial, earlier, options=segmenting, study=study),
         log,
         [] if log is None else load_log(log),
-        fit=(lambda trial: _fit(trial, segmenting, study)) if flags.fit else None,
+        fit=(lambda trial: quick_fit(trial, segmenting, study)) if flags.fit else None,
     )
-
-
-def _fit(trial: Trial, options: SegmentOptions, study: Study | None) -> dict[str, Any] | None:
-    from tissueid.watch.session import quick_fit
-
-    return quick_fit(trial, options, study)
 
 
 def _recordings(folder: Path) -> list[Path]:
     """The recordings of the folder now; an ``OSError`` where it can't be listed."""
-    from tissueid.errors import InputError
     from tissueid.ingest import each_input
 
     try:
@@ -174,14 +142,7 @@ def _trials(
         yield replace(item, specimen=specimen) if specimen is not None and isinstance(item, Trial) else item
 
 
-def _exit_code(session: WatchSession) -> int:
-    refused = [one for one in session.verdicts if typed(one, Watch).verdict.level == "refused"]
-    if not refused:
-        return 0
-    return 7 if len(refused) < len(session.verdicts) else 3
-
-
-def _tell(happening: Happening, flags: WatchFlags) -> None:
+def _tell(happening: Happening, flags: _WatchFlags) -> None:
     if happening.verdict is None:
         note(happening.text, quiet=flags.quiet)
         return
@@ -200,9 +161,9 @@ def _tell(happening: Happening, flags: WatchFlags) -> None:
         draw("\a\a" if level in {"repeat", "refused"} else "\a")
 
 
-def _print(one: Watch, flags: WatchFlags, *, again: bool) -> None:
+def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
     """The line of ``inspect``: what was measured, and what to do."""
-    from tissueid.cli.inspect_lines import recording_lines, recording_name
+    from tissueid.cli.inspect_command import recording_lines, recording_name
 
     name = recording_name(one, os.path.join(flags.folder, ""))  # noqa: PTH118
     level = one.verdict.level
@@ -231,7 +192,7 @@ def _estimate(entry: Parameter) -> str:
 
 
 def _summary(session: WatchSession) -> None:
-    from tissueid.cli.inspect_lines import recording_name
+    from tissueid.cli.inspect_command import recording_name
 
     verdicts = [typed(one, Watch) for one in session.verdicts]
     count = {level: sum(one.verdict.level == level for one in verdicts) for level in COLOURS}

@@ -1,23 +1,26 @@
-"""Verdicts on two tissues: do they differ, what does it cost to be wrong, could a hand tell.
+"""Verdicts on two tissues: whether they differ, and whether a hand could tell; all pairs as one document.
 
-Differences of ln force have the covariance of both posteriors; Mahalanobis' distance of their mean is
-chi-squared where the tissues are one.  Forces at neighbouring depths are nearly one number, so directions in
-which the posteriors say next to nothing of their own are left out.
-
-Could a hand tell two tissues apart?  Published just-noticeable differences, and the scale of a device.
-The conditions of those experiments are not those of a hand on a stylus: limbs, amplitudes and devices differ,
-and the numbers vary between studies.  They say an order of magnitude.
+Mahalanobis' distance of the mean difference of ln force, with the covariance of both posteriors, is
+chi-squared where the tissues are one.  Limits of hands vary between studies and conditions: they say an order
+of magnitude.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
+from tissueid import __version__
 from tissueid.arrays import FloatArray
+from tissueid.errors import UsageError
+from tissueid.model.channels import ChannelModel, loading_force
+from tissueid.model.functionals import force_after_ramp
+from tissueid.model.passivity import scaling_for
 
 #: Tissues are called different below this probability.
 LEVEL = 0.02
@@ -50,10 +53,7 @@ class Row:
 
 
 def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list[Row]:
-    """Numbers that both have, beside each other.
-
-    ``one``, ``other``: draws by name; the posteriors are independent, so draws are paired as they come.
-    """
+    """Numbers that both have, beside each other; the posteriors are independent: draws pair as they come."""
     found = []
     for name in one:
         if name not in other:
@@ -72,10 +72,7 @@ def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list
 
 
 def difference(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> Difference:
-    """Test all forces together.
-
-    ``one``, ``other``: draws by name; names that begin with "force" are used.
-    """
+    """Test all forces together: numbers whose names begin with "force", draws by name."""
     names = [name for name in one if name.startswith("force") and name in other]
     a, b = (np.log(np.maximum([of[name] for name in names], 1e-12)) for of in (one, other))
     gap = b.mean(axis=1) - a.mean(axis=1)
@@ -157,3 +154,182 @@ def noticed(
         times = np.abs(b - a) / (limit.share * middle)
         found.append(Noticed(name, limit, float(np.median(times)), float(np.mean(times > 1.0))))
     return found
+
+
+#: Shares of the common depth at which forces are compared.
+DEPTH_SHARES = (0.25, 0.5, 1.0)
+#: Draws that are evaluated; more say nothing more about a 2 % level.
+MOST_DRAWS = 2000
+#: Fewer draws than these have no covariance worth the name.
+LEAST_DRAWS = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """One tissue of a comparison."""
+
+    name: str
+    model: ChannelModel
+    draws: FloatArray  # (n, p), of its posterior
+    speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed
+    total: bool  # whether the draws know the machine's calibration
+
+    def __post_init__(self) -> None:
+        if len(self.draws) < LEAST_DRAWS:
+            msg = (
+                f"{self.name}: {len(self.draws)} draws are too few to compare; fit it with a sampler "
+                "(`tissueid fit` does by default)"
+            )
+            raise UsageError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """Depths and speeds at which all tissues of a comparison were identified."""
+
+    depth_mm: float
+    speeds_mm_s: tuple[float, float]  # slowest and fastest; equal where only one speed is common
+
+
+def common_range(tissues: Sequence[Compared]) -> Common:
+    """Depths and speeds at which every tissue was identified; without a common speed nothing is compared."""
+    slow = max(tissue.speeds_mm_s[0] for tissue in tissues)
+    fast = min(tissue.speeds_mm_s[1] for tissue in tissues)
+    if slow > fast * (1.0 + 1e-9):
+        told = "; ".join(
+            f"{tissue.name} at {tissue.speeds_mm_s[0]:.3g} to {tissue.speeds_mm_s[1]:.3g} mm/s"
+            for tissue in tissues
+        )
+        msg = f"no speed is common to them ({told}): what the speed does and the tissue can't be told apart"
+        raise UsageError(msg)
+    return Common(min(tissue.model.depth_mm for tissue in tissues), (slow, max(slow, fast)))
+
+
+def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
+    """Draws (n,) of every number that is compared, by its name with unit: positive forces [N] first."""
+    keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
+    draws = tissue.draws[keep]
+    found: dict[str, FloatArray] = {}
+    for share in DEPTH_SHARES:
+        depth = share * common.depth_mm
+        for speed in dict.fromkeys(common.speeds_mm_s):
+            found[f"force at {depth:.3g} mm, {speed:.3g} mm/s [N]"] = np.array(
+                [force_after_ramp(tissue.model, theta, depth, speed, 0.0) for theta in draws]
+            )
+    half = np.array([0.5 * common.depth_mm])
+    found[f"static stiffness to {half[0]:.3g} mm [N/mm]"] = np.array(
+        [float(tissue.model.static_force(theta, half)[0]) / half[0] for theta in draws]
+    )
+    if tissue.model.branches:
+        tau = np.array([tissue.model.times(theta) for theta in draws])
+        if tissue.model.viscous:
+            stiffness = np.array([tissue.model.stiffness(theta, half)[:, 0] for theta in draws])
+            found[f"viscosity at {half[0]:.3g} mm [N s/mm]"] = (stiffness * tau).sum(axis=1)
+        found["relaxation time, longest [s]"] = tau.max(axis=1)
+    return found
+
+
+#: Points of a drawn curve.
+POINTS = 61
+#: A hold is drawn for so many of the longest median relaxation time of all, and from so small a part of it.
+HOLD_TAUS = 5.0
+HOLD_FROM = 1e-3
+_NAMES = ("low", "median", "high")
+
+
+def force_curves(tissues: list[Compared], common: Common) -> list[dict[str, Any]]:
+    """Curves of every tissue on the same depths, speeds and times.
+
+    Returns ``loading``, one a speed: ``speed_mm_s``, ``depth_mm`` and the 2.5, 50 and 97.5 % quantiles of the
+    force [N] as ``low``, ``median``, ``high``; ``hold``: the same over ``time_s`` after the end of the
+    fastest common ramp to the common depth.
+    """
+    depth = np.linspace(0.0, common.depth_mm, POINTS)
+    speeds = list(dict.fromkeys(common.speeds_mm_s))
+    longest = max((_longest(tissue) for tissue in tissues), default=0.0)
+    time = np.concatenate([[0.0], np.geomspace(HOLD_FROM, 1.0, POINTS - 1)]) * HOLD_TAUS * (longest or 1.0)
+    return [_of_tissue(tissue, depth, speeds, time) for tissue in tissues]
+
+
+def _longest(tissue: Compared) -> float:
+    """Median of the longest relaxation time [s]; 0 without a branch."""
+    if not tissue.model.branches:
+        return 0.0
+    return float(np.median([tissue.model.times(theta).max() for theta in tissue.draws[:MOST_DRAWS]]))
+
+
+def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> dict[str, Any]:
+    keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
+    ramps = np.empty((len(speeds), keep.size, depth.size))
+    holds = np.empty((keep.size, time.size))
+    for row, theta in enumerate(tissue.draws[keep]):
+        for place, speed in enumerate(speeds):
+            ramps[place, row] = loading_force(tissue.model, theta, depth, speed_mm_s=speed)
+        still = float(tissue.model.static_force(theta, depth[-1:])[0])
+        holds[row] = still + tissue.model.relaxing(theta, float(depth[-1]), time, speeds[-1])
+    return {
+        "name": tissue.name,
+        "loading": [
+            {"speed_mm_s": speed, "depth_mm": depth.tolist(), **_band(ramps[place])}
+            for place, speed in enumerate(speeds)
+        ],
+        "hold": {"time_s": time.tolist(), **_band(holds)},
+    }
+
+
+def _band(forces: FloatArray) -> dict[str, list[float]]:
+    return {
+        name: row.tolist() for name, row in zip(_NAMES, np.quantile(forces, CENTRAL, axis=0), strict=True)
+    }
+
+
+def contrast_document(
+    tissues: Sequence[Compared],
+    *,
+    clamp_N: float,
+    progress: Callable[[str, int, int], None] = lambda _message, _done, _total: None,
+) -> dict[str, Any]:
+    """Compare tissues pair by pair (``schemas/contrast.schema.json``); the stiffest sets the scale."""
+    common = common_range(tissues)
+    draws = []
+    for done, tissue in enumerate(tissues):
+        progress(tissue.name, done, len(tissues))
+        draws.append(draws_of_numbers(tissue, common))
+    progress("comparing", len(tissues), len(tissues))
+    scales = [
+        scaling_for(
+            tissue.model, np.median(tissue.draws, axis=0), clamp_N=clamp_N, fastest_mm_s=tissue.speeds_mm_s[1]
+        ).force
+        for tissue in tissues
+    ]
+    scale = min(scales)
+    pairs = []
+    for i, j in combinations(range(len(tissues)), 2):
+        pairs.append(
+            {
+                "one": tissues[i].name,
+                "other": tissues[j].name,
+                "difference": asdict(difference(draws[i], draws[j])),
+                "numbers": [asdict(row) for row in rows(draws[i], draws[j])],
+                "noticed": [asdict(one) for one in noticed(draws[i], draws[j], force_scale=scale)],
+            }
+        )
+    return {
+        "schema": "tissueid/contrast/1",
+        "tissueid": __version__,
+        "level": LEVEL,
+        "common": {"depth_mm": common.depth_mm, "speeds_mm_s": list(common.speeds_mm_s)},
+        "device": {"clamp_N": clamp_N, "force_scale": scale},
+        "tissues": [
+            {
+                "name": tissue.name,
+                "branches": tissue.model.branches,
+                "stiffness_degree": tissue.model.stiffness_degree,
+                "draws": len(tissue.draws),
+                "interval": "total" if tissue.total else "statistical",
+            }
+            for tissue in tissues
+        ],
+        "curves": force_curves(list(tissues), common),
+        "pairs": pairs,
+    }

@@ -1,13 +1,7 @@
-"""A Prony series for finite elements: the law linearised about a depth.
+"""A Prony series for finite elements: the law linearised about a depth d that has been held for long.
 
-The contact law is one of force over displacement, not of stress over strain.  What carries over to a
-material is how much of a small step relaxes, and how fast: about a depth d that has been held for long, a
-step dx gives
-
-    dF(t) = [F_s'(d) + sum_j K_j(d) exp(-t / tau_j)] dx
-
-so that the series below holds for small motion about that depth.  The modulus itself depends on tip and
-geometry and is left to whoever builds the finite-element model.
+A small step dx gives dF(t) = [F_s'(d) + sum_j K_j(d) exp(-t / tau_j)] dx.  The modulus itself depends on tip
+and geometry and is left to whoever builds the finite-element model.
 """
 
 from __future__ import annotations
@@ -46,10 +40,7 @@ class Prony:
 
 
 def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
-    """The law that a format of exponentials takes.
-
-    Raises BundleError: it was normalised; UsageError: its force follows the speed over that at contact.
-    """
+    """The law that a format of exponentials takes."""
     bundle.require_renderable()
     law = servo_law(bundle.contact_model(), bundle.theta, most)
     if law.followed == SPEED:
@@ -103,10 +94,7 @@ def _said(prony: Prony) -> list[str]:
 
 
 def abaqus_card(prony: Prony) -> bytes:
-    """``*VISCOELASTIC, TIME=PRONY``: shares of the instantaneous shear modulus, and their times [s].
-
-    Bulk terms are zero: an indentation does not tell bulk from shear.
-    """
+    """``*VISCOELASTIC, TIME=PRONY``: shares of the instantaneous shear modulus, times [s]; no bulk terms."""
     lines = [f"** {line}" for line in _said(prony)]
     lines += [
         "** goes below *ELASTIC, MODULI=INSTANTANEOUS (or LONG TERM) of the material",

@@ -15,7 +15,6 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
-from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 from tissueid.synth.response import Path, contact_path
 from tissueid.trial import Source, Trial

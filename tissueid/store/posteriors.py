@@ -55,8 +55,8 @@ class StoredPosterior:
     log_prior: FloatArray | None = None
 
     def to_arviz(self) -> Any:
-        """The draws as arviz knows them; see :func:`tissueid.exchange.arviz_data`."""
-        from tissueid.exchange import arviz_data
+        """The draws as arviz knows them; see :func:`tissueid.uncertainty.arviz_data`."""
+        from tissueid.uncertainty import arviz_data
 
         return arviz_data(
             theta_names=self.theta_names,

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tissueid.collection import Collected
-from tissueid.covariates import (
+from tissueid.collection import (
+    Collected,
     Refit,
     exclusion_rows,
     study_document,

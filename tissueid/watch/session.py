@@ -1,12 +1,7 @@
 """A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on.
 
-The verdict on one test: what ``inspect`` says of it, beside the tests before it.
-A verdict is a plain JSON object (``schemas/watch.schema.json``), so that a watch that was stopped goes on
-from its own log.
-
-New recordings of a folder are found by asking again and again, on every system alike.  A file is whole
-when its size and time stay the same from one look to the next and it can be opened; a machine that still
-writes, or a spreadsheet that locks it, delays it and no more.
+A file is whole when size and time stay the same from one look to the next and it can be opened; a machine
+that still writes, or a spreadsheet that locks it, delays it and no more.
 """
 
 from __future__ import annotations
@@ -22,7 +17,7 @@ import numpy as np
 
 from tissueid.documents import typed
 from tissueid.documents.measured import MeasuredPush
-from tissueid.errors import InputError
+from tissueid.errors import InputError, was_interrupted
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
@@ -134,12 +129,7 @@ def judge(
     options: SegmentOptions | None = None,
     study: Study | None = None,
 ) -> Verdict:
-    """Judge one test.
-
-    ``trial``: as read; ``earlier``: verdicts on earlier tests, in their order; those of the same specimen are
-    compared, but for excluded ones; ``study``: followed.  Returns the object of
-    ``schemas/watch.schema.json``.
-    """
+    """Judge one test, as read, beside earlier ones of its specimen (``schemas/watch.schema.json``)."""
     trial, options, excluded = as_decided(trial, options, study)
     divided = segmented(trial, options=options)
     if isinstance(divided, Refusal):
@@ -207,9 +197,7 @@ class WatchSession:
     def _judged(self, path: Path) -> Iterator[Happening]:
         for item in self.read(path):
             if isinstance(item, InputError):
-                verdict = refused_verdict(
-                    Refusal(item.path, item.sheet, item.code, item.message, item.line, item.column)
-                )
+                verdict = refused_verdict(Refusal.of(item))
                 known = self._find(item.path, item.sheet)
                 if known is None or known["error"] != verdict["error"]:
                     yield self._keep(verdict, known)
@@ -241,7 +229,7 @@ class WatchSession:
             return self.judge(trial, earlier)
         except Exception as error:
             # one file must never end the session at the machine
-            if _interrupted(error):
+            if was_interrupted(error):
                 raise
             message = f"it could not be judged ({type(error).__name__}: {error}); `tissueid inspect` shows it"
             refusal = Refusal(trial.source.path, trial.source.sheet, "fit_failed", message)
@@ -254,7 +242,7 @@ class WatchSession:
             verdict["fit"] = fit(trial)
         except Exception as error:
             # one file must never end the session at the machine
-            if _interrupted(error):
+            if was_interrupted(error):
                 raise
         self._save()
         return Happening("fitted", verdict=verdict)
@@ -275,18 +263,8 @@ class WatchSession:
             write_file(self.log, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
 def load_log(path: Path) -> list[Verdict]:
-    """Verdicts of an earlier session; lines that are none are left out.
-
-    ``path``: it need not exist.
-    """
+    """Verdicts of an earlier session; lines that are none are left out."""
     if not path.is_file():
         return []
     found = []
@@ -303,10 +281,7 @@ def load_log(path: Path) -> list[Verdict]:
 def quick_fit(
     trial: Trial, options: SegmentOptions | None, study: Study | None = None
 ) -> dict[str, Any] | None:
-    """Parameters of the test alone; ``None`` where nothing can be fitted.
-
-    ``trial``: as read; ``study``: followed.  Returns ``fit`` of ``schemas/watch.schema.json``.
-    """
+    """Parameters of the test alone (``fit`` of ``schemas/watch.schema.json``); ``None`` without a fit."""
     trial, options, _ = as_decided(trial, options, study)
     quick = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0), segment=options)
     fits = identify([trial], options=quick).specimens
