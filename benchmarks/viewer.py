@@ -94,8 +94,7 @@ def threaded_viewer() -> Iterator[Any]:
     from tissueid.viewer.feed import LiveFeed
     from tissueid.viewer.hello import hello
     from tissueid.viewer.security import Access
-    from tissueid.viewer.server import ViewerServer
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage, ViewerServer
 
     listening = socket.create_server(("127.0.0.1", 0))
     port, stage = listening.getsockname()[1], Stage()

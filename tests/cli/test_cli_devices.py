@@ -21,7 +21,7 @@ from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.hand import PRESETS
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.link import LinkReport
+from tissueid.haptics.measure.motion import LinkReport
 from tissueid.haptics.measure.ring_down import ArmEstimate
 from tissueid.haptics.measure.weighing import Weighing
 from tissueid.store.schema import first_problem
@@ -210,7 +210,7 @@ def test_delay_is_kept_where_it_makes_sense(
     delay: float, code: int, port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = LinkReport(5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
-    monkeypatch.setattr("tissueid.haptics.measure.link.measure_link", lambda *_: found)
+    monkeypatch.setattr("tissueid.haptics.measure.motion.measure_link", lambda *_: found)
     ended = run("devices", "test", "--port", port, "--save")
     assert ended.code == code
     assert "10 unanswered, 0 damaged" in ended.stdout

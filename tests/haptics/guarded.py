@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
-from tissueid.haptics.watchdogs import REPLY_VALID
+from tissueid.haptics import guard as machine
+from tissueid.haptics.guard import REPLY_VALID, guard, new_guard, observe, transition
+from tissueid.haptics.limits import GuardLimits
 
 TICK = 1e-3
 REST = np.zeros(3)

@@ -19,10 +19,9 @@ from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.kinematics import GUESS_M, forward
 from tissueid.haptics.falcon.transport import of_socket
 from tissueid.haptics.forcedimension import ForceDimensionDevice
-from tissueid.haptics.guard_states import GUARD_SIZE, STATE
+from tissueid.haptics.guard import GUARD_SIZE, REPLY_APART, REPLY_LOST, REPLY_VALID, STATE
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, WORDS_SIZE, compiled_io
 from tissueid.haptics.states import State
-from tissueid.haptics.watchdogs import REPLY_APART, REPLY_LOST, REPLY_VALID
 from tissueid.rendering.servo_io import command, sense
 
 

@@ -165,10 +165,9 @@ TRANSPORT_CALLS = {
     # the servo: after the guard, then by the type of the device
     r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 1, "rendering/servo_io.py": 1},
     # what `_write` of a device and the servo's command make of a force
-    r"(?<!def )simulated_command\(": {"haptics/sim.py": 1, "haptics/sim_io.py": 1},
+    r"(?<!def )simulated_command\(": {"haptics/sim.py": 2},
     r"[._](dhd)?[sS]et_?[fF]orce\(": {
-        "haptics/forcedimension/device.py": 1,
-        "haptics/forcedimension/sdk.py": 1,
+        "haptics/forcedimension/device.py": 2,
         "haptics/forcedimension/servo_io.py": 1,
     },
     r"(?<!def )motor_units\(": {"haptics/falcon/device.py": 1, "haptics/falcon/servo_io.py": 1},

@@ -23,8 +23,7 @@ from tissueid.haptics.falcon.emulator import (
     ScriptedFault,
 )
 from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
-from tissueid.haptics.falcon.emulator.faults import parse_fault
-from tissueid.haptics.falcon.emulator.geometry import AZIMUTHS, LENGTHS, grip_force, leg_angles
+from tissueid.haptics.falcon.emulator.machine import AZIMUTHS, LENGTHS, grip_force, leg_angles, parse_fault
 from tissueid.haptics.hand import Hand
 
 SLIPPERY = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)

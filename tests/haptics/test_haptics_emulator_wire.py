@@ -7,8 +7,7 @@ import pytest
 from emulator_wire import HOME, ZERO, command
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatorSettings
-from tissueid.haptics.falcon.emulator.bootloader import BootLoader
-from tissueid.haptics.falcon.emulator.wire import CommandReader, reply_bytes
+from tissueid.haptics.falcon.emulator.wire import BootLoader, CommandReader, reply_bytes
 from tissueid.haptics.falcon.packets import PacketParser, encode_command
 
 HELLO, GREETING = b"\nC\r", b"\nD,\r"

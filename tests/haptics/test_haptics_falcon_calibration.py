@@ -16,9 +16,8 @@ from tissueid.haptics.falcon.calibration import (
     load_calibration,
     save_calibration,
 )
-from tissueid.haptics.falcon.constants import GEOMETRIES
 from tissueid.haptics.falcon.device import limits_of
-from tissueid.haptics.falcon.kinematics import jacobian
+from tissueid.haptics.falcon.kinematics import GEOMETRIES, jacobian
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
 

@@ -10,14 +10,21 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.falcon.constants import AZIMUTHS_DEG, DEFAULT_GEOMETRY, GEOMETRIES, Geometry
-from tissueid.haptics.falcon.kinematic_kernels import (
+from tissueid.haptics.falcon.kinematics import (
+    AZIMUTHS_DEG,
+    DEFAULT_GEOMETRY,
+    GEOMETRIES,
+    Geometry,
+    WorkspaceError,
     angles_of_counts,
+    forward,
     forward_kernel,
+    inverse,
     inverse_kernel,
+    jacobian,
     motor_units,
+    torque,
 )
-from tissueid.haptics.falcon.kinematics import WorkspaceError, forward, inverse, jacobian, torque
 
 #: Counts of the legs' stops.
 STOP = 1600

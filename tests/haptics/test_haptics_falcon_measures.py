@@ -14,9 +14,8 @@ from tissueid.haptics.arm import Arm
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure import link, weighing
-from tissueid.haptics.measure.link import measure_link
-from tissueid.haptics.measure.motion import Motion
+from tissueid.haptics.measure import motion, weighing
+from tissueid.haptics.measure.motion import Motion, measure_link
 from tissueid.haptics.measure.ring_down import estimate_arm, ring_down
 from tissueid.haptics.measure.weighing import GRAVITY, weigh
 from tissueid.haptics.sim import SimulatedDevice
@@ -173,7 +172,7 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
     answer_ms: float, ticks: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Clocked.now_s = 0.0
-    monkeypatch.setattr(link.time, "monotonic", lambda: Clocked.now_s)
+    monkeypatch.setattr(motion.time, "monotonic", lambda: Clocked.now_s)
     device = Clocked()
     device.open()
     device.answer_s = answer_ms * 1e-3
@@ -190,7 +189,7 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
 
 def test_a_device_that_never_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     Clocked.now_s = 0.0
-    monkeypatch.setattr(link.time, "monotonic", lambda: Clocked.now_s)
+    monkeypatch.setattr(motion.time, "monotonic", lambda: Clocked.now_s)
     device = Clocked()
     device.open()
     device.answer_s = 0.002

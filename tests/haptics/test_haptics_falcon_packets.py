@@ -7,8 +7,15 @@ import re
 import numpy as np
 import pytest
 
-from tissueid.haptics.falcon.packet_kernels import PACKET_BYTES, PARSER_SIZE, encode_into, parse_byte
-from tissueid.haptics.falcon.packets import PacketParser, Reply, encode_command
+from tissueid.haptics.falcon.packets import (
+    PACKET_BYTES,
+    PARSER_SIZE,
+    PacketParser,
+    Reply,
+    encode_command,
+    encode_into,
+    parse_byte,
+)
 
 LETTERS = "ABCDEFGHIJKLMNOP"
 #: What may stand before the end bracket.

@@ -13,8 +13,7 @@ from c_library import compiled
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.packets import BUTTON_NAMES
 from tissueid.haptics.forcedimension import ForceDimensionDevice
-from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION
-from tissueid.haptics.forcedimension.sdk import LIBRARY_VARIABLE, Sdk, candidates
+from tissueid.haptics.forcedimension.device import LIBRARY_VARIABLE, ORIGIN_M, ROTATION, Sdk, candidates
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import State
 
@@ -51,7 +50,7 @@ def test_sdk_is_looked_for_where_its_documentation_puts_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
-    monkeypatch.setattr("tissueid.haptics.forcedimension.sdk.platform.machine", lambda: "x86_64")
+    monkeypatch.setattr("tissueid.haptics.forcedimension.device.platform.machine", lambda: "x86_64")
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("FDSDK", "/opt/fd")
     monkeypatch.setenv("FORCEDIM_SDK", "/opt/other")

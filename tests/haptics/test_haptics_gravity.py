@@ -14,7 +14,7 @@ from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, 
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.gravity import MIDDLE_M, POSES_M, fitted, weigh_poses
+from tissueid.haptics.measure.weighing import MIDDLE_M, POSES_M, fitted, weigh_poses
 from tissueid.rendering.law_session import _carried
 from tissueid.rendering.scene import load_scene
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from guarded import FREE, STILL, TICK, Guarded
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.guard import GuardLimits, uncalibrated_clamp_N
+from tissueid.haptics import guard as machine
+from tissueid.haptics.limits import GuardLimits, uncalibrated_clamp_N
 from tissueid.haptics.states import Fault, Lamp, State
 
 #: Scaling a vector to a length rounds each component once.

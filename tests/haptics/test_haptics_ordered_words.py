@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.haptics import atomic, shared_memory
-from tissueid.haptics.shared_memory import read_ordered, write_ordered
+from tissueid.haptics import atomic, ring
+from tissueid.haptics.ring import read_ordered, write_ordered
 
 
 @pytest.mark.parametrize("keeps_order", [True, False])
 def test_what_is_written_is_read_and_no_neighbour_is_touched(monkeypatch, keeps_order):
-    monkeypatch.setattr(shared_memory, "_KEEPS_ORDER", keeps_order)
+    monkeypatch.setattr(ring, "_KEEPS_ORDER", keeps_order)
     words = np.arange(8)
     write_ordered(words, 2, 2**53 + 1)
     assert read_ordered(words, 2) == 2**53 + 1
@@ -20,7 +20,7 @@ def test_what_is_written_is_read_and_no_neighbour_is_touched(monkeypatch, keeps_
 
 def test_a_machine_that_reorders_takes_the_compiled_ways(monkeypatch):
     called = []
-    monkeypatch.setattr(shared_memory, "_KEEPS_ORDER", False)
+    monkeypatch.setattr(ring, "_KEEPS_ORDER", False)
     monkeypatch.setattr(atomic, "load_acquire", lambda cell: called.append("load") or cell[0])
     monkeypatch.setattr(atomic, "store_release", lambda *_: called.append("store"))
     words = np.zeros(2, np.int64)

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from c_library import compiled
 
-from tissueid.haptics import guard_states as machine
+from tissueid.haptics import guard as machine
 from tissueid.haptics.device import HANDLES_SIZE, CompiledIO
-from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
-from tissueid.haptics.falcon.kinematics import forward
-from tissueid.haptics.guard import GuardLimits, new_guard
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, forward
+from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID, new_guard
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.servo_access import compiled_io
-from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
 from tissueid.rendering.servo_io import sense
 from tissueid.rendering.servo_tick import send
 

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.shared_hand import SharedHand
-from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_kernels import simulated_advance
-from tissueid.haptics.simulated_layout import SIM_PARAMETERS
+from tissueid.haptics.shared_hand import SIM_PARAMETERS, SharedHand
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, simulated_advance
 from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.servo_process import _share_hand
 

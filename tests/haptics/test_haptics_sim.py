@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 
 from tissueid.errors import DeviceError
-from tissueid.haptics import sim_kernels as k
+from tissueid.haptics import sim as k
 from tissueid.haptics.arm import TIME, Arm
-from tissueid.haptics.guard import GuardLimits
 from tissueid.haptics.hand import Hand, preset
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import open_device
-from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_kernels import simulated_advance, simulated_command, simulated_sample
-from tissueid.haptics.simulated_layout import PHASE, POINTER_ON
+from tissueid.haptics.shared_hand import PHASE, POINTER_ON
+from tissueid.haptics.sim import (
+    CENTRE_M,
+    SimulatedDevice,
+    simulated_advance,
+    simulated_command,
+    simulated_sample,
+)
 from tissueid.haptics.states import State
 
 SURFACE = np.array(CENTRE_M)
@@ -111,7 +116,7 @@ def test_positions_are_rounded_to_counts_without_a_mean_error():
 def test_the_compiled_blocks_are_the_device():
     device = SimulatedDevice(hand=pressing(), seed=9)
     io = device.compiled()
-    assert io.kind == "tissueid.haptics.sim_io:SIMULATED"
+    assert io.kind == "tissueid.haptics.sim:SIMULATED"
     place, counts = np.zeros(3), np.zeros(3, np.int64)
     device.open()
     for _ in range(50):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from guarded import FREE, MOVING, STILL, TICK, Guarded
 
-from tissueid.haptics import guard_states as machine
+from tissueid.haptics import guard as machine
+from tissueid.haptics.guard import REPLY_APART, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.haptics.watchdogs import REPLY_APART, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
 
 LEG_JUMP = np.array([0, -201, 0], np.int64)
 LEG_FAST = np.array([0, -200, 0], np.int64)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.errors import DeviceError
-from tissueid.haptics import guard_states as machine
+from tissueid.haptics import guard as machine
 from tissueid.haptics.device import CompiledIO
 from tissueid.haptics.guard import transition
 from tissueid.haptics.hand import Hand

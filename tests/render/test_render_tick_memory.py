@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fake_device import FakeDevice
 
-from tissueid.haptics.guard_states import GAIN
+from tissueid.haptics.guard import GAIN
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.servo_access import UNANSWERED

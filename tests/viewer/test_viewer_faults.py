@@ -17,13 +17,12 @@ from session_heads import head_of
 
 from tissueid.cli.viewer_serving import telling_stop
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.shared_hand import SharedHand
-from tissueid.haptics.simulated_layout import POINTER
+from tissueid.haptics.shared_hand import POINTER, SharedHand
 from tissueid.store.session_log import read_session_log
-from tissueid.viewer import serving, stage
+from tissueid.viewer import server, serving
 from tissueid.viewer.hello import hello
+from tissueid.viewer.server import HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.stage import HandPointer
 
 REST_M = [0.0, 0.0, 0.15]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
@@ -118,7 +117,7 @@ def test_a_page_that_is_closed_while_it_presses_lets_go() -> None:
 
 
 def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage, "SILENCE_S", 0.2)
+    monkeypatch.setattr(server, "SILENCE_S", 0.2)
     hand = SharedHand.create()
     pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
     with served(pointer=pointer) as live, client(live.ws) as page:
@@ -132,7 +131,7 @@ def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.M
 
 
 def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage, "SILENCE_S", 3600.0)
+    monkeypatch.setattr(server, "SILENCE_S", 3600.0)
     hand = SharedHand.create()
     pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
     with served(pointer=pointer) as live, client(live.ws) as page:

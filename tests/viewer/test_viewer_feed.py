@@ -10,9 +10,8 @@ import pytest
 from live_server import client, frame_of, record, served, until
 
 from tissueid.haptics.ring import RECORD, Ring
-from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed
+from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed, Playback
 from tissueid.viewer.frames import read_frame, samples_of
-from tissueid.viewer.playback import Playback
 from tissueid.viewer.protocols import Play
 
 

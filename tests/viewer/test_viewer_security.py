@@ -23,9 +23,8 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer import protocols
 from tissueid.viewer.protocols import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
 from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
-from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES
+from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES, HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.stage import HandPointer
 
 TOKEN = "T0ken" * 8
 OPEN = Access("127.0.0.1", 8765)

@@ -163,7 +163,7 @@ class TestFlags(DeviceFlags):
 @takes(TestFlags)
 def test(flags: TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
-    from tissueid.haptics.measure.link import measure_link
+    from tissueid.haptics.measure.motion import measure_link
 
     made = made_device(flags)
     check_savable(made, flags, wanted=flags.save)
@@ -268,7 +268,7 @@ def calibrate_weight(flags: CalibrateWeightFlags) -> int:
     A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
     it is measured with.
     """
-    from tissueid.haptics.measure.gravity import weigh_poses
+    from tissueid.haptics.measure.weighing import weigh_poses
 
     made = made_for_calibration(flags)
     ask_consent(made, flags)

@@ -26,7 +26,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.simulated_layout import (
+from tissueid.haptics.shared_hand import (
     ARM_PARAMETERS,
     DAMPING,
     FIRST_KNOT,

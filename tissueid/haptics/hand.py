@@ -19,7 +19,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.simulated_layout import (
+from tissueid.haptics.shared_hand import (
     FIRST_KNOT,
     HAND_DAMPING,
     HAND_STIFFNESS,

@@ -21,7 +21,7 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
-from tissueid.haptics.shared_memory import read_ordered, shared_memory, write_ordered
+from tissueid.haptics.ring import read_ordered, shared_memory, write_ordered
 
 HEAD_WORDS = 8
 #: "tissparm" as a little-endian integer.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import platform
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,50 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.shared_memory import read_ordered, shared_memory, write_ordered
+
+
+def shared_memory(name: str, size: int) -> int:
+    """Descriptor of new memory, all zero; another process gets it only where it is handed over.
+
+    ``name``: what it holds, in a word; ``size``: bytes.  Raises DeviceError: the system has no such memory.
+    """
+    try:
+        descriptor = os.memfd_create(f"tissueid-{name}", 0)
+        os.ftruncate(descriptor, size)
+    except (AttributeError, OSError) as error:
+        msg = f"no shared memory for the servo's {name} ({error}); rendering needs Linux with memfd"
+        raise DeviceError(msg) from error
+    os.set_inheritable(descriptor, False)
+    return descriptor
+
+
+_KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
+
+
+def read_ordered(words: IntArray, at: int) -> int:
+    """``words[at]``, before everything read after.
+
+    ``words``: shared.
+    """
+    if _KEEPS_ORDER:
+        return int(words[at])
+    from tissueid.haptics.atomic import load_acquire
+
+    return int(load_acquire(words[at : at + 1]))
+
+
+def write_ordered(words: IntArray, at: int, value: int) -> None:
+    """Set ``words[at]``, after everything written before.
+
+    ``words``: shared.
+    """
+    if _KEEPS_ORDER:
+        words[at] = value
+        return
+    from tissueid.haptics.atomic import store_release
+
+    store_release(words[at : at + 1], value)
+
 
 #: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard
 #: let through; ``depth_mm``, ``tissue_force_N`` and ``speed_mm_per_s`` are the tissue's; ``energy_J`` the

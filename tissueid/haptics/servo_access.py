@@ -11,9 +11,9 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.device_facts import CompiledIO
+from tissueid.haptics.device import CompiledIO
 
-#: Words of a reading: what came (:mod:`tissueid.haptics.watchdogs`), whether homed, buttons, and commands
+#: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands
 #: without an answer where each is answered.
 REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3
 WORDS_SIZE = 4
@@ -25,7 +25,7 @@ class Access(NamedTuple):
     """Ways to one kind of device."""
 
     io: type  # named tuple that stands for a device in a loop
-    made: Callable[[CompiledIO], Any]  # :class:`~tissueid.haptics.device_facts.CompiledIO` -> such a tuple
+    made: Callable[[CompiledIO], Any]  # :class:`~tissueid.haptics.device.CompiledIO` -> such a tuple
     sense: Callable[..., None]  # compiled: of io, dt, position, counts and words; never waits
     command: Callable[..., None]  # compiled: of io, guard memory, limits and a force that passed the guard
 

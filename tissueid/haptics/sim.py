@@ -21,20 +21,25 @@ SI units; frame: x right, y up, z out toward the user.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, IntArray
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.arm import (
+    ARM_MEMORY,
     HAND_FORCE,
     POINTED,
     POSITION,
     TIME,
     Arm,
+    arm_step,
     new_arm,
     port_energy,
 )
@@ -45,29 +50,143 @@ from tissueid.haptics.device import (
     DeviceSample,
     HapticDevice,
 )
+from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
-from tissueid.haptics.shared_hand import SharedHand
-from tissueid.haptics.sim_kernels import (
-    FELT,
-    HOMED,
-    QUEUE_LENGTH,
-    VALID,
-    new_simulated,
-    simulated_advance,
-    simulated_command,
-    simulated_sample,
-)
-from tissueid.haptics.simulated_layout import (
+from tissueid.haptics.servo_access import HOMED as IS_HOMED
+from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
+from tissueid.haptics.shared_hand import (
     BUTTONS,
     DELAY,
+    FAULT_AT,
+    FAULT_KIND,
+    FAULT_SIZE,
     PHASE,
     POINTER,
     POINTER_ON,
     QUANTUM,
     RIGID,
     SIM_PARAMETERS,
+    SharedHand,
 )
+
+#: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
+#: by FAULT_SIZE counts; it is no longer homed.
+FAULT_NONE, FAULT_GONE, FAULT_SILENT, FAULT_FROZEN, FAULT_JUMP, FAULT_UNHOMED = 0, 1, 2, 3, 4, 5
+
+# --- memory behind the arm's
+FELT = ARM_MEMORY  # force at the grip now: 3
+HELD = ARM_MEMORY + 3  # counts last read: 3
+HEAD, PENDING, LOST = ARM_MEMORY + 6, ARM_MEMORY + 7, ARM_MEMORY + 8
+#: Forces under way: time of arrival and three components each.
+QUEUE = ARM_MEMORY + 10
+QUEUE_COLUMNS = 4
+#: A delay of more ticks than this loses forces; :class:`~tissueid.haptics.sim.SimulatedDevice` refuses it.
+QUEUE_LENGTH = 32
+SIM_MEMORY = QUEUE + QUEUE_COLUMNS * QUEUE_LENGTH
+
+#: Bits of what :func:`simulated_sample` returns; 0 is "no answer", negative "the device is gone".
+VALID, HOMED = 1, 2
+
+
+def new_simulated(arm_memory: FloatArray) -> FloatArray:
+    """Memory of a simulated device whose arm is in the state given, no force under way."""
+    memory = np.zeros(SIM_MEMORY)
+    memory[:ARM_MEMORY] = arm_memory
+    return memory
+
+
+@tick_part
+def simulated_sample(
+    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
+) -> int:
+    """Sample of the device at this moment.
+
+    ``memory``, ``parameters``: of the device; ``memory`` keeps the last counts; ``position`` (3,):
+    **Written**: counts times the quantum [m]; ``counts`` (3,): **Written**: encoder counts.  Returns bits
+    VALID and HOMED; 0 without an answer, -1 where the device is gone.
+    """
+    kind = int(parameters[FAULT_KIND])
+    if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
+        kind = FAULT_NONE
+    if kind == FAULT_GONE:
+        return -1
+    if kind == FAULT_SILENT:
+        return 0
+    quantum = parameters[QUANTUM]
+    for i in range(3):
+        if kind != FAULT_FROZEN:
+            memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[PHASE + i])
+        said = memory[HELD + i]
+        if kind == FAULT_JUMP and i == 0:
+            said += parameters[FAULT_SIZE]
+        counts[i] = int(said)
+        # the middle of the count, so that rounding has no mean
+        position[i] = (said + 0.5 - parameters[PHASE + i]) * quantum
+    return VALID if kind == FAULT_UNHOMED else VALID | HOMED
+
+
+@tick_part
+def simulated_command(memory: FloatArray, parameters: FloatArray, force: FloatArray) -> None:
+    """Send a force [N]; it is felt ``delay_s`` later."""
+    pending = int(memory[PENDING])
+    if pending >= QUEUE_LENGTH:
+        memory[LOST] += 1.0
+        return
+    at = QUEUE + QUEUE_COLUMNS * ((int(memory[HEAD]) + pending) % QUEUE_LENGTH)
+    memory[at] = memory[TIME] + parameters[DELAY]
+    for i in range(3):
+        memory[at + 1 + i] = force[i]
+    memory[PENDING] = pending + 1
+
+
+@tick_kernel
+def simulated_advance(memory: FloatArray, parameters: FloatArray, dt: float) -> None:
+    """Let ``dt`` seconds pass: forces arrive, the arm moves."""
+    end = memory[TIME] + dt
+    felt = memory[FELT : FELT + 3]
+    while memory[PENDING] > 0.0:
+        head = int(memory[HEAD])
+        at = QUEUE + QUEUE_COLUMNS * head
+        arrival = memory[at]
+        if arrival > end:
+            break
+        arm_step(memory, parameters, felt, arrival - memory[TIME])
+        for i in range(3):
+            felt[i] = memory[at + 1 + i]
+        memory[HEAD] = (head + 1) % QUEUE_LENGTH
+        memory[PENDING] -= 1.0
+    arm_step(memory, parameters, felt, end - memory[TIME])
+
+
+class SimulatedIO(NamedTuple):
+    """Blocks of :mod:`tissueid.haptics.sim`."""
+
+    parameters: FloatArray
+    memory: FloatArray
+
+
+@tick_kernel
+def _sense(io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+    """Let the arm move for ``dt`` and read its encoders."""
+    simulated_advance(io.memory, io.parameters, dt)
+    said = simulated_sample(io.memory, io.parameters, position, counts)
+    words[REPLY] = REPLY_LOST if said < 0 else (REPLY_VALID if said > 0 else REPLY_NONE)
+    words[IS_HOMED] = 1 if said > 0 and (said & HOMED) != 0 else 0
+    words[PRESSED] = int(io.parameters[BUTTONS])
+
+
+@tick_kernel
+def _command(io: SimulatedIO, _guard: FloatArray, _limits: FloatArray, force: FloatArray) -> None:
+    """Put the force on its way."""
+    simulated_command(io.memory, io.parameters, force)
+
+
+#: The simulated device.
+SIMULATED = register(
+    Access(SimulatedIO, lambda given: SimulatedIO(given.constants, given.memory), _sense, _command)
+)
+
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip.
 DEFAULT_QUANTUM_M = 45e-6
@@ -123,7 +242,7 @@ class SimulatedDevice(HapticDevice):
         self.period_s = period_s
         self.delay_ticks = delay_ticks
         self.real_time = real_time
-        #: Flat blocks of :mod:`tissueid.haptics.sim_kernels`; the compiled servo works on the same.
+        #: Flat blocks of :mod:`tissueid.haptics.sim`; the compiled servo works on the same.
         self.parameters = np.zeros(SIM_PARAMETERS)
         block = self.hand.write(self.arm.block())
         self.parameters[: block.size] = block
@@ -210,7 +329,7 @@ class SimulatedDevice(HapticDevice):
 
     def compiled(self) -> CompiledIO:
         """The blocks of this device, for a compiled loop."""
-        return CompiledIO("tissueid.haptics.sim_io:SIMULATED", constants=self.parameters, memory=self.memory)
+        return CompiledIO("tissueid.haptics.sim:SIMULATED", constants=self.parameters, memory=self.memory)
 
     def _open(self) -> None:
         self._clock_s = None

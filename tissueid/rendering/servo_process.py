@@ -19,8 +19,7 @@ import numpy as np
 from tissueid.compiled import without_scipy
 from tissueid.errors import DeviceError, TissueidError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.guard import new_guard, transition
-from tissueid.haptics.guard_states import SHUT
+from tissueid.haptics.guard import SHUT, new_guard, transition
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.registry import device_class, environment_law

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage
 
 #: Below the servo and its owner, above nothing of the user's that waits.
 NICENESS = 5
@@ -70,8 +70,8 @@ def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
         _show_live(stage, words["live"], descriptors)
     elif "log" in words:
         from tissueid.store.session_log import read_session_log
+        from tissueid.viewer.feed import Playback
         from tissueid.viewer.frames import samples_of
-        from tissueid.viewer.playback import Playback
 
         samples = samples_of(read_session_log(Path(words["log"]["path"])).records)
         stage.show_log(words["log"]["hello"], lambda: Playback(samples))
@@ -87,7 +87,7 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
     from tissueid.haptics.ring import Ring
     from tissueid.haptics.shared_hand import SharedHand
     from tissueid.viewer.feed import LiveFeed
-    from tissueid.viewer.stage import HandPointer
+    from tissueid.viewer.server import HandPointer
 
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     pointer = None
@@ -99,8 +99,7 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
     from tissueid.viewer.security import Access
-    from tissueid.viewer.server import TlsFiles, ViewerServer
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage, TlsFiles, ViewerServer
 
     owner = Owner(link)
     first = owner.read()

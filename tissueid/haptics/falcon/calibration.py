@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.falcon.constants import GEOMETRIES, Geometry
-from tissueid.haptics.falcon.packet_kernels import MOTOR_LIMIT
+from tissueid.haptics.falcon.kinematics import GEOMETRIES, Geometry
+from tissueid.haptics.falcon.packets import MOTOR_LIMIT
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM, uncalibrated_clamp_N
 
 #: Motor units per N m: this reproduces the vendor's "more than 8.9 N"; reports range from 3460 to 10 000.
@@ -63,7 +63,7 @@ HEADER = (
 class Calibration:
     """Numbers of one Falcon; the defaults are assumptions."""
 
-    geometry: str = "stamper"  # key of :data:`~tissueid.haptics.falcon.constants.GEOMETRIES`
+    geometry: str = "stamper"  # key of :data:`~tissueid.haptics.falcon.kinematics.GEOMETRIES`
     zero_angle_deg: float = 35.0  # leg angle at count zero
     units_per_Nm: float = UNITS_PER_NM  # motor units for one N m of arm torque
     force_calibrated: bool = False  # whether ``units_per_Nm`` was weighed on this device

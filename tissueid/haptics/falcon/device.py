@@ -30,14 +30,12 @@ from tissueid.haptics.device import (
 )
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
-from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.kinematics import GUESS_M
+from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, UsbTransport
-from tissueid.haptics.falcon.packet_kernels import leds_of_state
-from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command
+from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command, leds_of_state
 from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.link import UNSEEN_TICKS
+from tissueid.haptics.measure.motion import UNSEEN_TICKS
 
 Tell = Callable[[str], None]
 

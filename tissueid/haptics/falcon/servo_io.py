@@ -12,9 +12,9 @@ from numba import types
 
 from tissueid.arrays import ByteArray, FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device_facts import CompiledIO
-from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.packet_kernels import (
+from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.falcon.kinematics import angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.packets import (
     BUTTONS,
     ENCODERS,
     HOMED,
@@ -26,20 +26,21 @@ from tissueid.haptics.falcon.packet_kernels import (
     parse_byte,
 )
 from tissueid.haptics.foreign import by_address, libc_function
-from tissueid.haptics.guard_states import LAMPS, STATE
-from tissueid.haptics.limits import MOTOR_CLAMP
-from tissueid.haptics.servo_access import HOMED as IS_HOMED
-from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
-from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
-from tissueid.haptics.states import Lamp
-from tissueid.haptics.watchdogs import (
+from tissueid.haptics.guard import (
+    LAMPS,
     LATE_COMMANDS,
     REPLY_APART,
     REPLY_DAMAGED,
     REPLY_LOST,
     REPLY_NONE,
     REPLY_VALID,
+    STATE,
 )
+from tissueid.haptics.limits import MOTOR_CLAMP
+from tissueid.haptics.servo_access import HOMED as IS_HOMED
+from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
+from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
+from tissueid.haptics.states import Lamp
 
 #: Constants: motor units for one newton metre, then the geometry block.
 UNITS_PER_NM, GEOMETRY = 0, 1

@@ -6,8 +6,7 @@ its motors push through differences of that.  What both took from the descriptio
 description is wrong: no real Falcon has confirmed either.
 """
 
-from tissueid.haptics.falcon.emulator.faults import ScriptedFault
 from tissueid.haptics.falcon.emulator.links import EmulatedLink, EmulatorProcess
-from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings
+from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings, ScriptedFault
 
 __all__ = ["EmulatedFalcon", "EmulatedLink", "EmulatorProcess", "EmulatorSettings", "ScriptedFault"]

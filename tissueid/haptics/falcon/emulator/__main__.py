@@ -12,9 +12,8 @@ import threading
 import numpy as np
 
 from tissueid.errors import TissueidError
-from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
-from tissueid.haptics.falcon.emulator.machine import PULLED_M, EmulatorSettings
+from tissueid.haptics.falcon.emulator.machine import FAULT_KINDS, PULLED_M, EmulatorSettings, parse_fault
 from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
