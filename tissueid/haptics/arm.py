@@ -5,16 +5,8 @@
     m dv/dt = F_motor + F_hand - b v - f,      f = fc v/|v| while it slides, |f| <= fc while it sticks
     F_hand  = -g k (x - x_t) - g c (v - v_t)   x_t(t): where the hand wants to be, g(t): its grip, 0 to 1
 
-One step of ``h`` is the Moreau-Jean scheme with theta = 1/2 (Acary & Brogliato 2008,
-doi 10.1007/978-3-540-75392-6, section 10.1): smooth forces at the midpoint, friction by the velocity at the
-end.  Mass, damping and stiffness are the same along x, y and z, so that the inclusion for friction has a
-closed solution: the velocity without friction is shortened by ``h fc / A``, to zero where it is shorter than
-that.  A resting arm stays at rest exactly, without chatter, and the energies below close to rounding::
-
-    m |v|^2 / 2  =  work of the motor + work of the hand - loss to damping - loss to friction
-
-SI units: metres, newtons, seconds.  Parameters and memory are flat float64 blocks, so that compiled loops of
-other modules can carry them; the indices of the memory are the constants below.
+Steps are Moreau-Jean with theta = 1/2 (Acary & Brogliato 2008, doi 10.1007/978-3-540-75392-6, section 10.1):
+a resting arm stays at rest exactly, and the energies close to rounding.  SI units.
 """
 
 from __future__ import annotations
@@ -109,7 +101,7 @@ def new_arm(position_m: FloatArray) -> FloatArray:
 
 @tick_kernel
 def port_energy(memory: FloatArray) -> float:
-    """Energy [J] that went through the grip into what is rendered, and into the arm's damping and friction.
+    """Energy [J] that went through the grip into what is rendered, and into damping and friction.
 
     Counted on the true position, without the kinetic energy: a rendering is passive where this is never
     negative, whatever the hand does (Colgate & Schenkel, doi 10.1002/rob.4620140110).
@@ -232,12 +224,7 @@ def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray,
 
 @tick_kernel
 def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: float) -> None:
-    """Move the arm on by ``dt`` under a constant force of its motors.
-
-    ``memory`` (ARM_MEMORY,): state; **updated in place**; ``parameters`` (ARM_PARAMETERS,): arm, hand and
-    script; ``force`` (3,): force of the motors on the grip [N]; ``dt``: time [s]; nothing happens where it is
-    not positive.
-    """
+    """Move the arm on by ``dt`` [s] under a constant force (3,) of its motors; not back in time."""
     if not dt > 0.0:
         return
     steps = max(1, math.ceil(dt / parameters[SUBSTEP] - 1e-9))

@@ -1,8 +1,4 @@
-"""Loads and stores of one 64-bit integer that other processes see in order.
-
-A release store makes everything written before it visible to whoever acquires the new value; the fence
-behind it keeps later writes from being seen before it.  On x86-64 both cost nothing, on ARM they matter.
-"""
+"""Loads and stores of one 64-bit integer that other processes see in order; free on x86-64, not on ARM."""
 
 from __future__ import annotations
 

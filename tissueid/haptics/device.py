@@ -1,11 +1,8 @@
 """A device that can be felt: what a backend writes, and what it can't get round.
 
-A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``, and no
-more (``home``, ``compiled``, and what is asked of options and calibration where it has them).  ``open``,
-``close``, ``read`` and ``write_force`` are final: every force goes through
-:func:`tissueid.haptics.guard.guard`, every way out sends zero force.
-
-SI units (m, N, s).  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
+A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``; the others
+are final: every force goes through :func:`tissueid.haptics.guard.guard`, every way out sends zero force.
+SI units.  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
 """
 
 from __future__ import annotations
@@ -119,20 +116,7 @@ def _nothing() -> None:
 
 
 class HapticDevice(ABC):
-    """Base of every device.
-
-    Parameters
-    ----------
-    limits : GuardLimits
-        What the guard lets through.
-
-    Examples
-    --------
-    >>> from tissueid.haptics.registry import open_device
-    >>> with open_device("sim") as device:  # doctest: +SKIP
-    ...     sample = device.read()
-    ...     device.write_force([0.0, 0.0, 0.0], 0.001)
-    """
+    """Base of every device; ``limits``: what the guard lets through."""
 
     #: Name in the registry.
     name: ClassVar[str] = ""
@@ -238,13 +222,7 @@ class HapticDevice(ABC):
 
     @final
     def open(self) -> None:
-        """Open the device; it then wants homing, which :meth:`read` watches.
-
-        Raises
-        ------
-        DeviceError
-            It can't be opened, with the way out.
-        """
+        """Open the device, which then wants homing; DeviceError, with the way out, where it can't be."""
         if self.state is not State.CLOSED:
             msg = f"{self.name}: is open already"
             raise DeviceError(msg)
@@ -275,12 +253,9 @@ class HapticDevice(ABC):
 
     @final
     def sample(self) -> DeviceSample:
-        """Read the device without its watchdogs: for a loop that has its own.
+        """Read the device without its watchdogs, for a loop that has its own.
 
-        Raises
-        ------
-        DeviceError
-            The device is closed or gone; the guard is then in FAULT.
+        Raises DeviceError: the device is closed or gone; the guard is then in FAULT.
         """
         self._must_be_open()
         try:
@@ -292,13 +267,7 @@ class HapticDevice(ABC):
 
     @final
     def read(self) -> DeviceSample:
-        """Read the device and let the watchdogs see it.
-
-        Raises
-        ------
-        DeviceError
-            As :meth:`sample`.
-        """
+        """Read the device and let the watchdogs see it; DeviceError as :meth:`sample`."""
         sample = self.sample()
         if sample.valid:
             self._watch(REPLY_VALID, sample)
@@ -308,26 +277,10 @@ class HapticDevice(ABC):
 
     @final
     def write_force(self, force_N: Any, dt_s: float) -> FloatArray:
-        """Send a force, as far as the guard allows it.
+        """Send a wanted force (3,) [N] as far as the guard allows it; what was sent (3,).
 
-        Parameters
-        ----------
-        force_N : array_like, shape (3,)
-            Wanted force on the grip [N].
-        dt_s : float
-            Measured time since the last call [s].
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            What was sent [N].
-
-        Raises
-        ------
-        DeviceError
-            The device is closed or gone.
-        ValueError
-            Not three components.
+        ``dt_s``: measured time since the last call.  Raises DeviceError: the device is closed or gone;
+        ValueError: not three components.
         """
         self._must_be_open()
         force = np.asarray(force_N, np.float64)
@@ -401,10 +354,8 @@ def wait_with_zero_force(
 ) -> None:
     """Read and send zero force until something is reached.
 
-    ``device``: open; ``reached``: asked before each reading; ``timeout_s``: of waiting: a reading that took
-    longer than ``MOST_A_READING_S`` counts as that long; ``why_not``: the message of the error after the
-    time-out.  Raises DeviceError: after the time-out, on a fault, or when the device is lost; and what
-    ``device.while_waiting`` raises.
+    Raises DeviceError: after the time-out, of which one reading takes ``MOST_A_READING_S`` at most, on a
+    fault, or when the device is lost; and what ``device.while_waiting`` raises.
     """
     waited_s, before = 0.0, time.monotonic()
     zero = np.zeros(3)

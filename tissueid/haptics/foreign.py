@@ -1,8 +1,6 @@
-"""C functions that compiled loops call: libc by name, drivers by their address.
+"""C functions that compiled loops call: libc by name, drivers by an address that is an argument.
 
-By name a function is resolved when the loop is loaded, which only libc, there on every Linux, may need.  A
-driver's function is called by an address that is an argument: the loop is cached on disk and runs where the
-driver is absent.  Without compilation both are called by ctypes.
+A loop is cached on disk and runs where a driver is absent.  Without compilation both are called by ctypes.
 """
 
 from __future__ import annotations
@@ -26,10 +24,7 @@ _CTYPES: dict[Any, Any] = {
 
 
 def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
-    """A function of libc for compiled code.
-
-    ``result``, ``*arguments``: pointers are int64, ``array.ctypes.data``.
-    """
+    """A function of libc for compiled code; pointers are int64, ``array.ctypes.data``."""
     if not getattr(config, "DISABLE_JIT", False):
         return types.ExternalFunction(name, result(*arguments))
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
@@ -39,10 +34,7 @@ def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]
 
 
 def by_address(result: Any, *arguments: Any) -> Callable[..., Any]:
-    """A caller ``call(address, (arguments, ...))`` of C functions of one signature.
-
-    ``result``, ``*arguments``: as in :func:`libc_function`; arguments are converted to these.
-    """
+    """A caller ``call(address, (arguments, ...))`` of C functions of one signature."""
     if getattr(config, "DISABLE_JIT", False):
         prototype = ctypes.CFUNCTYPE(_CTYPES[result], *(_CTYPES[argument] for argument in arguments))
         return lambda address, values: prototype(address)(*values)

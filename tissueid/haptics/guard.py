@@ -1,23 +1,11 @@
 """The guard: the one compiled function through which every force passes on its way to a device.
 
-Precedence, strongest first:
-
-1. a fault takes the force to zero within ``fault_ramp_s``;
-2. the clamp: |F| <= ``clamp_N``, direction kept;
-3. the slew: |F| rises by at most ``slew_N_per_tick`` in a tick.  Falling is free: a symmetric limit would
-   make a passive law active.  What counts as rising is the force along its new direction, so that a force
-   that turns round starts from zero;
-4. the sustained (root mean square) limit, which folds the clamp back.
-
-Outside ENGAGED and FAULT the force is zero.  In ENGAGED the wanted force is crossfaded with damping: at
-engaging, after a stall or a silence of the device, and after the dead-man button::
-
-    F = g F_wanted - (1 - g) b v,     g from 0 to 1 or back
-
-A force that is not finite is FAULT: what was sent last is ramped to zero.
-
-:class:`tissueid.haptics.device.HapticDevice` and the compiled servo both call :func:`guard`; nothing else
-reaches a transport.
+Precedence, strongest first: a fault takes the force to zero within ``fault_ramp_s``; the clamp, direction
+kept; the slew, of a rise alone, since a symmetric limit would make a passive law active (what counts is the
+force along its new direction: one that turns round starts from zero); the sustained limit, which folds the
+clamp back.  Outside ENGAGED and FAULT the force is zero.  In ENGAGED it is crossfaded with damping at
+engaging, after a stall or a silence, and after the dead-man button: ``F = g F_wanted - (1 - g) b v``.
+A force that is not finite is FAULT.  The memory is one float64 block; the indices below are its fields.
 """
 
 from __future__ import annotations
@@ -66,12 +54,7 @@ REST_M_PER_S = 1e-12
 
 @tick_part
 def velocity_step(velocity: FloatArray, position: FloatArray, last: FloatArray, dt: float) -> None:
-    """Low-passed difference quotient, exact for any step.
-
-    ``velocity`` (3,): [m/s], updated in place; ``position``, ``last`` (3,): position now and at the last tick
-    [m]; ``last`` is set to ``position``; ``dt``: measured step [s]; without a positive one nothing changes
-    but ``last``.
-    """
+    """Low-passed difference quotient (3,) [m/s], exact for any step; ``last`` becomes ``position``."""
     share = -math.expm1(-dt / VELOCITY_FILTER_S) if dt > 0.0 else 0.0
     for i in range(3):
         if share > 0.0:
@@ -132,10 +115,7 @@ def new_guard() -> FloatArray:
 
 @tick_part
 def fail(memory: FloatArray, fault: float) -> None:
-    """Go to FAULT, once: the first fault is the one that is reported.
-
-    The force that was sent last is where the ramp to zero starts.
-    """
+    """Go to FAULT, once: the first is the one reported; its ramp starts from the force that was sent last."""
     if memory[STATE] == FAULTED or memory[STATE] == CLOSED:
         return
     memory[STATE] = FAULTED
@@ -213,14 +193,10 @@ def let_down(memory: FloatArray) -> bool:
 
 @tick_kernel
 def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
-    """Tell the guard what happened outside a tick.
+    """Tell the guard what happened outside a tick; True where the event was accepted in this state.
 
-    ``memory`` (GUARD_SIZE,): updated in place; ``limits`` (LIMITS_SIZE,):
-    :meth:`tissueid.haptics.limits.GuardLimits.block`; ``event``: OPENED, FIRMWARE_OK, HOME (homing begins),
-    HOMED; ENGAGE (force is wanted: it comes once the tool is free or the force small, and the dead-man button
-    is held), DISENGAGE, RELEASE (the button); SWAP (asks whether parameters may be exchanged now, and changes
-    nothing); HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST; SHUT (from any state).  Returns whether the event
-    was accepted in this state.
+    ENGAGE: force comes once the tool is free or the force small, and the dead-man button is held; SWAP asks
+    whether parameters may be exchanged now, and changes nothing; SHUT leads from any state to CLOSED.
     """
     state = memory[STATE]
     if event == OPENED:
@@ -289,13 +265,11 @@ def observe(
     penetration: float,
     dt: float,
 ) -> None:
-    """Take in what a tick saw, before :func:`tissueid.haptics.guard.guard`.
+    """Take in what a tick saw, before :func:`guard`.
 
-    ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``reply``: REPLY_VALID, REPLY_NONE,
-    REPLY_DAMAGED, REPLY_LOST or REPLY_APART; only with the first do the next four say anything; ``homed``:
-    whether all legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,):
-    encoder counts since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of
-    the tool in what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
+    Only with REPLY_VALID do ``homed`` (all legs), ``buttons``, ``counts_moved`` (3,) since the last valid
+    reply and ``velocity`` (3,) [m/s] say anything; ``penetration``: depth of the tool [m], NaN where nobody
+    knows.
     """
     memory[READY] = 0.0
     state = memory[STATE]
@@ -323,11 +297,7 @@ def observe(
 
 @tick_part
 def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: float) -> None:
-    """Take in how late the answers of a device come; the guard lowers the force by it.
-
-    ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``unanswered``: commands that were
-    sent before this tick and are not answered yet; ``dt``: time since the last tick [s].
-    """
+    """Take in how late answers come, by the commands not answered before this tick: it lowers the force."""
     more = unanswered - max(limits[DELAY_TICKS] - DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost
     late = more >= LATE_COMMANDS and memory[SILENT_S] == 0.0
@@ -447,12 +417,10 @@ _NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 
 @tick_part
 def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray) -> None:
-    """The force that may be sent.
+    """Write the force (3,) that may be sent: finite, within every limit.
 
-    ``memory`` (GUARD_SIZE,): of this device, :func:`new_guard`; updated in place; ``limits`` (LIMITS_SIZE,):
-    :meth:`GuardLimits.block`; ``force`` (3,): wanted force [N]; may hold anything; ``dt``: measured time
-    since the last tick [s]; anything that is not a good tick counts as a stall; ``out`` (3,): **Written**:
-    force [N], finite, within every limit.
+    ``force`` (3,): wanted [N]; may hold anything; ``dt``: measured time since the last tick [s]; anything
+    that is not a good tick counts as a stall.
     """
     stalled = not 0.0 < dt <= limits[STALL_S]
     step = limits[STALL_S] if stalled else dt

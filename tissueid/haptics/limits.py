@@ -1,7 +1,4 @@
-"""Limits of the guard: what a device may do to a hand, as a dataclass and as the block the kernels read.
-
-SI units.  Every default has its reason beside it; what is known of devices is in docs/devices.md.
-"""
+"""Limits of the guard: what a device may do to a hand, each with its reason (docs/devices.md).  SI units."""
 
 from __future__ import annotations
 
@@ -61,10 +58,8 @@ def uncalibrated_clamp_N(units_per_Nm: float) -> float:
     """Clamp [nominal N] of a device whose force was never weighed.
 
     Nominal newtons times ``units_per_Nm`` are motor units, whatever the true constant.  This clamp is the
-    largest force whose motor units would be :data:`UNCALIBRATED_N` if the true constant were the worst one.
-
-    ``units_per_Nm``: nominal motor units for one newton metre of arm torque.  Returns 2.6 N for the usual
-    6600, never more than :data:`UNCALIBRATED_N`.  Raises ValueError: the constant is not positive.
+    largest force whose motor units would be :data:`UNCALIBRATED_N` if the true constant were the worst one:
+    2.6 N for the usual 6600.  Raises ValueError: the constant is not positive.
     """
     if not units_per_Nm > 0.0:
         msg = f"units_per_Nm must be positive, is {units_per_Nm}"

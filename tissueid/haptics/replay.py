@@ -1,15 +1,7 @@
 """A device that moves as a recorded session did: ``tissueid render --replay LOG``.
 
-Guarantees
-    * At a time of the log it is where the log says, and between two records on the line between them.
-    * The same log and the same times give the same samples, bit for bit; no force changes the motion.
-    * Before the first record and after the last it rests there.
-
-Limits
-    * What is felt is not fed back: the hand of the log felt its own force, not the one rendered now.
-    * Positions are those the log has, already rounded to encoder counts.
-
-SI units; frame: x right, y up, z out toward the user.
+At a time of the log it is where the log says, between two records on their line, outside them at rest; no
+force changes the motion: the hand of the log felt its own force, not the one rendered now.  SI units.
 """
 
 from __future__ import annotations
@@ -29,12 +21,9 @@ from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, 
 
 
 class ReplayDevice(HapticDevice):
-    """The motion of a log.
+    """The motion of a log, in real time or one period a force written.
 
-    ``limits``: 5 N and no dead-man button where none are given; ``log``: log of a session, raw or HDF5;
-    needed before ``open``; ``real_time``: move with ``clock``; else one period a force written; ``period_s``:
-    period of the loop that drives it in virtual time [s]; ``clock``: seconds, never falling.  Raises
-    BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
+    Raises BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
     """
 
     name = "replay"

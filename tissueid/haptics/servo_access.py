@@ -1,7 +1,6 @@
 """Access of the compiled servo to devices: one reading and one command a tick.
 
-Each vendor's folder registers how its devices are read and commanded; whoever runs a loop asks by the type of
-the tuple that stands for a device, and knows no vendor.
+Each vendor's folder registers its ways; a loop asks by the type of the tuple that stands for a device.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The hand of a simulated device in shared memory, so that a pointer in another process can lead it.
 
-The memory holds the parameters of :mod:`tissueid.haptics.shared_hand`, which the simulated device reads
-at every tick.  A target is three float64 words, each written whole; a tick that meets the new x with the old
-y sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other
-device has such a memory: what has motors can't be led.
+It loads no compiler.  A target is three float64 words, each written whole; a tick that meets the new x with
+the old y sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).
 """
 
 from __future__ import annotations
@@ -53,18 +51,12 @@ class SharedHand:
 
     @classmethod
     def create(cls) -> SharedHand:
-        """New memory; a simulated device fills it when it takes it.
-
-        Raises DeviceError: the system has no such memory.
-        """
+        """New memory, which a simulated device fills; DeviceError where the system has none."""
         return cls._mapped(shared_memory("hand", BYTES))
 
     @classmethod
     def attach(cls, descriptor: int) -> SharedHand:
-        """The memory behind a descriptor.
-
-        Raises DeviceError: it has another size.
-        """
+        """The memory behind a descriptor; DeviceError if it has another size."""
         if os.fstat(descriptor).st_size != BYTES:
             msg = f"descriptor {descriptor} is no hand of a simulated device"
             raise DeviceError(msg)
@@ -75,10 +67,7 @@ class SharedHand:
         return cls(descriptor, np.frombuffer(mmap.mmap(descriptor, BYTES), np.float64))
 
     def point_at(self, position_m: Sequence[float]) -> None:
-        """Lead the hand to a point.
-
-        ``position_m``: device frame [m].  Raises ValueError: not three finite numbers.
-        """
+        """Lead the hand to a point of the device's frame [m]; ValueError: not three finite numbers."""
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             msg = f"a pointer needs three finite coordinates, not {position_m!r}"

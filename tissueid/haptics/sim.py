@@ -1,22 +1,10 @@
 """A device that is computed: an arm in a hand, behind encoders that round and a wire that delays.
 
-Guarantees
-    * Two devices with equal settings and equal forces give equal samples, bit for bit, on one machine.
-    * In virtual time nothing reads a clock: a sample depends on the settings and on the forces written, and
-      each ``write_force`` lets one period pass, however long it really took.
-    * A force written at a tick is felt ``delay_ticks`` periods later (fractions change it within a tick), and
-      until the next one arrives.
-    * The true position, the force felt and the energies of :mod:`tissueid.haptics.arm` can be read exactly.
-    * Nothing moves, needs no rights and can't hurt.
-
-Limits
-    * The arm has one mass in all directions, no gravity, no stops, no play and no flexible parts.
-    * Position is rounded along x, y and z, not at the legs' encoders; use the emulator for those.
-    * No bytes are exchanged: no packet is lost, damaged or late.
-    * In real time the arm moves only when it is read, so that it sees the loop's jitter, and two runs differ.
-    * It shows nothing about a real device that its assumed mass, damping and friction do not hold.
-
-SI units; frame: x right, y up, z out toward the user.
+Equal settings and forces give equal samples, bit for bit.  In virtual time no clock is read: each
+``write_force`` lets one period pass.  A force is felt ``delay_ticks`` periods after its tick, until the next
+one arrives.  It has one mass in all directions, no gravity and no stops; position is rounded along x, y and
+z, not at the legs, and no bytes are exchanged (the emulator has both).  SI units; frame: x right, y up, z to
+the user.
 """
 
 from __future__ import annotations
@@ -100,12 +88,7 @@ def new_simulated(arm_memory: FloatArray) -> FloatArray:
 def simulated_sample(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> int:
-    """Sample of the device at this moment.
-
-    ``memory``, ``parameters``: of the device; ``memory`` keeps the last counts; ``position`` (3,):
-    **Written**: counts times the quantum [m]; ``counts`` (3,): **Written**: encoder counts.  Returns bits
-    VALID and HOMED; 0 without an answer, -1 where the device is gone.
-    """
+    """Write counts (3,) and their position (3,) [m]; bits VALID and HOMED, 0 without answer, -1 if gone."""
     kind = int(parameters[FAULT_KIND])
     if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
         kind = FAULT_NONE
@@ -204,14 +187,10 @@ def carried(limits: GuardLimits) -> GuardLimits:
 
 
 class SimulatedDevice(HapticDevice):
-    """Simulated device; the module says what it guarantees and what it does not.
+    """Simulated device: 5 N and no dead-man button, and a hand that rests at the centre, by default.
 
-    ``limits``: 5 N and no dead-man button where none are given; ``arm``: mass, damping and friction;
-    ``hand``: what holds the grip; a resting hand at the centre of the workspace where none is given;
-    ``real_time``: move with ``clock`` instead of with the forces written; ``quantum_m``: resolution of the
-    position [m]; ``delay_ticks``: delay from sample to felt force, in periods; ``period_s``: period of the
-    loop that will drive it [s]; ``seed``: of where the counts lie relative to the workspace; ``clock``:
-    seconds, never falling; for ``real_time``.
+    ``real_time``: move with ``clock`` instead of with the forces written; ``quantum_m``: resolution [m];
+    ``delay_ticks``: from sample to felt force; ``seed``: of where the counts lie relative to the workspace.
     """
 
     name = "sim"
@@ -300,9 +279,9 @@ class SimulatedDevice(HapticDevice):
         return float(port_energy(self.memory))
 
     def set_pointer(self, position_m: ArrayLike | None) -> None:
-        """Let the hand follow a point, as a pointer on a screen says it; None gives it back to its script.
+        """Let the hand follow a point (3,) [m], or, with None, its script again.
 
-        ``position_m`` (3,): where the hand should go [m].  Raises ValueError: not three finite numbers.
+        Raises ValueError: not three finite numbers.
         """
         if position_m is None:
             self.parameters[POINTER_ON] = 0.0

@@ -1,12 +1,7 @@
-"""The page's bundle, made by esbuild from ``web/`` when the package is built, or by hand.
+"""The page's bundle, made by esbuild from ``web/`` when the package is built, or by this module's command.
 
-::
-
-    python -m tissueid.viewer.bundling
-
-Needs ``node`` and ``npm``, and a registry to take three.js, uPlot and esbuild from in the versions of
-``web/package-lock.json``.  Nothing of an installed package needs any of them.  The build hook of the project
-loads this file by its path, so it imports nothing of the package.
+Needs ``node``, ``npm`` and a registry with the versions of ``web/package-lock.json``.  The build hook of the
+project loads this file by its path, so it imports nothing of the package.
 """
 
 from __future__ import annotations
@@ -86,8 +81,7 @@ def npm_command() -> list[str] | None:
 def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
     """Make the bundle anew, whole or not at all.
 
-    ``bundle``: folder, replaced; ``sources``: folder of ``package.json``.  Raises BundlingError: there is no
-    npm, no registry, or the sources are wrong.
+    Raises BundlingError: there is no npm, no registry, or the sources are wrong.
     """
     npm = npm_command()
     if npm is None:

@@ -1,9 +1,8 @@
 """The newest samples for every client, each at its own pace: nobody waits for anybody.
 
-A feed keeps the last seconds of samples.  A client has a cursor of its own; whoever falls behind by more than
-:data:`MOST_SAMPLES` goes on with the newest and knows how many were left out.  How many frames a client may
-have unanswered is limited (:data:`MOST_UNANSWERED`): a slow or hung one is not sent what it can't draw, so
-that nothing old piles up in its connection and what it sees first afterwards is the present.
+Whoever falls behind by more than :data:`MOST_SAMPLES` goes on with the newest and knows how many were left
+out; a client with :data:`MOST_UNANSWERED` frames is sent no more, so that nothing old piles up in its
+connection.
 """
 
 from __future__ import annotations
@@ -47,10 +46,7 @@ class Source(Protocol):
 
 
 class LiveFeed:
-    """Samples of a running servo.
-
-    ``ring``: read, never written.
-    """
+    """Samples of a running servo, out of a ring that is read and never written."""
 
     def __init__(self, ring: Ring) -> None:
         self._reader = ring.reader(from_start=True)
@@ -92,10 +88,7 @@ class LiveFeed:
 
 
 class Client:
-    """Cursor and credit of one client.
-
-    ``name``: where it is, for messages.
-    """
+    """Cursor and credit of one client, and where it is, for messages."""
 
     def __init__(self, source: Source, name: str) -> None:
         self.source = source
@@ -136,10 +129,7 @@ class Client:
         self._said_ended = False
 
     def answer(self, count: int) -> bool:
-        """The client has drawn that many frames; False where it can't have.
-
-        ``count``: frames received since the connection began.
-        """
+        """Note that a client has drawn so many frames since it came; False where it can't have."""
         if not self.answered <= count <= self.sent:
             return False
         now = time.monotonic()
@@ -150,10 +140,7 @@ class Client:
 
 
 class Playback:
-    """A log that is played to one client.
-
-    ``samples`` (n,): times rising; ``clock``: seconds, never falling.
-    """
+    """A log that is played to one client, as it was felt, until somebody seeks or pauses."""
 
     def __init__(self, samples: RecordArray, clock: Callable[[], float] = time.monotonic) -> None:
         self._samples = samples

@@ -1,26 +1,8 @@
 """The first message to a page: what the session holds, so that the page draws no more and no less.
 
-One JSON object, ``{"type": "hello", "v": 1, ...}``:
-
-``session``
-    title, device, scale, tissues, whether it is hardware, blind, a replay, and may be led by a pointer.
-``scene``
-    ``objects``, each with a ``kind`` the page knows how to draw (``surface``, ``tool``, ``workspace``), in
-    metres of the device's frame; a page leaves out kinds it does not know.
-``strips``
-    what is drawn over time, or over another field: an id, a title, a unit, and ``traces``.
-``hint``
-    what a hand on the mouse does.
-``digits``
-    what the second and the third of the big numbers are.
-``lamps``
-    an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
-``band``, ``beside``
-    :mod:`tissueid.viewer.showing`.
-``sample``
-    layout of a sample (:mod:`tissueid.viewer.frames`).
-
-Another scene is another list of objects, strips and lamps.
+One JSON object: ``session``; ``scene`` with ``objects``, each of a ``kind`` the page knows how to draw, in
+metres of the device's frame; ``strips`` over time or another field; ``lamps`` and the bits that light them;
+``digits``, ``hint``, ``band`` and ``beside``; ``sample``, the layout of :mod:`tissueid.viewer.frames`.
 """
 
 from __future__ import annotations
@@ -45,12 +27,7 @@ POINTS = 40
 
 
 def guided_objects(block: Sequence[float]) -> list[dict[str, Any]]:
-    """Objects of a scene, in metres of the device's frame.
-
-    ``block``: of the log's head: an environment that is a guided axis.  Returns ``axis`` (from the end of the
-    drilling outward), ``funnel`` (points (r, z) of its profile about the axis) and, where there is one,
-    ``bone``.
-    """
+    """Axis, funnel and, where there is one, bone of a guided axis' block, in metres of the device's frame."""
     numbers = np.asarray(block, dtype=np.float64)[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
     entry, axis = numbers[gd.ORIGIN : gd.ORIGIN + 3], numbers[gd.AXIS : gd.AXIS + 3]
     drilled_m = float(numbers[gd.DRILL_END])
@@ -162,12 +139,10 @@ def hello(
     replay_s: float | None = None,
     beside: Mapping[str, list[float]] | None = None,
 ) -> dict[str, Any]:
-    """The hello of a session.
+    """The hello of a session, by the head of its log (``schemas/session.schema.json``).
 
-    ``head``: of its log, ``schemas/session.schema.json``; ``workspace_m``: range along x, y and z; a Falcon's
-    where a log does not say; ``pointer``: whether a page may lead the hand; ``replay_s``: length of a log
-    that is replayed [s]; ``beside``: a recording that is drawn beside it: ``time_s``, in the log's time,
-    ``depth_mm``, ``force_N``.
+    ``workspace_m``: range along x, y and z; a Falcon's where a log does not say; ``replay_s``: length of a
+    log that is replayed; ``beside``: a recording drawn beside it: ``time_s``, ``depth_mm``, ``force_N``.
     """
     if workspace_m is None:
         workspace_m = [(middle - WORKING_RADIUS_M, middle + WORKING_RADIUS_M) for middle in CENTRE_M]

@@ -1,7 +1,6 @@
 """One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it.
 
 Both ask for the token that the terminal shows; what is decided must come from the page itself (``Origin``).
-The page is made in a thread: a large recording doesn't keep a second tab waiting for its refusal.
 """
 
 from __future__ import annotations
@@ -88,10 +87,7 @@ async def _words(request: Request) -> dict[str, Any] | Response:
 
 
 class PageServer:
-    """The server, in this process: it listens from its making on.
-
-    ``port``: 8765, or one that is free, where it is left out.  Raises UsageError: the port is taken.
-    """
+    """The server, in this process, which listens from its making on; UsageError: the port is taken."""
 
     def __init__(self, shown: DecidedPage, port: int | None = None) -> None:
         self._listening = listening_socket(ViewerOptions(LOOPBACK, port))

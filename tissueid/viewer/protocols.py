@@ -1,10 +1,5 @@
 """HTTP and websockets that no client can hold open for nothing, and the few messages a page may send.
 
-A connection whose request does not arrive keeps a place that another page needs.  It is cut off after
-:data:`REQUEST_S`, and where too many of them wait, the one that has waited longest is.
-
-Messages of a page: four short ones of JSON, each checked before anything is done with it.
-
 ::
 
     {"v": 1, "answer": 42}                     42 frames have arrived
@@ -153,10 +148,7 @@ Message = Answer | Pointer | Play
 
 
 def parse_message(text: str) -> Message | None:
-    """Read a message; None for whatever is none.
-
-    ``text``: at most :data:`LARGEST_MESSAGE` characters, or it is none.
-    """
+    """Read a message of at most :data:`LARGEST_MESSAGE` characters; None for whatever is none."""
     if len(text) > LARGEST_MESSAGE:
         return None
     try:

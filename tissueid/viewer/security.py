@@ -1,12 +1,7 @@
 """Who may see a session: this machine by default; another one with a secret that the terminal shows.
 
-* A server listens on loopback unless it is told an address, and then asks for a token of 192 random bits,
-  which stands in the address that is printed.
-* The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
-  this machine (DNS rebinding) is none.  The ``Origin`` of a websocket, which every browser sends, must be the
-  page's own.
-* What is refused is refused before a connection is accepted, and counted; the log tells the first
-  :data:`MOST_TOLD` of each kind.
+The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
+this machine (DNS rebinding) is none.  The ``Origin`` of a websocket must be the page's own.
 """
 
 from __future__ import annotations
@@ -63,8 +58,8 @@ class Access:
     def refusal(self, headers: Mapping[str, str], token: str | None, *, websocket: bool) -> str | None:
         """Why a request is refused, in words for the log; None where it is welcome.
 
-        ``headers``: names in small letters; ``token``: from the address of the request; ``websocket``: it
-        carries data, and an ``Origin``; so does a request that changes something.
+        ``headers``: names in small letters; ``websocket``: it carries data, and an ``Origin``; so does a
+        request that changes something.
         """
         host = headers.get("host", "")
         if not self.names(host):
@@ -124,10 +119,7 @@ class RefusalLog:
         self.counts: Counter[str] = Counter()
 
     def note(self, client: str, why: str) -> None:
-        """Note a refusal.
-
-        ``client``: address of the client; ``why``: what was wrong with it; its first two words are its kind.
-        """
+        """Note why a client is refused; the first two words are the kind."""
         kind = " ".join(why.split()[:2])
         self.counts[kind] += 1
         if self.counts[kind] <= MOST_TOLD:

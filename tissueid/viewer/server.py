@@ -50,11 +50,7 @@ SILENCE_S = 4.0
 
 
 class Stage:
-    """One session, for all clients.
-
-    ``hello``: the first message; None until the session is known; ``pointer``: none where no page may lead a
-    hand; ``clients``: those connected.
-    """
+    """One session, for all clients, and the clock that says when there is something new to send."""
 
     def __init__(self) -> None:
         self.hello: str | None = None
@@ -148,10 +144,7 @@ class HandPointer:
     high_m: NDArray[np.float64]  # (3,)
 
     def lead(self, position_m: Sequence[float] | None) -> None:
-        """Lead the hand to a point, or back to its rest.
-
-        ``position_m``: device frame [m]; cut to the workspace and 20 mm around it.
-        """
+        """Lead the hand to a point [m], cut to the workspace and 20 mm around it, or back to its rest."""
         wanted = self.rest_m if position_m is None else np.asarray(position_m, dtype=np.float64)
         self.hand.point_at(np.clip(wanted, self.low_m - BEYOND_M, self.high_m + BEYOND_M).tolist())
 
@@ -188,10 +181,7 @@ class TlsFiles:
 
 
 class Guarded:
-    """Refuses what :class:`Access` refuses, before anything else sees it.
-
-    ``full``: whether one more websocket is too many; ``policy``: what the pages may load.
-    """
+    """Refuses what :class:`Access` refuses, or one websocket too many, before anything else sees it."""
 
     def __init__(
         self,
@@ -261,10 +251,7 @@ def _name(scope: Scope) -> str:
 
 
 def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
-    """The application.
-
-    ``stage``: what is shown; ``access``: to whom; ``bundle``: folder of the page.
-    """
+    """The application: what a stage shows, to whom ``access`` lets in."""
 
     async def page(_request: object) -> Response:
         file = bundle / "index.html"

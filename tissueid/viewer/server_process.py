@@ -1,16 +1,11 @@
 """The server in a process of its own: what strangers send is read where no device and no recording is.
 
-It loads no compiler, so that a page is answered while the servo still starts.
-
-It is sent the listening socket, a ring that it can only read and, in a simulation, the hand; it lives as long
-as the socket to its owner.  Its priority is lower than the servo's, as soon as there is one.  Lines of JSON
-from the owner::
+It loads no compiler.  It is sent the listening socket, a ring that it can only read and, in a simulation, the
+hand; it lives as long as the socket to its owner.  Lines of JSON from the owner::
 
     {"access": {"host": ..., "port": ..., "token": ...}, "tls": [certificate, key] or null}
     {"live": {"hello": {...}, "rest_m": [...] or null, "workspace_m": [...]}}    with the descriptors
-    {"log": {"hello": {...}, "path": ...}}
-    {"status": {...}}
-    {"end": true}
+    {"log": {"hello": {...}, "path": ...}}    {"status": {...}}    {"end": true}
 """
 
 from __future__ import annotations
@@ -62,10 +57,7 @@ class Owner:
 
 
 def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
-    """Do what a line of the owner says.
-
-    ``words``: a line; ``descriptors``: that came with it.
-    """
+    """Do what a line of the owner says, with the descriptors that came with it."""
     if "live" in words:
         _show_live(stage, words["live"], descriptors)
     elif "log" in words:

@@ -235,10 +235,9 @@ TIMEOUT_S = 5.0
 
 
 def reach(what: str, token: str | None) -> str:
-    """Address of a page that answers.
+    """Address of a page that answers at ``HOST:PORT``, or at an address with or without its token.
 
-    ``what``: ``HOST:PORT``, or the address as the other terminal shows it; ``token``: added where the address
-    has none.  Raises UsageError: it is no address, nothing answers there, or the token is missing or wrong.
+    Raises UsageError: it is no address, nothing answers there, or the token is missing or wrong.
     """
     url = what if "//" in what else f"http://{what}/"
     parts = urllib.parse.urlsplit(url)

@@ -33,11 +33,9 @@ MOST_BESIDE = 4_000
 
 
 def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
-    """Force over depth at the slowest and the fastest identified speed.
+    """Force over depth at the slowest and the fastest identified speed, with quantiles of draws (m, p).
 
-    ``tissue``: as it is felt; ``draws`` (m, p): posterior draws; without them there are curves alone.
-    Returns ``draws`` (their number), ``curves``: ``speed_mm_s``, ``depth_mm``, ``force_N`` and, with draws,
-    ``low_N`` and ``high_N``: pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that speed
+    Pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that speed
     (:func:`~tissueid.model.channels.loading_force`).
     """
     depth = np.linspace(0.0, tissue.model.depth_mm, POINTS)
@@ -58,11 +56,7 @@ def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
 
 
 def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
-    """Show what a servo renders.
-
-    ``servo``: its ring is handed over for reading, and the hand where the plan lets a pointer lead it;
-    ``bundle``: where the plan's first tissue comes from, for the band of its draws.
-    """
+    """Show what a servo renders, with its hand where a pointer may lead it, and the bundle's band."""
     band = None
     if plan.picked and plan.order is None:
         band = band_of(plan.picked[0].tissue, None if bundle is None else load_bundle(bundle).draws)
@@ -82,10 +76,7 @@ def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, b
 
 
 def check_log(path: Path) -> SessionLog:
-    """A log with something in it.
-
-    Raises BundleError: it can't be read, or holds no two ticks.
-    """
+    """A log with something in it; BundleError: it can't be read, or holds no two ticks."""
     log = read_session_log(path)
     if log.records.size < 2:
         msg = f"{path}: the log holds {log.records.size} ticks, there is nothing to see"
@@ -94,10 +85,9 @@ def check_log(path: Path) -> SessionLog:
 
 
 def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
-    """A recording to be drawn beside a log: both cross the surface at the same time.
+    """A recording to be drawn beside a log, in its time: both cross the surface at the same time.
 
-    Returns ``time_s`` (in the log's time), ``depth_mm``, ``force_N``.  Raises UsageError: one of them never
-    touches tissue.
+    Raises UsageError: one of them never touches tissue.
     """
     # what the first picture of a session need not wait for
     from tissueid.ingest import read_trials
@@ -125,10 +115,6 @@ def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
 def show_log(
     viewer: ServedViewer, log: SessionLog, path: Path, beside: Mapping[str, list[float]] | None = None
 ) -> None:
-    """Play a log.
-
-    ``log``: :func:`check_log`; ``path``: where it lies; the server reads it again; ``beside``: of
-    :func:`recording_beside`.
-    """
+    """Play a log of :func:`check_log`, which the server reads again, ``beside`` a recording."""
     times = log.records["time_s"]
     viewer.show_log(hello(log.head, replay_s=float(times[-1] - times[0]), beside=beside), path)

@@ -1,22 +1,7 @@
 """Measurements of a user's own Falcon, in one small file of the user's configuration directory.
 
-::
-
-    geometry = "stamper"            # legs: "stamper" or "martin-hillier"
-    zero_angle_deg = 35.0           # leg angle at count zero
-    units_per_Nm = 6600.0           # motor units for one N m of arm torque
-    force_calibrated = false        # whether units_per_Nm was weighed
-    damping_N_s_per_m = 0.5         # of the device itself
-    damping_measured = false
-    delay_ticks = 1.5               # from a command to its effect on the next position
-    delay_measured = false
-    weight_N = [0.0, 0.0, 0.0]      # force that holds the grip in the middle of the workspace
-    weight_slope_N_per_m = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]    # its change, row by row
-    weight_measured = false
-    confirmed = false               # whether the hardware checklist was passed on this machine
-
-What the file leaves out has the values above.  They are from the literature or assumed, no unit has confirmed
-them, and :attr:`Calibration.clamp_N` is small until a force was weighed.
+What the file leaves out has the values of :class:`Calibration`.  They are from the literature or assumed, no
+unit has confirmed them, and the clamp is small until a force was weighed.
 """
 
 from __future__ import annotations
@@ -80,10 +65,7 @@ class Calibration:
 
     @property
     def clamp_N(self) -> float:
-        """Largest force the guard lets pass, in newton as computed with :attr:`units_per_Nm`.
-
-        Uncalibrated it is so small that the worst constant known makes at most 5 N of it.
-        """
+        """Largest force the guard lets pass, as computed with :attr:`units_per_Nm` [nominal N]."""
         clamp = CALIBRATED_CLAMP_N if self.force_calibrated else uncalibrated_clamp_N(self.units_per_Nm)
         return clamp if self.confirmed else min(UNCONFIRMED_CLAMP_N, clamp)
 
@@ -116,8 +98,8 @@ def calibration_path() -> Path:
 def load_calibration(path: Path | None = None) -> Calibration:
     """The calibration of this user, or the assumptions where there is no file.
 
-    Raises DeviceError: for a file that can't be read, an unknown key, a wrong type or a number out of range:
-    it is never replaced by the assumptions, since forces depend on it.
+    Raises DeviceError: a file that can't be read or is wrong: it is never replaced by the assumptions, since
+    forces depend on it.
     """
     path = calibration_path() if path is None else path
     try:
@@ -139,10 +121,9 @@ def load_calibration(path: Path | None = None) -> Calibration:
 
 
 def save_calibration(calibration: Calibration, path: Path | None = None) -> Path:
-    """Write the file whole or not at all.
+    """Write the file whole or not at all; where it is.
 
-    Returns where it is.  Raises DeviceError: if it can't be written, or holds what :func:`load_calibration`
-    would refuse.
+    Raises DeviceError: it can't be written, or holds what :func:`load_calibration` would refuse.
     """
     from tissueid.store.files import write_file
 

@@ -1,7 +1,4 @@
-"""The Falcon as a device: transport, firmware, homing, positions and motors behind one guard.
-
-Everything here follows what others reported of the device; no unit has confirmed it.
-"""
+"""The Falcon as a device, as others reported of it: no unit has confirmed it."""
 
 from __future__ import annotations
 
@@ -61,12 +58,9 @@ AT_STOP_S = 5.0
 class FalconDevice(HapticDevice):
     """A Novint Falcon over USB, a serial port, or the emulator's descriptor.
 
-    ``limits``: by default those of the calibration: at most 2 N until the hardware checklist was passed, with
-    the dead-man button; ``port``: path of a serial port or pseudo-terminal, or a descriptor of which a copy
-    is used; USB by default; ``firmware``: firmware file; by default the environment names it, and only where
-    the device has none; ``calibration``: by default the user's file; ``tell``: told what happens during a
-    long opening, and what the user has to do: ``tell(sentence)``; ``homing_timeout_s``: for each of the two
-    movements of homing.
+    ``limits``, ``calibration``: by default the user's; ``port``: path of a terminal, or a descriptor of which
+    a copy is used; USB by default; ``firmware``: a file; by default the environment names it; ``tell``: told
+    what the user has to do; ``homing_timeout_s``: for each of the two movements of homing.
     """
 
     name = "falcon"
@@ -160,10 +154,7 @@ class FalconDevice(HapticDevice):
         )
 
     def home(self) -> None:
-        """Wait for the user to home the device and to pull the grip out, with zero force.
-
-        Tells what to do.  Afterwards the guard is in ARMED.  To be called between ``open`` and the first
-        force; a device that is homed already needs the pulling out only.
+        """Wait with zero force for the user to home the device, then to pull the grip out.
 
         Raises DeviceError: after the time-out, or when the device is lost.
         """

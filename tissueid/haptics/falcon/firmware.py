@@ -1,9 +1,7 @@
-"""Firmware of a Falcon: is it running, and if not, load the user's file into the device.
+"""Firmware of a Falcon: is it running, and if not, load the user's file into the device's RAM.
 
-The firmware lives in the device's RAM and is lost with its power.  None is shipped or downloaded: the
-vendor's licence does not allow it, so the user names a file.  The order of baud rates, lines and bytes is
-that of open drivers; uploads are known to fail at the first try, so they are tried again on a newly opened
-transport, a bounded number of times.
+None is shipped or downloaded: the vendor's licence does not allow it.  The order of rates, lines and bytes is
+that of open drivers; uploads are known to fail at the first try, and are tried again on a new transport.
 """
 
 from __future__ import annotations
@@ -84,11 +82,7 @@ class Firmware:
 
 
 def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
-    """The file the user named, by option or environment.
-
-    ``path``: takes precedence over the environment variable :data:`VARIABLE`.  Raises DeviceError: if none is
-    named, or it is missing, empty, unreadable or too long.
-    """
+    """The file that was named here or by :data:`VARIABLE`; DeviceError if none is, or it can't be one."""
     named = os.fspath(path) if path is not None else os.environ.get(VARIABLE)
     if not named:
         msg = (
@@ -119,12 +113,7 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
 
 
 def is_running(transport: ByteTransport) -> bool:
-    """True where the device answers commands, which only its firmware does.
-
-    Sends zero torque in homing mode: a device that was homed stays so.
-
-    Raises TransportLost.
-    """
+    """Ask with zero torque in homing mode, which a homed device stays in, whether commands are answered."""
     parser = PacketParser()
     command = encode_command((0, 0, 0), leds=0, homing=True)
     transport.purge()
@@ -138,11 +127,9 @@ def is_running(transport: ByteTransport) -> bool:
 
 
 def upload(transport: ByteTransport, content: bytes, progress: Progress | None = None) -> None:
-    """One try to load firmware.
+    """One try to load firmware; ``progress(message, bytes done, bytes in all)`` is told.
 
-    ``transport``: without modem lines (an emulator on a pseudo-terminal) the line and latency steps are left
-    out; ``progress``: ``progress(message, bytes done, bytes in all)``.  Raises UploadError: no answer, or an
-    echo that differs; the device must be opened anew; TransportLost.
+    Raises UploadError: no answer, or an echo that differs; the device must be opened anew; TransportLost.
     """
     _say_hello(transport)
     _get_ready(transport)
@@ -169,13 +156,10 @@ def ensure_running(
     progress: Progress | None = None,
     tries: int = TRIES,
 ) -> ByteTransport:
-    """A transport to a device whose firmware runs, loaded where it did not.
+    """A transport, which the caller closes, to a device whose firmware runs, loaded where it did not.
 
-    ``open_transport``: opens the device; called anew after each failed upload; ``firmware``: finds the file;
-    called only where one is needed; ``progress``: as of :func:`upload`; told of every failed try; ``tries``:
-    fewer where the device stays silent for :data:`SILENT_S`.  Returns the caller closes it.  Raises
-    DeviceError: after ``tries`` failed uploads, with the reason of the last, after silence, or what opening
-    raised.
+    ``open_transport``: called anew after each failed upload; ``firmware``: called only where one is needed.
+    Raises DeviceError: after ``tries`` failed uploads or :data:`SILENT_S` of silence, or what opening raised.
     """
     transport = open_transport()
     try:

@@ -1,8 +1,13 @@
-"""Kinematics of the Falcon for Python: positions to angles and back, Jacobian, torques.
+"""Kinematics of the Falcon's three legs: closed-form inverse, Newton forward, analytic Jacobian.
 
-Frame: x right, y up, z out toward the user; origin on the device's axis at its base.  Angles are those of
-the thighs of legs 1 (top), 2 (right) and 3 (left).  The servo uses the same compiled functions
-(:mod:`tissueid.haptics.falcon.kinematics`, where the equations stand).
+Delta robot with offset pins (R. E. Stamper, "A three degree of freedom parallel manipulator with only
+translational degrees of freedom", 1997).  For leg i at azimuth phi_i, with C and S its cosine and sine::
+
+    u =  C x + S y - r        X = u + c          L(q) = d + e + sqrt(b^2 - q^2)
+    v = -S x + C y - s        q = v + f          (X - a cos th)^2 + (z - a sin th)^2 = L(q)^2
+
+The last line is the whole constraint of a leg.  Frame: x right, y up, z out toward the user; origin on the
+device's axis at its base; legs 1 (top), 2 (right) and 3 (left).  [SI: m, rad, N]
 """
 
 from __future__ import annotations
@@ -198,13 +203,7 @@ def _leg_angle(i: int, p: Vector, geometry: FloatArray) -> tuple[bool, float]:
 
 @tick_kernel
 def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
-    """Leg angles of a grip position, in closed form.
-
-    Of the two angles that satisfy a leg's constraint the one with the knee outward is the Falcon's.
-
-    ``position`` (3,): [m]; ``geometry`` (GEOMETRY_SIZE,); ``out`` (3,): angles [rad]; meaningless where the
-    answer is False.  Returns false where a leg does not reach the position.
-    """
+    """Write the leg angles of a grip position, knees outward; False where a leg does not reach it."""
     p = (position[0], position[1], position[2])
     for i in range(3):
         reached, angle = _leg_angle(i, p, geometry)
@@ -218,10 +217,7 @@ def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) 
 def _constraint(
     i: int, p: Vector, cosine: float, sine: float, geometry: FloatArray
 ) -> tuple[bool, float, Vector, float]:
-    """Constraint of a leg as a length [m], its slope by the position, and by the angle [m/rad].
-
-    It is written ``hypot(X - a cos th, z - a sin th) - L(q)``: its error is a distance.
-    """
+    """Constraint ``hypot(X - a cos th, z - a sin th) - L(q)`` of a leg [m], its slope, and lever [m/rad]."""
     a = geometry[THIGH]
     b = geometry[SHIN]
     along, beside = _leg(i, p, geometry)
@@ -295,12 +291,7 @@ def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
 
 @tick_kernel
 def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArray) -> int:
-    """Grip position of three leg angles, by Newton's method from a guess, then from fixed starts.
-
-    ``angles`` (3,): [rad]; ``geometry`` (GEOMETRY_SIZE,); ``position`` (3,): guess [m], replaced by the
-    answer; kept where there is none.  Returns Newton steps taken, or -1 where no position in front of the
-    base has these angles.
-    """
+    """Write the grip position of leg angles over its guess; Newton steps taken, or -1 where there is none."""
     start = (position[0], position[1], position[2])
     for k in range(len(STARTS_M) + 1):
         steps, found = _newton(start, angles, geometry)
@@ -329,11 +320,7 @@ def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vecto
 
 @tick_kernel
 def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
-    """``D = dp/dtheta`` at a grip position.
-
-    ``position`` (3,): [m]; ``geometry`` (GEOMETRY_SIZE,); ``out`` (3, 3): row: coordinate; column: leg
-    [m/rad].  Returns false outside the workspace and where a leg is stretched or folded.
-    """
+    """Write ``D = dp/dtheta`` (row: coordinate; column: leg) [m/rad]; False where there is none."""
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
     if regular:
         for k in range(3):
@@ -362,11 +349,8 @@ def motor_units(
     """Motor commands of a force on the hand, scaled down together where they exceed the clamp.
 
     ``motor = -units_per_Nm D^T F``; the sign is that of recorded packets of the vendor's driver.
-
-    ``force``, ``position`` (3,): [N], [m]; ``geometry`` (GEOMETRY_SIZE,); ``units_per_Nm``: motor units of
-    one N m of arm torque; ``clamp_units``: largest root of the sum of squares of the three commands, at most
-    4095; ``out`` (3,): filled; zeros where the position has no Jacobian or a number is not finite.  Returns
-    whether the command is not what was asked for.
+    ``clamp_units``: largest root of the sum of their squares.  Zeros where there is no Jacobian or no finite
+    number.  Returns whether the command is not what was asked for.
     """
     out[0] = out[1] = out[2] = 0
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
@@ -411,23 +395,7 @@ def _vector(value: ArrayLike, what: str) -> FloatArray:
 
 
 def inverse(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
-    """Leg angles of a grip position.
-
-    Parameters
-    ----------
-    position_m : array_like, shape (3,)
-    geometry : Geometry
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        [rad].
-
-    Raises
-    ------
-    WorkspaceError
-        Where no leg reaches.
-    """
+    """Leg angles (3,) [rad] of a grip position (3,) [m]; WorkspaceError where a leg does not reach."""
     position = _vector(position_m, "a position")
     angles = np.empty(3)
     if not inverse_kernel(position, _block(geometry), angles):
@@ -439,24 +407,10 @@ def inverse(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> 
 def forward(
     angles_rad: ArrayLike, guess: ArrayLike | None = None, *, geometry: Geometry = DEFAULT_GEOMETRY
 ) -> FloatArray:
-    """Grip position of three leg angles.
+    """Grip position (3,) [m] of leg angles (3,) [rad], in front of the base and with the knees outward.
 
-    Parameters
-    ----------
-    angles_rad : array_like, shape (3,)
-    guess : array_like, shape (3,), optional
-        Position nearby [m]; spares some Newton steps, and never changes the answer beyond rounding.
-    geometry : Geometry
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        [m], in front of the base (z > 0) and with the knees outward.
-
-    Raises
-    ------
-    WorkspaceError
-        Where no position has these angles.
+    ``guess``: position nearby [m]; spares some Newton steps, and never changes the answer beyond rounding.
+    Raises WorkspaceError: no position has these angles.
     """
     angles = _vector(angles_rad, "angles")
     position = _vector(GUESS_M if guess is None else guess, "a guess")
@@ -467,18 +421,7 @@ def forward(
 
 
 def jacobian(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
-    """``dp/dtheta`` at a grip position.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Row: coordinate; column: leg [m/rad].
-
-    Raises
-    ------
-    WorkspaceError
-        Outside the workspace, and where a leg is stretched.
-    """
+    """``dp/dtheta`` (3, 3) at a grip position, row: coordinate; column: leg [m/rad]; else WorkspaceError."""
     position = _vector(position_m, "a position")
     out = np.empty((3, 3))
     if not jacobian_kernel(position, _block(geometry), out):
@@ -488,23 +431,9 @@ def jacobian(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) ->
 
 
 def torque(position_m: ArrayLike, force_N: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
-    """Arm torques that push the hand with a force: ``tau = (dp/dtheta)^T F``, so ``tau.dtheta = F.dp``.
+    """Arm torques (3,) [N m] that push the hand with a force (3,) [N]: ``tau = (dp/dtheta)^T F``.
 
-    Parameters
-    ----------
-    position_m, force_N : array_like, shape (3,)
-        [m] and [N]; the force of the device on the hand.
-    geometry : Geometry
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        [N m].
-
-    Raises
-    ------
-    WorkspaceError
-        Outside the workspace, and where a leg is stretched.
+    Raises WorkspaceError: outside the workspace, and where a leg is stretched.
     """
     position = _vector(position_m, "a position")
     force = _vector(force_N, "a force")

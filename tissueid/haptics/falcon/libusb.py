@@ -1,8 +1,4 @@
-"""The Falcon over USB: libusb-1.0 by ctypes, and the FTDI chip's requests.
-
-No compiler and no package is needed, only the shared library, which desktop Linux has.  The chip puts two
-modem-status bytes before the data of every packet it sends; they are taken out here.
-"""
+"""The Falcon over USB: libusb-1.0 by ctypes, and the FTDI chip's requests."""
 
 from __future__ import annotations
 
@@ -122,10 +118,7 @@ class UsbNode:
 
 
 class LibUsb:
-    """The loaded library with one context.
-
-    Raises DeviceError: if the library is not installed, or is not libusb.
-    """
+    """The loaded library with one context; DeviceError where it is not installed, or is not libusb."""
 
     def __init__(self) -> None:
         self.library = _load()
@@ -143,8 +136,7 @@ class LibUsb:
     def open(self, node: UsbNode | None = None) -> UsbTransport:
         """Open a Falcon, claim its interface, and set it to the speed of running firmware.
 
-        ``node``: which; the first by default.  Raises DeviceError: not found, no permission (with the node
-        and the udev line), or in use.
+        Raises DeviceError: not found, no permission (with the node and the udev line), or in use.
         """
         with self._devices() as found:
             matching = [(where, device) for where, device in found if node in (None, where)]
@@ -332,11 +324,7 @@ class _ChipLines:
 
 
 def without_status(raw: bytes) -> bytes:
-    """Data of a read: every 64 bytes begin with two status bytes.
-
-    >>> without_status(b"sthello")
-    b'hello'
-    """
+    """Data of a read: every 64 bytes begin with two status bytes."""
     return b"".join(
         raw[start + STATUS_BYTES : start + USB_PACKET_BYTES] for start in range(0, len(raw), USB_PACKET_BYTES)
     )

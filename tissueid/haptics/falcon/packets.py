@@ -1,6 +1,14 @@
-"""Packets of the Falcon for Python: commands to bytes, bytes to replies.
+"""The Falcon's 16-byte packets: one encoder and one automaton that reads byte by byte.
 
-The servo uses the same compiled functions (:mod:`tissueid.haptics.falcon.packets`).
+Both directions have one shape (falcon firmware, as observed by others; no unit confirmed it here)::
+
+    byte      0     1-4, 5-8, 9-12               13                       14        15
+    host     '<'    motor 1, 2, 3                'A' + (LEDs | homing)    'A'       '>'
+    device   '<'    encoder 1, 2, 3              'A' + (homed | buttons)  anything  '>'
+
+A number is a signed 16-bit integer in four nibbles, least significant first, each plus 'A'.  No byte after
+the first of a valid reply may be ``<``: replies never overlap, and ``<`` always starts a new one, so that
+the automaton finds every intact reply in any garbage without a second look at a byte.
 """
 
 from __future__ import annotations
@@ -65,12 +73,10 @@ def leds_of_state(state: int) -> int:
 
 @tick_kernel
 def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> None:
-    """Write one command.
+    """Write one command (16,).
 
-    ``motor`` (3,): motor commands within +-4095.  One outside is the caller's bug, which must not become a
-    force: then all three are sent as zero; ``leds``: LED bits of the wire, 0x02 | 0x04 | 0x08; others are
-    left out; ``homing``: whether the device shall be in homing mode, which it leaves with the first command
-    without it; ``out`` (16,): filled.
+    A motor value outside +-4095 is the caller's bug, which must not become a force: then all three are sent
+    as zero.  The device leaves homing mode with the first command without it.
     """
     inside = True
     for i in range(3):
@@ -114,12 +120,7 @@ def _decode(memory: IntArray) -> None:
 
 @tick_kernel
 def parse_byte(memory: IntArray, byte: int) -> int:
-    """Take one byte of the device's stream.
-
-    ``memory`` (PARSER_SIZE,): state of the automaton, zeros at the start; changed; ``byte``: 0 to 255.
-    Returns 1 if this byte completed a reply, whose fields are then at ``ENCODERS``, ``HOMED`` and
-    ``BUTTONS``; else 0.
-    """
+    """Take one byte; 1 if it completed a reply, whose fields then stand in ``memory``, else 0."""
     filled = memory[FILLED]
     if byte == START:
         if filled > 0:
@@ -146,12 +147,7 @@ def parse_byte(memory: IntArray, byte: int) -> int:
 
 @tick_kernel
 def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
-    """Take many bytes.
-
-    ``memory`` (PARSER_SIZE,): as :func:`parse_byte`; ``data`` (n,); ``replies`` (n // 16 + 1, 5): filled from
-    the start: three encoders, homed flags, buttons of each reply.  Returns replies that these bytes
-    completed.
-    """
+    """Take many bytes; how many replies they completed, each a row of ``replies`` (n // 16 + 1, 5)."""
     count = 0
     for byte in data:
         if parse_byte(memory, int(byte)) == 1:
@@ -171,17 +167,7 @@ BUTTON_NAMES = {0x01: "plus", 0x02: "forward", 0x04: "centre", 0x08: "minus"}
 
 
 class Reply(NamedTuple):
-    """One reply of the device.
-
-    Attributes
-    ----------
-    encoders : tuple of int
-        Counts of legs 1, 2 and 3, signed 16 bit.  Without meaning until the device is homed.
-    homed : int
-        One bit a leg, 7 when all are; valid while homing mode is commanded.
-    buttons : int
-        Bits as in :data:`BUTTON_NAMES`.
-    """
+    """One reply of the device."""
 
     encoders: tuple[int, int, int]
     homed: int
@@ -189,26 +175,10 @@ class Reply(NamedTuple):
 
 
 def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int, homing: bool) -> bytes:
-    """One command packet.
+    """One command packet of motors 1, 2 and 3, within +-4095, the LED bits and homing mode.
 
-    Parameters
-    ----------
-    motor_units : sequence of 3 int
-        Motors 1, 2 and 3, within +-4095.
-    leds : int
-        Any of 0x02, 0x04 and 0x08 together, see :data:`LED_GREEN` and its neighbours.
-    homing : bool
-        Homing mode; the device forgets its homing with the first packet without it.
-
-    Returns
-    -------
-    bytes
-        16 bytes.
-
-    Raises
-    ------
-    ValueError
-        For anything else than three integers in range, other LED bits, or a homing that is no boolean.
+    Raises ValueError: anything else than three integers in range, other LED bits, or a homing that is no
+    boolean.
     """
     try:
         motor = [operator.index(value) for value in motor_units]
@@ -233,26 +203,15 @@ def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int,
 class PacketParser:
     """Replies out of a byte stream that may begin anywhere, lose, gain or change bytes.
 
-    A reply is 16 bytes: ``<``, twelve of ``A`` to ``P``, a status byte 0x41 to 0xC0, any byte but ``<`` and
-    ``>``, and ``>``.  Everything else is dropped and counted.  An intact reply is found whatever stands
-    before it.  The wire has no checksum: a reply whose nibble turned into another nibble is still a reply.
+    Everything else is dropped and counted.  The wire has no checksum: a reply whose nibble turned into
+    another nibble is still a reply.
     """
 
     def __init__(self) -> None:
         self._memory = np.zeros(PARSER_SIZE, dtype=np.int64)
 
     def feed(self, data: bytes) -> list[Reply]:
-        """Take the next bytes of the stream, in pieces of any length.
-
-        Parameters
-        ----------
-        data : bytes
-
-        Returns
-        -------
-        list of Reply
-            The replies that these bytes completed, in order.
-        """
+        """Take the next bytes, in pieces of any length; the replies that they completed, in order."""
         fields = np.empty((len(data) // PACKET_BYTES + 1, REPLY_FIELDS), dtype=np.int64)
         count = parse_bytes(self._memory, np.frombuffer(data, dtype=np.uint8), fields)
         return [

@@ -1,7 +1,4 @@
-"""A Falcon in the compiled loop: whatever arrived is parsed, one command is sent, nobody waits.
-
-The device answers each command, so the answer to the last tick's command is what a tick reads.
-"""
+"""A Falcon in the compiled loop: the answer to the last tick's command is parsed, nobody waits."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Bytes to and from a Falcon: what every transport can do, and the one over a file descriptor.
 
-A transport moves bytes and knows nothing of packets.  Modem lines and the latency timer belong to the FTDI
-chip; a pseudo-terminal or a socket has none, and then :attr:`ByteTransport.modem` is None.
+Modem lines and the latency timer belong to the FTDI chip; a pseudo-terminal or a socket has none, and then
+:attr:`ByteTransport.modem` is None.
 """
 
 from __future__ import annotations
@@ -80,16 +80,10 @@ class ByteTransport(Protocol):
         """Modem lines where there are any."""
 
     def write(self, data: bytes) -> None:
-        """Send all bytes.
-
-        Raises TransportLost.
-        """
+        """Send all bytes, or raise TransportLost."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes that have arrived, waiting for the first; nothing after the time-out.
-
-        Raises TransportLost.
-        """
+        """Bytes that have arrived, waiting for the first; nothing after the time-out; TransportLost."""
 
     def purge(self) -> None:
         """Forget what arrived and was not read."""
@@ -102,10 +96,7 @@ class ByteTransport(Protocol):
 
 
 class FileTransport:
-    """A file descriptor: a pseudo-terminal, one end of a socket pair, or a serial port.
-
-    ``descriptor``: taken over: closed by :meth:`close`; ``where``: what to call it in a message.
-    """
+    """A pseudo-terminal, one end of a socket pair, or a serial port; the descriptor is taken over."""
 
     def __init__(self, descriptor: int, where: str) -> None:
         self.where = where
@@ -117,11 +108,7 @@ class FileTransport:
 
     @classmethod
     def open(cls, path: str) -> FileTransport:
-        """Open a terminal device by its path.
-
-        Raises DeviceError: if it is not there, is no terminal, is taken or forbidden, or the system has no
-        terminals.
-        """
+        """Open a terminal by its path; DeviceError if it is missing, none, taken or forbidden."""
         if not HAS_TERMINALS:
             msg = f"{path}: this system has no terminal devices of POSIX; plug the device in by USB"
             raise DeviceError(msg)

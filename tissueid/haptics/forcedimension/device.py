@@ -1,11 +1,8 @@
-"""A Falcon driven by the Force Dimension SDK.
+"""A Falcon by the Force Dimension SDK, which is closed and neither shipped nor downloaded, by ctypes.
 
-The SDK homes the device, computes its kinematics and carries its firmware.  Its frame is mapped to ours here
-and nowhere else; the mapping is from documentation, and no unit has confirmed it.
-
-One bit means one button in every limit, log and message: 0x01 plus, 0x02 forward, 0x04 centre, 0x08 minus, so
-that the dead-man button is the centre whoever drives the device.  The SDK numbers them centre 0, left 1,
-up 2, right 3; from documentation, no unit has confirmed it.
+It homes the device, computes its kinematics and carries its firmware.  Frame and buttons are mapped to ours
+here and nowhere else, from documentation; no unit has confirmed them.  It is looked for by
+``TISSUEID_FORCEDIM``, below ``FDSDK`` and ``FORCEDIM_SDK``, and where the loader looks.
 """
 
 from __future__ import annotations
@@ -71,8 +68,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 class Sdk:
     """The loaded SDK with one open device.
 
-    ``library``: which library; searched for by default.  Raises DeviceError: if none is found, it lacks a
-    function, or is older than :data:`OLDEST`.
+    Raises DeviceError: none is found, it lacks a function, or is older than :data:`OLDEST`.
     """
 
     def __init__(self, library: str | None = None) -> None:
@@ -99,10 +95,7 @@ class Sdk:
         return numbers[0].value, numbers[1].value, numbers[2].value, numbers[3].value
 
     def open_falcon(self) -> None:
-        """Open the first Falcon.
-
-        Raises DeviceError: with what the SDK says.
-        """
+        """Open the first Falcon; DeviceError with what the SDK says."""
         identity = self.library.dhdOpenType(FALCON_TYPE)
         if identity < 0:
             msg = f"the Force Dimension SDK opened no Falcon: {self.last_error()}"
@@ -219,11 +212,7 @@ REACH_M = 0.040
 
 
 class ForceDimensionDevice(HapticDevice):
-    """The first Falcon that the SDK opens.
-
-    ``limits``: by default at most 2 N with the dead-man button; ``library``: path of the SDK's library;
-    searched for by default; ``tell``: told what the user has to do, ``tell(sentence)``.
-    """
+    """The first Falcon that the SDK opens; by default at most 2 N with the dead-man button."""
 
     name = "forcedimension"
 
@@ -275,10 +264,7 @@ class ForceDimensionDevice(HapticDevice):
         )
 
     def home(self) -> None:
-        """Wait, with zero force, until the SDK knows the position.
-
-        Raises DeviceError: after the time-out.
-        """
+        """Wait, with zero force, until the SDK knows the position; DeviceError after the time-out."""
         self.tell("Homing: pull the grip all the way out, then push it all the way in.")
         await_homed(self, self._homing_timeout_s)
 

@@ -1,7 +1,6 @@
 """A device of the Force Dimension driver in the compiled loop, by the addresses of its functions.
 
-The driver has no encoder counts for us: they are given in steps of its usual resolution, so that the
-watchdogs for jumps and frozen encoders work as for any device.
+Counts are given in steps of its usual resolution, so that the watchdogs for jumps and frozen encoders work.
 """
 
 from __future__ import annotations

@@ -45,11 +45,7 @@ class Motion:
 
 
 def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_for) -> Motion:
-    """Run a force law for some time.
-
-    ``device``: homed; ``pace``: how to wait for the next tick.  Raises DeviceError: on a fault, or when the
-    device is lost.
-    """
+    """Run a force law on a homed device for some time; DeviceError on a fault, or when the device is lost."""
     times: list[float] = []
     positions: list[FloatArray] = []
     forces: list[FloatArray] = []
@@ -75,10 +71,7 @@ def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_
 
 
 def engage(device: HapticDevice, pace: Pace = wait_for) -> None:
-    """Ask for force and wait through the guard's start-up ramp, with a law that wants none.
-
-    Raises DeviceError: if the guard does not engage: not homed, or the dead-man button is not held.
-    """
+    """Ask for force and wait through the start-up ramp; DeviceError if the guard does not engage."""
     zero = np.zeros(3)
     device.engage()
     waited = 0.0
@@ -118,10 +111,9 @@ class LinkReport:
 
 
 def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
-    """Send zero force and wait for the answer, over and over.
+    """Send zero force to an open device and wait for the answer, over and over.
 
-    ``device``: open; it need not be homed.  Raises DeviceError: if the device is lost, or answers nothing at
-    all.
+    Raises DeviceError: the device is lost, or answers nothing at all.
     """
     zero = np.zeros(3)
     trips: list[float] = []

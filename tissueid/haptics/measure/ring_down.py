@@ -1,13 +1,9 @@
 """Damping, mass and friction of a device's arm, from how it swings on a weak spring that the device makes.
 
-The spring's rest point jumps to and fro along z; the free grip swings and comes to rest.  Over windows of the
-recording momentum is balanced::
-
-    m dv = integral of F dt - b dz - c integral of sign(v) dt + d dt
-
-with the force that was sent.  It is linear in mass m, damping b, friction c and a constant d (weight).
-A force that is felt ``delay`` later than it was sent is shifted by that: a spring of stiffness K felt late
-would else pass for a damping of -K delay.
+The spring's rest point jumps to and fro along z.  Over windows momentum is balanced, linear in mass m,
+damping b, friction c and a constant d (weight): ``m dv = integral of F dt - b dz - c integral of sign(v) dt +
+d dt``. F is shifted by the delay: a spring of stiffness K felt late would else pass for a damping of -K
+delay.
 """
 
 from __future__ import annotations
@@ -55,11 +51,10 @@ class ArmEstimate:
 
 
 def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> ArmEstimate:
-    """Let the free grip swing, and estimate its mechanics.
+    """Let the free grip of a homed device swing, and estimate its mechanics.
 
-    ``device``: homed; its dead-man button off, since a hand on the grip would be measured too; ``delay_s``:
-    from a position to the force it causes [s]; ``pace``: how to wait for the next tick.  Raises DeviceError:
-    the grip does not swing, or a fault.
+    ``delay_s``: from a position to the force it causes [s]; the dead-man button is off, since a hand would be
+    measured too.  Raises DeviceError: the grip does not swing, or a fault.
     """
     engage(device, pace)
     start = device.read().position_m
@@ -80,10 +75,7 @@ def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> Ar
 
 
 def estimate_arm(motion: Motion, delay_s: float) -> ArmEstimate:
-    """Mass, damping and friction from a recorded swing.
-
-    ``delay_s``: as in :func:`ring_down`.  Raises DeviceError: if the grip did not move enough to tell.
-    """
+    """Mass, damping and friction from a recorded swing; DeviceError if the grip did not move enough."""
     balances = [_balance(motion, APPROACH_S + jump * REST_S, delay_s) for jump in range(JUMPS)]
     rows = np.concatenate([left for left, _ in balances])
     right = np.concatenate([force for _, force in balances])

@@ -1,13 +1,8 @@
 """The emulated Falcon itself: bytes in, bytes out, and time in between.
 
-Power-up leaves the encoders at an unknown zero.  A leg is homed once, while homing mode is commanded, the
-grip was pulled out and then pushed in; its encoder then jumps to the true angle.  Homed bits are said only
-while homing mode is commanded, and a command without it forgets the homing, which is the cautious reading of
-what is known.  The user waits for the first homing command: the hand's script and the clock of scripted
-faults begin there, with the pull and the push.
-
-Time goes by ``advance`` (a real clock), or by a fixed period at each command (virtual time), in which case a
-session depends on nothing but its settings.  SI units.
+Power-up leaves the encoders at an unknown zero; a leg is homed by a pull and a push while homing mode is
+commanded, and a command without it forgets that.  The hand's script and the clock of scripted faults begin
+with the first homing command.  Time goes by ``advance``, or by a fixed period at each command.  SI units.
 """
 
 from __future__ import annotations
@@ -69,10 +64,7 @@ class ScriptedFault:
 
 
 def parse_fault(text: str) -> ScriptedFault:
-    """Read ``KIND@SECONDS[:SIZE][/DURATION]``, e.g. ``jump@6:300`` or ``silence@5/0.5``.
-
-    Raises UsageError: it is no such text, or there is no such kind.
-    """
+    """Read ``KIND@SECONDS[:SIZE][/DURATION]``, e.g. ``jump@6:300`` or ``silence@5/0.5``; else UsageError."""
     kind, _, rest = text.partition("@")
     rest, _, duration = rest.partition("/")
     at, _, size = rest.partition(":")
@@ -111,11 +103,11 @@ def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, le
 
 @kernel()
 def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, angles: FloatArray) -> bool:
-    """Angles of the three thighs at a position of the grip.
+    """Write the thighs' angles (3,) [rad] at a position [m]; False, and one left, where a leg can't reach.
 
-    ``position`` (3,): [m]; ``lengths``, ``azimuths``: as :data:`LENGTHS`, and the legs' azimuths [rad];
-    ``angles`` (3,): **Written** [rad].  Returns false where a leg does not reach; its angle is then left as
-    it was.
+    A leg stands where ``hypot(rho - d - e, q) = b`` (Stamper, 1997), with rho the distance from knee to
+    wrist, which falls monotonically while the thigh turns toward the wrist: bisection finds it on the built
+    side.
     """
     reached = True
     for leg in range(3):
@@ -143,10 +135,7 @@ def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, 
 def grip_force(
     position: FloatArray, torque: FloatArray, lengths: FloatArray, azimuths: FloatArray, force: FloatArray
 ) -> bool:
-    """Force at the grip [N] of three arm torques [N m], by central differences of the angles.
-
-    ``force`` is **written**; all zero, and False returned, where the pose is out of reach.
-    """
+    """Write the force [N] of arm torques [N m], by differences: zero, and False, out of reach."""
     place = position.copy()
     ahead = np.zeros(3)
     behind = np.zeros(3)
@@ -206,12 +195,7 @@ class EmulatorSettings:
 
 
 def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
-    """Put the pull and the push of homing before a hand's own motion.
-
-    The grip is then pulled out again, and moved to where the hand starts.
-
-    Raises UsageError: together they have more knots than an arm's block holds.
-    """
+    """Put the pull and the push of homing before a hand's own motion; UsageError for too many knots."""
     own = hand or Hand((0.0,), (PULLED_M,), (1.0,), stiffness_N_per_m=1000.0)
     if not homes:
         return replace(own, times_s=(0.0,), positions_m=(START_M,), grips=(1.0,), rigid=True)
@@ -308,11 +292,7 @@ class EmulatedFalcon:
 
     # --- the wire
     def receive(self, data: bytes) -> bytes:
-        """Take bytes of the host and return the answer.
-
-        ``gone`` is set where the device was unplugged meanwhile; ``answer_delay_s`` says how late a stalled
-        answer is.
-        """
+        """Take bytes of the host; the answer, ``gone`` if unplugged, ``answer_delay_s`` if stalled."""
         answer = b""
         if not self.running:
             answer, complete = self._boot.feed(data)

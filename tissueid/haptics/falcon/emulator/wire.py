@@ -1,8 +1,4 @@
-"""The device's end of the wire, by tables: command packets in, reply packets out.
-
-A packet is 16 bytes from ``<`` to ``>``; numbers are four letters ``A`` to ``P``, least significant first,
-two's complement in 16 bits.
-"""
+"""The device's end of the wire, by tables: commands in, replies out, and the boot loader before them."""
 
 from __future__ import annotations
 
@@ -82,11 +78,7 @@ def _command(packet: bytes) -> Command | None:
 
 
 def reply_bytes(encoders: tuple[int, int, int], *, buttons: int, homed: int) -> bytes:
-    """Packet the device answers with.
-
-    ``encoders``: counts of legs 1 to 3; they wrap at 16 bits, as counters do; ``buttons``: bits 0 to 3;
-    ``homed``: a bit for each leg.
-    """
+    """Packet the device answers with; counts wrap at 16 bits, ``homed`` has a bit for each leg."""
     spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in encoders)
     return b"<" + spelled + bytes([0x41 + (buttons & 15) + ((homed & 7) << 4)]) + FILLER + b">"
 
@@ -107,11 +99,11 @@ class _Stage(Enum):
 
 
 class BootLoader:
-    """The upload protocol, without a clock.
+    """The upload protocol, without a clock: it greets, then echoes every byte it is given.
 
     ``firmware_bytes``: length after which the upload is complete; None leaves that to the change of baud
-    rate; ``failing_tries``: uploads whose echo is spoilt before one succeeds; ``silent_hellos``: greetings
-    that get no answer; ``long_greeting``: put a zero byte before the greeting, as some stacks do.
+    rate; ``failing_tries``: uploads whose echo is spoilt; ``long_greeting``: put a zero byte first, as some
+    stacks do.
     """
 
     def __init__(
@@ -144,10 +136,7 @@ class BootLoader:
         return self._speaks(RUN_BAUD) and self._stage is _Stage.UPLOAD and self.taken > 0
 
     def feed(self, data: bytes) -> tuple[bytes, bool]:
-        """Answer bytes of the host.
-
-        Returns ``answer``; ``complete``: the last byte of the firmware arrived.
-        """
+        """Answer bytes of the host; True with the last byte of the firmware."""
         answer = b""
         for byte in data:
             answer += self._take(bytes([byte]))
