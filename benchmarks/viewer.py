@@ -37,8 +37,8 @@ from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.session import Session
 from tissueid.viewer.frames import read_frame
+from tissueid.viewer.hello import show_session
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.showing import show_session
 
 S_TO_MS = 1e3
 CLIENT = "--client"

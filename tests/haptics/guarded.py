@@ -42,6 +42,10 @@ class Guarded:
         guard(self.memory, self.limits, np.asarray(force, float), dt, out)
         return out
 
+    def ticks(self, count: int, force, **seen: object) -> list[np.ndarray]:
+        """Equal ticks, and the forces that may be sent."""
+        return [self.tick(force, **seen) for _ in range(count)]
+
     def to(self, state: float) -> Guarded:
         """Walk up to a state; ENGAGED with the start-up ramp behind it."""
         for event in (machine.OPENED, machine.FIRMWARE_OK, machine.HOME):

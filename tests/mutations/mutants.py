@@ -41,11 +41,7 @@ _KINEMATICS = "haptics/falcon/kinematics.py"
 _FALCON = "haptics/falcon/servo_io.py"
 _CONTROL = "rendering/control/law.py"
 
-_OF_GUARD = (
-    "tests/haptics/test_haptics_watchdogs.py",
-    "tests/haptics/test_haptics_guard.py",
-    "tests/haptics/test_haptics_guard_invariants.py",
-)
+_OF_GUARD = ("tests/haptics/test_haptics_guard.py", "tests/haptics/test_haptics_guard_invariants.py")
 _OF_DEVICE = ("tests/haptics/test_haptics_device.py",)
 _OF_TICK = ("tests/render/test_render_tick_memory.py", "tests/render/test_render_servo_tick.py")
 _OF_PASSIVITY = ("tests/render/test_render_passivity_control.py",)
@@ -57,7 +53,7 @@ _OF_CONTROL = ("tests/render/test_render_control_law.py",)
 
 #: Caught by tests that run without compilation.
 INTERPRETED = (
-    Mutant("clamp left out", _GUARD, "if bound > limits[CLAMP_N]:", "if False:", _OF_GUARD),
+    Mutant("clamp left out", _GUARD, "if bound > limits[bar.CLAMP_N]:", "if False:", _OF_GUARD),
     Mutant("clamp of each axis", _GUARD, "out[i] = out[i] * scale", "out[i] = min(out[i], bound)", _OF_GUARD),
     Mutant("slew left out", _GUARD, "if bound > risen:", "if False:", _OF_GUARD),
     Mutant(
@@ -121,8 +117,8 @@ INTERPRETED = (
     Mutant(
         "a late wire lowers nothing",
         _GUARD,
-        "(limits[DELAY_TICKS] + memory[DELAYED_TICKS])",
-        "limits[DELAY_TICKS]",
+        "(limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])",
+        "limits[bar.DELAY_TICKS]",
         _OF_TICK,
     ),
     Mutant(
@@ -164,7 +160,7 @@ INTERPRETED = (
         "    for i in range(1):\n        if abs(counts_moved[i])",
         _OF_GUARD,
     ),
-    Mutant("a gap is a jump", _GUARD, "    if gap > limits[JUMP_S]:", "    if False:", _OF_GUARD),
+    Mutant("a gap is a jump", _GUARD, "    if gap > limits[bar.JUMP_S]:", "    if False:", _OF_GUARD),
     Mutant("too fast unseen", _GUARD, "        fail(memory, _OVERSPEED)", "        pass", _OF_GUARD),
     Mutant(
         "lost homing unseen",
@@ -184,16 +180,16 @@ INTERPRETED = (
     Mutant(
         "the button is always held",
         _GUARD,
-        "held = limits[DEAD_MAN] == 0.0 or",
+        "held = limits[bar.DEAD_MAN] == 0.0 or",
         "held = True or",
         _OF_GUARD,
     ),
-    Mutant("any button will do", _GUARD, "buttons & int(limits[DEAD_MAN_BUTTONS])", "buttons", _OF_GUARD),
+    Mutant("any button will do", _GUARD, "buttons & int(limits[bar.DEAD_MAN_BUTTONS])", "buttons", _OF_GUARD),
     Mutant(
         "armed by one reply",
         _GUARD,
         "memory[HOMED_REPLIES] + 1.0 if homed",
-        "limits[HOMED_NEEDED] if homed",
+        "limits[bar.HOMED_NEEDED] if homed",
         _OF_GUARD,
     ),
     Mutant(
@@ -213,8 +209,8 @@ INTERPRETED = (
     Mutant(
         "a lost transport is no fault",
         _DEVICE,
-        "self._write(self._out)\n        except (OSError, DeviceError) as error:\n            transition(",
-        "self._write(self._out)\n        except (OSError, DeviceError) as error:\n            print(",
+        "        machine.transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)",
+        "        pass",
         _OF_DEVICE,
     ),
     Mutant("tissue remembers another", _TICK, "    put_at_rest(environment_memory)\n", "", _OF_TICK),
@@ -379,7 +375,7 @@ COMPILED = (
         _FALCON,
         "elif not found or _alone(parts.since, parts.last, counts):",
         "elif _alone(parts.since, parts.last, counts):",
-        ("tests/haptics/test_haptics_compiled_io.py",),
+        ("tests/haptics/test_haptics_servo_drivers.py",),
     ),
     Mutant(
         "a leg that goes on alone is believed",

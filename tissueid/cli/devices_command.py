@@ -163,7 +163,7 @@ class TestFlags(DeviceFlags):
 @takes(TestFlags)
 def test(flags: TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
-    from tissueid.haptics.measure.motion import measure_link
+    from tissueid.haptics.measure import measure_link
 
     made = made_device(flags)
     check_savable(made, flags, wanted=flags.save)
@@ -204,7 +204,7 @@ def calibrate_force(flags: CalibrateForceFlags) -> int:
     The device holds the grip, first alone, then with the mass hung on it. 50 to 150 g suit a device that was
     never calibrated. The result goes into the calibration file.
     """
-    from tissueid.haptics.measure.weighing import weigh
+    from tissueid.haptics.measure import weigh
 
     made = made_for_calibration(flags)
     ask_consent(made, flags)
@@ -237,8 +237,7 @@ def calibrate_damping(flags: CalibrateDampingFlags) -> int:
 
     Calibrate the force first: damping is as wrong as the newton it is measured with.
     """
-    from tissueid.haptics.measure.motion import TICK_S
-    from tissueid.haptics.measure.ring_down import ring_down
+    from tissueid.haptics.measure import TICK_S, ring_down
 
     made = made_for_calibration(flags)
     ask_consent(made, flags)
@@ -268,7 +267,7 @@ def calibrate_weight(flags: CalibrateWeightFlags) -> int:
     A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
     it is measured with.
     """
-    from tissueid.haptics.measure.weighing import weigh_poses
+    from tissueid.haptics.measure import weigh_poses
 
     made = made_for_calibration(flags)
     ask_consent(made, flags)

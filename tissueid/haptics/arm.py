@@ -12,34 +12,13 @@ a resting arm stays at rest exactly, and the energies close to rounding.  SI uni
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.shared_hand import (
-    ARM_PARAMETERS,
-    DAMPING,
-    FIRST_KNOT,
-    FRICTION,
-    HAND_DAMPING,
-    HAND_STIFFNESS,
-    KNOT_COLUMNS,
-    KNOTS,
-    MASS,
-    MAX_KNOTS,
-    POINTER,
-    POINTER_ON,
-    RIGID,
-    SUBSTEP,
-    TREMOR,
-    TREMOR_AXIS,
-    TREMOR_HZ,
-    TREMOR_PHASE,
-)
-
-__all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
+from tissueid.haptics import shared_hand as layout
 
 # --- memory
 TIME, POSITION, VELOCITY = 0, 1, 4
@@ -81,13 +60,8 @@ class Arm:
 
     def block(self) -> FloatArray:
         """Parameters of an arm that no hand holds, shape (ARM_PARAMETERS,); a hand writes itself into it."""
-        block = np.zeros(ARM_PARAMETERS)
-        block[[MASS, DAMPING, FRICTION, SUBSTEP]] = (
-            self.mass_kg,
-            self.damping_N_s_per_m,
-            self.friction_N,
-            self.substep_s,
-        )
+        block = np.zeros(layout.ARM_PARAMETERS)
+        block[[layout.MASS, layout.DAMPING, layout.FRICTION, layout.SUBSTEP]] = astuple(self)
         return block
 
 
@@ -112,11 +86,11 @@ def port_energy(memory: FloatArray) -> float:
 @tick_kernel
 def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> float:
     """Coordinate of the script at a time on the stretch that begins with ``knot``."""
-    at = FIRST_KNOT + KNOT_COLUMNS * knot
+    at = layout.FIRST_KNOT + layout.KNOT_COLUMNS * knot
     value = parameters[at + 1 + axis]
-    if knot + 1 >= int(parameters[KNOTS]):
+    if knot + 1 >= int(parameters[layout.KNOTS]):
         return float(value)
-    after = at + KNOT_COLUMNS
+    after = at + layout.KNOT_COLUMNS
     length = parameters[after] - parameters[at]
     if time <= parameters[at] or length <= 0.0:
         return float(value)
@@ -127,22 +101,24 @@ def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> floa
 def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
     """Move the hand's target on by ``h`` and return its grip over that step."""
     time = memory[TIME] + h
-    count = int(parameters[KNOTS])
+    count = int(parameters[layout.KNOTS])
     knot = int(memory[CURSOR])
     grip = 1.0
     if count > 0:
-        while knot + 1 < count and parameters[FIRST_KNOT + KNOT_COLUMNS * (knot + 1)] <= time:
+        while knot + 1 < count and parameters[layout.FIRST_KNOT + layout.KNOT_COLUMNS * (knot + 1)] <= time:
             knot += 1
         memory[CURSOR] = knot
-        grip = parameters[FIRST_KNOT + KNOT_COLUMNS * knot + 4]
+        grip = parameters[layout.FIRST_KNOT + layout.KNOT_COLUMNS * knot + 4]
     shake = 0.0
-    if parameters[TREMOR] != 0.0:
-        shake = parameters[TREMOR] * min(time / TREMOR_RISE_S, 1.0)
-        shake *= math.sin(2.0 * math.pi * parameters[TREMOR_HZ] * time + parameters[TREMOR_PHASE])
-    follow = -math.expm1(-h / POINTER_TIME_S) if parameters[POINTER_ON] > 0.0 else 0.0
+    if parameters[layout.TREMOR] != 0.0:
+        shake = parameters[layout.TREMOR] * min(time / TREMOR_RISE_S, 1.0)
+        shake *= math.sin(
+            2.0 * math.pi * parameters[layout.TREMOR_HZ] * time + parameters[layout.TREMOR_PHASE]
+        )
+    follow = -math.expm1(-h / POINTER_TIME_S) if parameters[layout.POINTER_ON] > 0.0 else 0.0
     for i in range(3):
-        if parameters[POINTER_ON] > 0.0:
-            step = follow * (parameters[POINTER + i] - memory[POINTED + i])
+        if parameters[layout.POINTER_ON] > 0.0:
+            step = follow * (parameters[layout.POINTER + i] - memory[POINTED + i])
             memory[POINTED + i] += min(max(step, -POINTER_SPEED * h), POINTER_SPEED * h)
             wanted = memory[POINTED + i]
         elif count > 0:
@@ -150,7 +126,7 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
             memory[POINTED + i] = wanted
         else:
             wanted = memory[POINTED + i]
-        wanted += shake * parameters[TREMOR_AXIS + i]
+        wanted += shake * parameters[layout.TREMOR_AXIS + i]
         memory[TARGET_VELOCITY + i] = (wanted - memory[TARGET + i]) / h
         memory[TARGET + i] = wanted
     return float(grip)
@@ -159,9 +135,9 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
 @tick_kernel
 def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float, grip: float) -> None:
     """One step of an arm in a hand that is a spring and a damper."""
-    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
-    stiffness = grip * parameters[HAND_STIFFNESS]
-    drag = grip * parameters[HAND_DAMPING]
+    mass, damping, friction = parameters[layout.MASS], parameters[layout.DAMPING], parameters[layout.FRICTION]
+    stiffness = grip * parameters[layout.HAND_STIFFNESS]
+    drag = grip * parameters[layout.HAND_DAMPING]
     inertia = mass + 0.5 * h * (damping + drag) + 0.25 * h * h * stiffness
     square = 0.0
     for i in range(3):
@@ -200,7 +176,7 @@ def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h:
 @tick_kernel
 def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float) -> None:
     """One step of an arm that a machine carries along the target, whatever the force."""
-    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
+    mass, damping, friction = parameters[layout.MASS], parameters[layout.DAMPING], parameters[layout.FRICTION]
     speed = 0.0
     for i in range(3):
         v = (memory[TARGET + i] - memory[POSITION + i]) / h
@@ -227,11 +203,11 @@ def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: 
     """Move the arm on by ``dt`` [s] under a constant force (3,) of its motors; not back in time."""
     if not dt > 0.0:
         return
-    steps = max(1, math.ceil(dt / parameters[SUBSTEP] - 1e-9))
+    steps = max(1, math.ceil(dt / parameters[layout.SUBSTEP] - 1e-9))
     h = dt / steps
     for _ in range(steps):
         grip = _move_target(memory, parameters, h)
-        if parameters[RIGID] > 0.0 and grip > 0.0:
+        if parameters[layout.RIGID] > 0.0 and grip > 0.0:
             _carried_step(memory, parameters, force, h)
         else:
             _free_step(memory, parameters, force, h, grip)

@@ -13,24 +13,15 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard as machine
-from tissueid.haptics.guard import (
-    REPLY_DAMAGED,
-    REPLY_NONE,
-    REPLY_VALID,
-    guard,
-    new_guard,
-    observe,
-    transition,
-    velocity_step,
-)
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 
@@ -94,7 +85,7 @@ class Capabilities:
 class CompiledIO:
     """Handles and constants by which the compiled servo reaches a device without Python."""
 
-    kind: str  # ``module:name`` of the :class:`~tissueid.haptics.servo_access.Access` that takes them
+    kind: str  # ``module:name`` of the :class:`~tissueid.haptics.device.Access` that takes them
     #: (HANDLES_SIZE,): descriptors, addresses and identities.
     handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
     constants: FloatArray = field(default_factory=lambda: np.zeros(1))
@@ -105,14 +96,6 @@ class CompiledIO:
 ZERO_COMMANDS = 20
 
 _FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
-
-
-def _unheard(_sentence: str) -> None:
-    """Nobody shows what a device tells."""
-
-
-def _nothing() -> None:
-    """Nobody ends a wait."""
 
 
 class HapticDevice(ABC):
@@ -128,11 +111,11 @@ class HapticDevice(ABC):
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
         #: Told, in sentences, what the user has to do or to wait for; who can show them replaces it.
-        self.tell: Callable[[str], None] = _unheard
+        self.tell: Callable[[str], None] = lambda _sentence: None
         #: Called again and again while the device waits for its user; an exception ends the wait.
-        self.while_waiting: Callable[[], None] = _nothing
+        self.while_waiting: Callable[[], None] = lambda: None
         #: Memory of the guard: the compiled servo works on the same.
-        self.guard_memory = new_guard()
+        self.guard_memory = machine.new_guard()
         self._limits = limits.block()
         self._out = np.zeros(3)
         self._velocity = np.zeros(3)
@@ -226,23 +209,23 @@ class HapticDevice(ABC):
         if self.state is not State.CLOSED:
             msg = f"{self.name}: is open already"
             raise DeviceError(msg)
-        transition(self.guard_memory, self._limits, machine.OPENED)
+        machine.transition(self.guard_memory, self._limits, machine.OPENED)
         try:
             self._open()
         except BaseException:
-            transition(self.guard_memory, self._limits, machine.SHUT)
+            machine.transition(self.guard_memory, self._limits, machine.SHUT)
             raise
         atexit.register(self.close)
         self._last_s = None
-        transition(self.guard_memory, self._limits, machine.FIRMWARE_OK)
-        transition(self.guard_memory, self._limits, machine.HOME)
+        machine.transition(self.guard_memory, self._limits, machine.FIRMWARE_OK)
+        machine.transition(self.guard_memory, self._limits, machine.HOME)
 
     @final
     def close(self) -> None:
         """Send zero force :data:`ZERO_COMMANDS` times and let go; harmless on a closed device."""
         if self.state is State.CLOSED:
             return
-        transition(self.guard_memory, self._limits, machine.SHUT)
+        machine.transition(self.guard_memory, self._limits, machine.SHUT)
         atexit.unregister(self.close)
         for _ in range(ZERO_COMMANDS):
             # a device that is gone has no torque to take back, and closing must come to its end
@@ -261,18 +244,16 @@ class HapticDevice(ABC):
         try:
             return self._read()
         except (OSError, DeviceError) as error:
-            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
-            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
-            raise DeviceError(msg) from error
+            raise self._lost(error) from error
 
     @final
     def read(self) -> DeviceSample:
         """Read the device and let the watchdogs see it; DeviceError as :meth:`sample`."""
         sample = self.sample()
         if sample.valid:
-            self._watch(REPLY_VALID, sample)
+            self._watch(machine.REPLY_VALID, sample)
         else:
-            self._watch(REPLY_DAMAGED if sample.damaged else REPLY_NONE, sample)
+            self._watch(machine.REPLY_DAMAGED if sample.damaged else machine.REPLY_NONE, sample)
         return sample
 
     @final
@@ -287,24 +268,22 @@ class HapticDevice(ABC):
         if force.shape != (3,):
             msg = f"force_N must have shape (3,), has {force.shape}"
             raise ValueError(msg)
-        guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
+        machine.guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
         try:
             self._write(self._out)
         except (OSError, DeviceError) as error:
-            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
-            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
-            raise DeviceError(msg) from error
+            raise self._lost(error) from error
         return self._out.copy()
 
     @final
     def engage(self) -> None:
         """Ask for force; it comes once the device is homed, the tool free and the button held."""
-        transition(self.guard_memory, self._limits, machine.ENGAGE)
+        machine.transition(self.guard_memory, self._limits, machine.ENGAGE)
 
     @final
     def disengage(self) -> None:
         """Take the force away over the dead-man ramp."""
-        transition(self.guard_memory, self._limits, machine.DISENGAGE)
+        machine.transition(self.guard_memory, self._limits, machine.DISENGAGE)
 
     def __enter__(self) -> Self:
         self.open()
@@ -312,6 +291,11 @@ class HapticDevice(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _lost(self, error: Exception) -> DeviceError:
+        """FAULT of a device that is gone, in words."""
+        machine.transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
+        return DeviceError(f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})")
 
     def _must_be_open(self) -> None:
         if self.state is State.CLOSED:
@@ -321,8 +305,8 @@ class HapticDevice(ABC):
     def _watch(self, reply: int, sample: DeviceSample) -> None:
         """Watchdogs of one reading; the depth of the tool is not known here."""
         now = sample.time_s
-        dt = 0.0 if self._last_s is None else now - self._last_s
         first = self._last_s is None
+        dt = 0.0 if self._last_s is None else now - self._last_s
         moved = np.zeros(3, np.int64)
         self._last_s = now
         homed, buttons = False, 0
@@ -334,9 +318,9 @@ class HapticDevice(ABC):
                 self._velocity[:] = 0.0
             else:
                 moved = sample.counts - self._counts
-            velocity_step(self._velocity, sample.position_m, self._position, dt)
+            machine.velocity_step(self._velocity, sample.position_m, self._position, dt)
             self._counts[:] = sample.counts
-        observe(
+        machine.observe(
             self.guard_memory, self._limits, reply, homed, buttons, moved, self._velocity, float("nan"), dt
         )
 
@@ -378,3 +362,49 @@ def await_homed(
 ) -> None:
     """Wait until the guard has seen enough homed replies (ARMED); as :func:`wait_with_zero_force`."""
     wait_with_zero_force(device, lambda: device.state is State.ARMED, timeout_s, why_not)
+
+
+#: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands
+#: without an answer where each is answered.
+REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3
+WORDS_SIZE = 4
+#: Modules that may register a device.
+OURS = "tissueid.haptics."
+
+
+class Access(NamedTuple):
+    """Ways to one kind of device."""
+
+    io: type  # named tuple that stands for a device in a loop
+    made: Callable[[CompiledIO], Any]  # :class:`~tissueid.haptics.device.CompiledIO` -> such a tuple
+    sense: Callable[..., None]  # compiled: of io, dt, position, counts and words; never waits
+    command: Callable[..., None]  # compiled: of io, guard memory, limits and a force that passed the guard
+
+
+_REGISTERED: dict[type, Access] = {}
+
+
+def register(access: Access) -> Access:
+    """Let loops find a kind of device by the type of its tuple."""
+    _REGISTERED[access.io] = access
+    return access
+
+
+def access_of(io: type) -> Access:
+    """Ways to the devices that tuples of this type stand for."""
+    return _REGISTERED[io]
+
+
+def compiled_io(given: CompiledIO) -> Any:
+    """The tuple for what a device says of itself.
+
+    Raises DeviceError: its kind is none of this package: compiled loops are kept by a hash of its sources
+    alone, and would not notice a change of another's.
+    """
+    module, _, name = given.kind.partition(":")
+    # a name of this package that is none is a bug of ours, and an error of its import
+    if not module.startswith(OURS):
+        msg = f"the compiled servo knows no device of kind {given.kind!r}; return None from compiled()"
+        raise DeviceError(msg)
+    access: Access = getattr(import_module(module), name)
+    return access.made(given)

@@ -16,34 +16,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
-from tissueid.haptics.limits import (
-    BAD_PACKETS,
-    CLAMP_N,
-    DAMPING,
-    DAMPING_S,
-    DEAD_MAN,
-    DEAD_MAN_BUTTONS,
-    DEAD_MAN_S,
-    DEFAULT_DELAY_TICKS,
-    DELAY_TICKS,
-    ENGAGE_BELOW_N,
-    FAULT_RAMP_S,
-    FROZEN_CHANGE_N,
-    FROZEN_S,
-    HOMED_NEEDED,
-    JUMP_COUNTS,
-    JUMP_S,
-    NO_REPLY_S,
-    OVERSPEED,
-    PAUSE_RAMP_S,
-    PAUSE_S,
-    RAMP_S,
-    RECOVERY_S,
-    RMS_LIMIT_N,
-    RMS_WINDOW_S,
-    SLEW_N,
-    STALL_S,
-)
+from tissueid.haptics import limits as bar
 from tissueid.haptics.states import Fault, Lamp, State
 
 #: Time constant [s]: one 45 um count in a 1 ms tick, 45 mm/s unfiltered, is then 8 mm/s.
@@ -132,7 +105,7 @@ def pause(memory: FloatArray, limits: FloatArray) -> None:
     if memory[PHASE] == RISING:
         memory[PHASE] = RECOVERING
         if memory[GAIN] >= 1.0:
-            memory[RISE_RATE] = 1.0 / limits[RECOVERY_S]
+            memory[RISE_RATE] = 1.0 / limits[bar.RECOVERY_S]
 
 
 @tick_kernel
@@ -153,7 +126,7 @@ def engage_now(memory: FloatArray, limits: FloatArray) -> None:
     memory[STATE] = ENGAGED
     memory[PHASE] = RISING
     memory[GAIN] = 0.0
-    memory[RISE_RATE] = 1.0 / limits[RAMP_S]
+    memory[RISE_RATE] = 1.0 / limits[bar.RAMP_S]
     memory[STILL_S] = 0.0
     memory[STILL_CHANGE_N] = 0.0
     for i in range(3):
@@ -215,7 +188,7 @@ def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
         memory[WANTED] = 0.0
         return let_down(memory)
     if event == RELEASE:
-        return bool(limits[DEAD_MAN] != 0.0 and let_down(memory))
+        return bool(limits[bar.DEAD_MAN] != 0.0 and let_down(memory))
     if event == SWAP:
         return bool(state != ENGAGED or memory[PENETRATION] <= 0.0)
     if event == HEARTBEAT_LOST:
@@ -276,7 +249,7 @@ def observe(
     if state < HOMING or state == FAULTED:
         return
     # our own stall is not the device's silence: a tick counts for no more than the longest good one
-    step = dt if 0.0 < dt <= limits[STALL_S] else limits[STALL_S]
+    step = dt if 0.0 < dt <= limits[bar.STALL_S] else limits[bar.STALL_S]
     gap = memory[SILENT_S] + dt
     _count_replies(memory, limits, reply, step)
     if memory[STATE] == FAULTED or reply != REPLY_VALID:
@@ -286,7 +259,7 @@ def observe(
         memory[VELOCITY + i] = velocity[i] if abs(velocity[i]) <= FASTEST_M_PER_S else 0.0
     if state == HOMING:
         memory[HOMED_REPLIES] = memory[HOMED_REPLIES] + 1.0 if homed else 0.0
-        if memory[HOMED_REPLIES] >= limits[HOMED_NEEDED]:
+        if memory[HOMED_REPLIES] >= limits[bar.HOMED_NEEDED]:
             memory[STATE] = ARMED
         return
     _check_motion(memory, limits, homed, counts_moved, velocity, gap)
@@ -298,7 +271,7 @@ def observe(
 @tick_part
 def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: float) -> None:
     """Take in how late answers come, by the commands not answered before this tick: it lowers the force."""
-    more = unanswered - max(limits[DELAY_TICKS] - DEFAULT_DELAY_TICKS, 0.0)
+    more = unanswered - max(limits[bar.DELAY_TICKS] - bar.DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost
     late = more >= LATE_COMMANDS and memory[SILENT_S] == 0.0
     memory[LATE_S] = memory[LATE_S] + dt if late else 0.0
@@ -320,13 +293,15 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
     memory[SILENT_S] += step
     if reply in (REPLY_DAMAGED, REPLY_APART):
         memory[DAMAGED] += 1.0
-    patience = limits[NO_REPLY_S] if memory[STATE] != HOMING else max(limits[NO_REPLY_S], HOMING_SILENCE_S)
-    if memory[SILENT_S] >= limits[PAUSE_S]:
+    patience = (
+        limits[bar.NO_REPLY_S] if memory[STATE] != HOMING else max(limits[bar.NO_REPLY_S], HOMING_SILENCE_S)
+    )
+    if memory[SILENT_S] >= limits[bar.PAUSE_S]:
         pause(memory, limits)
         # nobody knows it any more, and damping by an old one would be a force of its own
         for i in range(3):
             memory[VELOCITY + i] = 0.0
-    if memory[DAMAGED] >= limits[BAD_PACKETS]:
+    if memory[DAMAGED] >= limits[bar.BAD_PACKETS]:
         fail(memory, _APART if reply == REPLY_APART else _BAD_PACKETS)
     elif memory[SILENT_S] >= patience:
         fail(memory, _NO_REPLY)
@@ -346,9 +321,9 @@ def _check_motion(
         fail(memory, _NOT_HOMED)
         return
     # after a long gap a hand may have gone further: the limit is a speed, and never less than one tick's
-    allowed = limits[JUMP_COUNTS]
-    if gap > limits[JUMP_S]:
-        allowed *= min(gap, LONGEST_STALL_S) / limits[JUMP_S]
+    allowed = limits[bar.JUMP_COUNTS]
+    if gap > limits[bar.JUMP_S]:
+        allowed *= min(gap, LONGEST_STALL_S) / limits[bar.JUMP_S]
     for i in range(3):
         if abs(counts_moved[i]) > allowed:
             fail(memory, _JUMP)
@@ -358,7 +333,7 @@ def _check_motion(
     for i in range(3):
         absurd = absurd or not abs(velocity[i]) <= FASTEST_M_PER_S
         speed2 += memory[VELOCITY + i] * memory[VELOCITY + i]
-    if memory[STATE] == ENGAGED and (absurd or speed2 > limits[OVERSPEED] * limits[OVERSPEED]):
+    if memory[STATE] == ENGAGED and (absurd or speed2 > limits[bar.OVERSPEED] * limits[bar.OVERSPEED]):
         fail(memory, _OVERSPEED)
 
 
@@ -380,24 +355,24 @@ def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray
     memory[STILL_CHANGE_N] = max(memory[STILL_CHANGE_N], math.sqrt(change2))
     # counted from the change on: an arm at rest needs some ticks to answer a new force with a count, and
     # one that was stopped (at the end of its reach) and gets no force rests by right
-    least = limits[FROZEN_CHANGE_N]
+    least = limits[bar.FROZEN_CHANGE_N]
     if memory[STILL_CHANGE_N] > least and force2 > least * least:
         memory[STILL_S] += step
-    if memory[STILL_S] >= limits[FROZEN_S]:
+    if memory[STILL_S] >= limits[bar.FROZEN_S]:
         yield_to(memory, _FROZEN)
 
 
 @tick_part
 def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
     """Release, and readiness to engage."""
-    held = limits[DEAD_MAN] == 0.0 or (buttons & int(limits[DEAD_MAN_BUTTONS])) != 0
+    held = limits[bar.DEAD_MAN] == 0.0 or (buttons & int(limits[bar.DEAD_MAN_BUTTONS])) != 0
     memory[LET_GO] = 0.0 if held else 1.0
     if memory[STATE] == ENGAGED:
         if not held:
             let_down(memory)
         elif memory[PHASE] == RELEASING and memory[WANTED] == 1.0:
             memory[PHASE] = RISING
-            memory[RISE_RATE] = 1.0 / limits[RAMP_S]
+            memory[RISE_RATE] = 1.0 / limits[bar.RAMP_S]
     elif memory[STATE] == ARMED and held:
         memory[READY] = memory[WANTED]
 
@@ -422,12 +397,12 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     ``force`` (3,): wanted [N]; may hold anything; ``dt``: measured time since the last tick [s]; anything
     that is not a good tick counts as a stall.
     """
-    stalled = not 0.0 < dt <= limits[STALL_S]
-    step = limits[STALL_S] if stalled else dt
+    stalled = not 0.0 < dt <= limits[bar.STALL_S]
+    step = limits[bar.STALL_S] if stalled else dt
     lamps = _STALLED if stalled else 0
     if memory[LET_GO] != 0.0:
         lamps |= _LET_GO
-    if memory[SILENT_S] >= limits[PAUSE_S]:
+    if memory[SILENT_S] >= limits[bar.PAUSE_S]:
         lamps |= _SILENT
     if memory[DELAYED_TICKS] > 0.0:
         lamps |= _LATENCY
@@ -436,7 +411,7 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     out[1] = 0.0
     out[2] = 0.0
     # an unknown depth (NaN) is not a free tool
-    free = memory[PENETRATION] <= 0.0 or (finite and _length(force) < limits[ENGAGE_BELOW_N])
+    free = memory[PENETRATION] <= 0.0 or (finite and _length(force) < limits[bar.ENGAGE_BELOW_N])
     if memory[STATE] == ARMED and memory[READY] != 0.0 and free:
         engage_now(memory, limits)
     if memory[STATE] == ENGAGED:
@@ -471,16 +446,16 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
         pause(memory, limits)
     if memory[PHASE] == RISING:
         # the stiffness that a delay bears is in inverse proportion to it
-        most = limits[DELAY_TICKS] / (limits[DELAY_TICKS] + memory[DELAYED_TICKS])
+        most = limits[bar.DELAY_TICKS] / (limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])
         risen = min(most, memory[GAIN] + step * memory[RISE_RATE])
-        memory[GAIN] = max(risen, memory[GAIN] - step / limits[RECOVERY_S])
+        memory[GAIN] = max(risen, memory[GAIN] - step / limits[bar.RECOVERY_S])
         return
-    silent = memory[SILENT_S] >= limits[PAUSE_S]
-    time = limits[FAULT_RAMP_S]
+    silent = memory[SILENT_S] >= limits[bar.PAUSE_S]
+    time = limits[bar.FAULT_RAMP_S]
     if silent:
-        time = limits[PAUSE_RAMP_S]
+        time = limits[bar.PAUSE_RAMP_S]
     elif memory[PHASE] == RELEASING:
-        time = limits[DEAD_MAN_S]
+        time = limits[bar.DEAD_MAN_S]
     memory[GAIN] -= step / time
     if memory[GAIN] > 0.0:
         return
@@ -492,7 +467,7 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
         memory[PHASE] = RISING
     elif memory[PHASE] == YIELDING:
         memory[DAMPED_S] += step
-        if memory[DAMPED_S] >= limits[DAMPING_S]:
+        if memory[DAMPED_S] >= limits[bar.DAMPING_S]:
             fail(memory, memory[PENDING_FAULT])
 
 
@@ -500,7 +475,7 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
 def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: FloatArray) -> int:
     """Crossfade with damping, then clamp, slew and sustained limit; the lamps of what bit."""
     gain = memory[GAIN]
-    damping = (1.0 - gain) * limits[DAMPING]
+    damping = (1.0 - gain) * limits[bar.DAMPING]
     for i in range(3):
         out[i] = gain * force[i] - damping * memory[VELOCITY + i]
     lamps = _RAMPING if gain < 1.0 else 0
@@ -509,17 +484,17 @@ def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: Flo
         # only the direction is left of it, longer than the clamp
         largest = max(abs(out[0]), abs(out[1]), abs(out[2]))
         for i in range(3):
-            out[i] = out[i] / largest * (2.0 * limits[CLAMP_N])
+            out[i] = out[i] / largest * (2.0 * limits[bar.CLAMP_N])
         length = _length(out)
     bound = length
-    if bound > limits[CLAMP_N]:
-        bound = limits[CLAMP_N]
+    if bound > limits[bar.CLAMP_N]:
+        bound = limits[bar.CLAMP_N]
         lamps |= _CLIPPED
     if length > 0.0:
         along = (
             memory[PREVIOUS] * out[0] + memory[PREVIOUS + 1] * out[1] + memory[PREVIOUS + 2] * out[2]
         ) / length
-        risen = max(along, 0.0) + limits[SLEW_N]
+        risen = max(along, 0.0) + limits[bar.SLEW_N]
         if bound > risen:
             bound = risen
             lamps |= _SLEWED
@@ -537,18 +512,18 @@ def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: Flo
 @tick_part
 def _sustained(memory: FloatArray, limits: FloatArray) -> float:
     """Clamp [N] that the motors' past allows: the clamp itself, folded back to the limit of their mean."""
-    share = memory[MEAN_SQUARE] / (limits[RMS_LIMIT_N] * limits[RMS_LIMIT_N])
+    share = memory[MEAN_SQUARE] / (limits[bar.RMS_LIMIT_N] * limits[bar.RMS_LIMIT_N])
     fold = min(max((share - FOLD_FROM) / (1.0 - FOLD_FROM), 0.0), 1.0)
-    lowest = min(limits[RMS_LIMIT_N], limits[CLAMP_N])
-    return float(limits[CLAMP_N] - fold * (limits[CLAMP_N] - lowest))
+    lowest = min(limits[bar.RMS_LIMIT_N], limits[bar.CLAMP_N])
+    return float(limits[bar.CLAMP_N] - fold * (limits[bar.CLAMP_N] - lowest))
 
 
 @tick_part
 def _fade(memory: FloatArray, limits: FloatArray, dt: float, out: FloatArray) -> int:
     """Ramp of a fault: from what was sent last to zero."""
     memory[FAULT_AGE_S] += dt
-    silent = memory[SILENT_S] >= limits[PAUSE_S]
-    left = 1.0 - memory[FAULT_AGE_S] / limits[PAUSE_RAMP_S if silent else FAULT_RAMP_S]
+    silent = memory[SILENT_S] >= limits[bar.PAUSE_S]
+    left = 1.0 - memory[FAULT_AGE_S] / limits[bar.PAUSE_RAMP_S if silent else bar.FAULT_RAMP_S]
     # rounding must not leave a femtonewton at the end of the ramp
     if left < 1e-9:
         return 0
@@ -564,7 +539,7 @@ def _remember(memory: FloatArray, limits: FloatArray, step: float, out: FloatArr
     for i in range(3):
         memory[PREVIOUS + i] = out[i]
         square += out[i] * out[i]
-    share = step / limits[RMS_WINDOW_S]
+    share = step / limits[bar.RMS_WINDOW_S]
     memory[MEAN_SQUARE] += (square - memory[MEAN_SQUARE]) * min(share, 1.0)
-    if memory[MEAN_SQUARE] > OVERHEATED * limits[RMS_LIMIT_N] * limits[RMS_LIMIT_N]:
+    if memory[MEAN_SQUARE] > OVERHEATED * limits[bar.RMS_LIMIT_N] * limits[bar.RMS_LIMIT_N]:
         fail(memory, _OVERHEATED)

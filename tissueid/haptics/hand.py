@@ -14,19 +14,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.shared_hand import (
-    FIRST_KNOT,
-    HAND_DAMPING,
-    HAND_STIFFNESS,
-    KNOT_COLUMNS,
-    KNOTS,
-    MAX_KNOTS,
-    RIGID,
-    TREMOR,
-    TREMOR_AXIS,
-    TREMOR_HZ,
-    TREMOR_PHASE,
-)
+from tissueid.haptics import shared_hand as layout
 
 #: Names of :func:`preset`.
 PRESETS = ("step", "slow press", "tap", "release", "tremor", "hold")
@@ -67,8 +55,8 @@ class Hand:
     tremor_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.times_s) <= MAX_KNOTS:
-            msg = f"a hand has 1 to {MAX_KNOTS} knots, this one {len(self.times_s)}"
+        if not 1 <= len(self.times_s) <= layout.MAX_KNOTS:
+            msg = f"a hand has 1 to {layout.MAX_KNOTS} knots, this one {len(self.times_s)}"
             raise ValueError(msg)
         if not len(self.times_s) == len(self.positions_m) == len(self.grips):
             msg = "a hand needs a time, a position and a grip at each knot"
@@ -94,12 +82,16 @@ class Hand:
     def write(self, block: FloatArray) -> FloatArray:
         """Write the hand into an arm's block of parameters, and return that."""
         knots = self.knots()
-        block[KNOTS] = len(knots)
-        block[FIRST_KNOT : FIRST_KNOT + KNOT_COLUMNS * len(knots)] = knots.ravel()
-        block[[HAND_STIFFNESS, HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
-        block[RIGID] = float(self.rigid)
-        block[[TREMOR, TREMOR_HZ, TREMOR_PHASE]] = self.tremor_m, self.tremor_hz, self.tremor_phase
-        block[TREMOR_AXIS : TREMOR_AXIS + 3] = self.tremor_axis
+        block[layout.KNOTS] = len(knots)
+        block[layout.FIRST_KNOT : layout.FIRST_KNOT + layout.KNOT_COLUMNS * len(knots)] = knots.ravel()
+        block[[layout.HAND_STIFFNESS, layout.HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
+        block[layout.RIGID] = float(self.rigid)
+        block[[layout.TREMOR, layout.TREMOR_HZ, layout.TREMOR_PHASE]] = (
+            self.tremor_m,
+            self.tremor_hz,
+            self.tremor_phase,
+        )
+        block[layout.TREMOR_AXIS : layout.TREMOR_AXIS + 3] = self.tremor_axis
         return block
 
 
@@ -173,7 +165,7 @@ def _targets(
         for beat in range(max(1, math.ceil(4.0 * stay_s))):
             times += [rest_s + 0.25 * beat + part for part in (0.06, 0.10, 0.16, 0.249)]
             depths += [depth_m, depth_m, clear, clear]
-        times, depths = times[:MAX_KNOTS], depths[:MAX_KNOTS]
+        times, depths = times[: layout.MAX_KNOTS], depths[: layout.MAX_KNOTS]
         grips = [1.0] * len(times)
     elif name == "release":
         times.append(arrival + 0.5 * stay_s)
@@ -239,8 +231,8 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
             )
             raise UsageError(msg)
         depth = strokes[-1].depth_mm
-    if not 1 <= len(strokes) <= MAX_KNOTS - 2:
-        msg = f"a script has 1 to {MAX_KNOTS - 2} strokes, this one {len(strokes)}"
+    if not 1 <= len(strokes) <= layout.MAX_KNOTS - 2:
+        msg = f"a script has 1 to {layout.MAX_KNOTS - 2} strokes, this one {len(strokes)}"
         raise UsageError(msg)
     return tuple(strokes)
 

@@ -38,7 +38,6 @@ from numpy.typing import NDArray
     PAUSE_RAMP_S,
     DELAY_TICKS,
 ) = range(27)
-LIMITS_SIZE = 27
 
 #: A fault takes the force away within this time [s]; no limit may be slower.
 LONGEST_FAULT_RAMP_S = 0.020
@@ -118,12 +117,18 @@ class GuardLimits:
             if not (value >= 0.0 if free else value > 0.0) or math.isinf(value):
                 msg = f"{entry.name} must be {'zero or more' if free else 'positive'} and finite, is {value}"
                 raise ValueError(msg)
-        _at_most("fault_ramp_s", self.fault_ramp_s, LONGEST_FAULT_RAMP_S)
-        _at_most("pause_s + pause_ramp_s", self.pause_s + self.pause_ramp_s, LONGEST_FAULT_RAMP_S)
-        _at_most("clamp_N", self.clamp_N, LARGEST_CLAMP_N)
-        _at_most("motor_clamp", self.motor_clamp, 4095.0)
-        _at_most("slew_N_per_tick", self.slew_N_per_tick, 0.5)
-        _at_most("engage_below_N", self.engage_below_N, 0.2)
+        # no limit is looser than the bar it must keep
+        for name, value, largest in (
+            ("fault_ramp_s", self.fault_ramp_s, LONGEST_FAULT_RAMP_S),
+            ("pause_s + pause_ramp_s", self.pause_s + self.pause_ramp_s, LONGEST_FAULT_RAMP_S),
+            ("clamp_N", self.clamp_N, LARGEST_CLAMP_N),
+            ("motor_clamp", self.motor_clamp, 4095.0),
+            ("slew_N_per_tick", self.slew_N_per_tick, 0.5),
+            ("engage_below_N", self.engage_below_N, 0.2),
+        ):
+            if value > largest:
+                msg = f"{name} must be at most {largest}, is {value}"
+                raise ValueError(msg)
         if self.ramp_s < SHORTEST_RAMP_S:
             msg = f"ramp_s must be at least {SHORTEST_RAMP_S} s, is {self.ramp_s}"
             raise ValueError(msg)
@@ -134,12 +139,5 @@ class GuardLimits:
         return cls(clamp_N=5.0, rms_limit_N=5.0, dead_man=False)
 
     def block(self) -> NDArray[np.float64]:
-        """The limits for the kernels, float64, shape (LIMITS_SIZE,)."""
+        """The limits for the kernels, float64, shape (27,)."""
         return np.array([float(getattr(self, entry.name)) for entry in fields(self)])
-
-
-def _at_most(name: str, value: float, largest: float) -> None:
-    """Refuse a limit looser than the bar it must keep."""
-    if value > largest:
-        msg = f"{name} must be at most {largest}, is {value}"
-        raise ValueError(msg)

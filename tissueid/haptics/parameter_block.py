@@ -17,7 +17,7 @@ import numpy as np
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.atomic import load_acquire, store_release
+from tissueid.haptics.foreign import load_acquire, store_release
 from tissueid.haptics.ring import read_ordered, shared_memory, write_ordered
 
 HEAD_WORDS = 8

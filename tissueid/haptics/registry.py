@@ -37,7 +37,9 @@ DEVICES = {
         hardware=True,
         reported_as="Novint Falcon, uncalibrated",
     ),
-    "forcedimension": Registered("tissueid.haptics.forcedimension:ForceDimensionDevice", hardware=True),
+    "forcedimension": Registered(
+        "tissueid.haptics.forcedimension.device:ForceDimensionDevice", hardware=True
+    ),
     "emulator": Registered("tissueid.haptics.falcon.emulator.device:EmulatorDevice"),
     "replay": Registered("tissueid.haptics.replay:ReplayDevice"),
     "sim": Registered("tissueid.haptics.sim:SimulatedDevice", reported_as="Simulated device"),

@@ -17,7 +17,7 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, WORKING_RADIUS_M, carried
+from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, carried, computed
 
 
 class ReplayDevice(HapticDevice):
@@ -58,26 +58,12 @@ class ReplayDevice(HapticDevice):
     @property
     def capabilities(self) -> Capabilities:
         """Of a motion that no force changes: nothing to hurt, nothing to damp."""
-        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
-        return Capabilities(
-            name=self.name,
-            clamp_N=self.limits.clamp_N,
-            calibrated=True,
-            damping_N_s_per_m=np.inf,
-            delay_ticks=0.0,
-            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
-            hardware=False,
-        )
+        return computed(self, damping_N_s_per_m=np.inf, delay_ticks=0.0)
 
     @property
     def duration_s(self) -> float:
         """Time from the first to the last record [s]."""
         return float(self._time_s[-1])
-
-    @property
-    def longest_gap_s(self) -> float:
-        """Longest time between two records [s]."""
-        return float(np.diff(self._time_s).max(initial=0.0))
 
     @property
     def ended(self) -> bool:

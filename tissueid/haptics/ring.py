@@ -42,7 +42,7 @@ def read_ordered(words: IntArray, at: int) -> int:
     """``words[at]`` of shared words, before everything read after."""
     if _KEEPS_ORDER:
         return int(words[at])
-    from tissueid.haptics.atomic import load_acquire
+    from tissueid.haptics.foreign import load_acquire
 
     return int(load_acquire(words[at : at + 1]))
 
@@ -52,7 +52,7 @@ def write_ordered(words: IntArray, at: int, value: int) -> None:
     if _KEEPS_ORDER:
         words[at] = value
         return
-    from tissueid.haptics.atomic import store_release
+    from tissueid.haptics.foreign import store_release
 
     store_release(words[at : at + 1], value)
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
+from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import (
     ARM_MEMORY,
     HAND_FORCE,
@@ -29,34 +30,23 @@ from tissueid.haptics.arm import (
     Arm,
     arm_step,
     new_arm,
-    port_energy,
 )
+from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import (
+    PRESSED,
+    REPLY,
+    Access,
     Capabilities,
     CompiledIO,
     DetectedDevice,
     DeviceSample,
     HapticDevice,
+    register,
 )
 from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
-from tissueid.haptics.servo_access import HOMED as IS_HOMED
-from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
-from tissueid.haptics.shared_hand import (
-    BUTTONS,
-    DELAY,
-    FAULT_AT,
-    FAULT_KIND,
-    FAULT_SIZE,
-    PHASE,
-    POINTER,
-    POINTER_ON,
-    QUANTUM,
-    RIGID,
-    SIM_PARAMETERS,
-    SharedHand,
-)
+from tissueid.haptics.shared_hand import SharedHand
 
 #: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
 #: by FAULT_SIZE counts; it is no longer homed.
@@ -77,35 +67,28 @@ SIM_MEMORY = QUEUE + QUEUE_COLUMNS * QUEUE_LENGTH
 VALID, HOMED = 1, 2
 
 
-def new_simulated(arm_memory: FloatArray) -> FloatArray:
-    """Memory of a simulated device whose arm is in the state given, no force under way."""
-    memory = np.zeros(SIM_MEMORY)
-    memory[:ARM_MEMORY] = arm_memory
-    return memory
-
-
 @tick_part
 def simulated_sample(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> int:
     """Write counts (3,) and their position (3,) [m]; bits VALID and HOMED, 0 without answer, -1 if gone."""
-    kind = int(parameters[FAULT_KIND])
-    if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
+    kind = int(parameters[layout.FAULT_KIND])
+    if kind != FAULT_NONE and memory[TIME] < parameters[layout.FAULT_AT]:
         kind = FAULT_NONE
     if kind == FAULT_GONE:
         return -1
     if kind == FAULT_SILENT:
         return 0
-    quantum = parameters[QUANTUM]
+    quantum = parameters[layout.QUANTUM]
     for i in range(3):
         if kind != FAULT_FROZEN:
-            memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[PHASE + i])
+            memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[layout.PHASE + i])
         said = memory[HELD + i]
         if kind == FAULT_JUMP and i == 0:
-            said += parameters[FAULT_SIZE]
+            said += parameters[layout.FAULT_SIZE]
         counts[i] = int(said)
         # the middle of the count, so that rounding has no mean
-        position[i] = (said + 0.5 - parameters[PHASE + i]) * quantum
+        position[i] = (said + 0.5 - parameters[layout.PHASE + i]) * quantum
     return VALID if kind == FAULT_UNHOMED else VALID | HOMED
 
 
@@ -117,7 +100,7 @@ def simulated_command(memory: FloatArray, parameters: FloatArray, force: FloatAr
         memory[LOST] += 1.0
         return
     at = QUEUE + QUEUE_COLUMNS * ((int(memory[HEAD]) + pending) % QUEUE_LENGTH)
-    memory[at] = memory[TIME] + parameters[DELAY]
+    memory[at] = memory[TIME] + parameters[layout.DELAY]
     for i in range(3):
         memory[at + 1 + i] = force[i]
     memory[PENDING] = pending + 1
@@ -156,7 +139,7 @@ def _sense(io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, w
     said = simulated_sample(io.memory, io.parameters, position, counts)
     words[REPLY] = REPLY_LOST if said < 0 else (REPLY_VALID if said > 0 else REPLY_NONE)
     words[IS_HOMED] = 1 if said > 0 and (said & HOMED) != 0 else 0
-    words[PRESSED] = int(io.parameters[BUTTONS])
+    words[PRESSED] = int(io.parameters[layout.BUTTONS])
 
 
 @tick_kernel
@@ -184,6 +167,20 @@ NO_CHANGE_N = 1e3
 def carried(limits: GuardLimits) -> GuardLimits:
     """Limits for a grip that is carried exactly: it may rest while the force on it changes."""
     return replace(limits, frozen_change_N=NO_CHANGE_N)
+
+
+def computed(device: HapticDevice, *, damping_N_s_per_m: float, delay_ticks: float) -> Capabilities:
+    """Abilities of a device that is computed: its newtons are exact, and nothing moves."""
+    (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
+    return Capabilities(
+        name=device.name,
+        clamp_N=device.limits.clamp_N,
+        calibrated=True,
+        damping_N_s_per_m=damping_N_s_per_m,
+        delay_ticks=delay_ticks,
+        workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
+        hardware=False,
+    )
 
 
 class SimulatedDevice(HapticDevice):
@@ -222,13 +219,14 @@ class SimulatedDevice(HapticDevice):
         self.delay_ticks = delay_ticks
         self.real_time = real_time
         #: Flat blocks of :mod:`tissueid.haptics.sim`; the compiled servo works on the same.
-        self.parameters = np.zeros(SIM_PARAMETERS)
+        self.parameters = np.zeros(layout.SIM_PARAMETERS)
         block = self.hand.write(self.arm.block())
         self.parameters[: block.size] = block
-        self.parameters[QUANTUM] = quantum_m
-        self.parameters[PHASE : PHASE + 3] = np.random.default_rng(seed).random(3)
-        self.parameters[DELAY] = delay_ticks * period_s
-        self.memory = new_simulated(new_arm(self.hand.start_m))
+        self.parameters[layout.QUANTUM] = quantum_m
+        self.parameters[layout.PHASE : layout.PHASE + 3] = np.random.default_rng(seed).random(3)
+        self.parameters[layout.DELAY] = delay_ticks * period_s
+        self.memory = np.zeros(SIM_MEMORY)
+        self.memory[:ARM_MEMORY] = new_arm(self.hand.start_m)
         self._clock = clock
         self._clock_s: float | None = None
         self._place = np.zeros(3)
@@ -242,16 +240,7 @@ class SimulatedDevice(HapticDevice):
     @property
     def capabilities(self) -> Capabilities:
         """Of the arm as it is computed: newtons are exact here."""
-        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
-        return Capabilities(
-            name=self.name,
-            clamp_N=self.limits.clamp_N,
-            calibrated=True,
-            damping_N_s_per_m=self.arm.damping_N_s_per_m,
-            delay_ticks=self.delay_ticks,
-            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
-            hardware=False,
-        )
+        return computed(self, damping_N_s_per_m=self.arm.damping_N_s_per_m, delay_ticks=self.delay_ticks)
 
     @property
     def time_s(self) -> float:
@@ -264,19 +253,9 @@ class SimulatedDevice(HapticDevice):
         return self.memory[POSITION : POSITION + 3].copy()
 
     @property
-    def felt_force_N(self) -> FloatArray:
-        """Force at the grip now, after the delay [N], shape (3,)."""
-        return self.memory[FELT : FELT + 3].copy()
-
-    @property
     def sensed_force_N(self) -> FloatArray:
         """Force of the hand on the grip now [N], shape (3,): an ideal sensor, which a Falcon has not."""
         return self.memory[HAND_FORCE : HAND_FORCE + 3].copy()
-
-    @property
-    def port_energy_J(self) -> float:
-        """Energy that went through the true port [J]; see :func:`tissueid.haptics.arm.port_energy`."""
-        return float(port_energy(self.memory))
 
     def set_pointer(self, position_m: ArrayLike | None) -> None:
         """Let the hand follow a point (3,) [m], or, with None, its script again.
@@ -284,27 +263,23 @@ class SimulatedDevice(HapticDevice):
         Raises ValueError: not three finite numbers.
         """
         if position_m is None:
-            self.parameters[POINTER_ON] = 0.0
+            self.parameters[layout.POINTER_ON] = 0.0
             return
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             msg = f"a pointer needs three finite coordinates, not {position_m!r}"
             raise ValueError(msg)
-        if self.parameters[POINTER_ON] == 0.0:
+        if self.parameters[layout.POINTER_ON] == 0.0:
             # from where the hand is, not from where its script began
             self.memory[POINTED : POINTED + 3] = self.memory[POSITION : POSITION + 3]
-        self.parameters[POINTER : POINTER + 3] = point
-        self.parameters[POINTER_ON] = 1.0
-        self.parameters[RIGID] = 0.0
+        self.parameters[layout.POINTER : layout.POINTER + 3] = point
+        self.parameters[layout.POINTER_ON] = 1.0
+        self.parameters[layout.RIGID] = 0.0
 
     def share(self, hand: SharedHand) -> None:
         """Work on parameters in shared memory from now on, so that another process can lead the hand."""
         hand.parameters[:] = self.parameters
         self.parameters = hand.parameters
-
-    def press(self, buttons: int) -> None:
-        """Hold these buttons from now on."""
-        self.parameters[BUTTONS] = buttons
 
     def compiled(self) -> CompiledIO:
         """The blocks of this device, for a compiled loop."""
@@ -330,7 +305,7 @@ class SimulatedDevice(HapticDevice):
             time_s=self.time_s,
             position_m=self._place.copy(),
             counts=self._said.copy(),
-            buttons=int(self.parameters[BUTTONS]),
+            buttons=int(self.parameters[layout.BUTTONS]),
             homed=bool(said & HOMED),
             valid=bool(said & VALID),
         )

@@ -33,6 +33,14 @@ ESBUILD_FLAGS = (
 #: Its launcher, run by node itself: no shell is needed.
 ESBUILD = Path("node_modules") / "esbuild" / "bin" / "esbuild"
 COPIED = ("index.html", "icon.svg")
+#: Way out where the page is missing, as a small page of its own.
+MISSING_BUNDLE = (
+    "<!doctype html><meta charset=utf-8><title>tissueid</title>"
+    "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
+    "or their registry, were out of reach. With both at hand run"
+    "<pre>python -m tissueid.viewer.bundling</pre>"
+    "and load this page again. The session itself goes on.</p>\n"
+)
 
 
 class BundlingError(Exception):
@@ -52,17 +60,6 @@ def is_built(bundle: Path = BUNDLE, sources: Path = SOURCES) -> bool:
     """True where the bundle is there, and of these sources."""
     stamp = bundle / STAMP
     return stamp.is_file() and stamp.read_text(encoding="utf-8").strip() == sources_hash(sources)
-
-
-def missing_bundle_words() -> str:
-    """Way out where the page is missing, as a small page of its own."""
-    return (
-        "<!doctype html><meta charset=utf-8><title>tissueid</title>"
-        "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
-        "or their registry, were out of reach. With both at hand run"
-        "<pre>python -m tissueid.viewer.bundling</pre>"
-        "and load this page again. The session itself goes on.</p>\n"
-    )
 
 
 def npm_command() -> list[str] | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -27,47 +26,20 @@ MOST_UNANSWERED = 12
 KEPT = 4096
 
 
-class Source(Protocol):
-    """Source of a client's samples."""
-
-    @property
-    def published(self) -> int:
-        """Number of samples so far."""
-
-    @property
-    def ended(self) -> bool:
-        """True where no more will come."""
-
-    def now_s(self) -> float:
-        """The clock of the samples' times [s]."""
-
-    def between(self, first: int, end: int) -> RecordArray:
-        """Samples ``first`` to ``end``, which lie among the last :data:`MOST_SAMPLES`."""
-
-
 class LiveFeed:
     """Samples of a running servo, out of a ring that is read and never written."""
 
     def __init__(self, ring: Ring) -> None:
         self._reader = ring.reader(from_start=True)
         self._kept = np.zeros(KEPT, SAMPLE)
-        self._published = 0
-        self._ended = False
-
-    @property
-    def published(self) -> int:
-        """Number of samples so far, those that came too fast for this feed included."""
-        return self._published
-
-    @property
-    def ended(self) -> bool:
-        """True where the session has ended."""
-        return self._ended
+        #: Number of samples so far, those that came too fast for this feed included.
+        self.published = 0
+        self.ended = False
 
     def end(self) -> None:
         """No more samples will come."""
         self.pump()
-        self._ended = True
+        self.ended = True
 
     def now_s(self) -> float:
         """CLOCK_MONOTONIC, the servo's [s]."""
@@ -77,8 +49,8 @@ class LiveFeed:
         """Take what is new in the ring; how much that was."""
         records, overrun = self._reader.read_new()
         new = samples_of(records[-KEPT:])
-        self._published += records.size + overrun
-        slots = np.arange(self._published - new.size, self._published) % KEPT
+        self.published += records.size + overrun
+        slots = np.arange(self.published - new.size, self.published) % KEPT
         self._kept[slots] = new
         return int(records.size)
 
@@ -173,3 +145,7 @@ class Playback:
         """Go to a place, go on, or stand still."""
         now = self.now_s() if asked.at_s is None else min(self._begin_s + asked.at_s, self._end_s)
         self._at_s, self._since_s, self._paused = now, self._clock(), asked.paused
+
+
+#: Source of a client's samples.
+Source = LiveFeed | Playback

@@ -19,9 +19,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from tissueid.errors import TissueidError
-from tissueid.viewer.protocols import PunctualHttp
 from tissueid.viewer.security import LOOPBACK, Access, RefusalLog, new_token
-from tissueid.viewer.server import Guarded
+from tissueid.viewer.server import Guarded, config
 from tissueid.viewer.serving import ViewerOptions, listening_socket
 
 #: A decision is a number and a sentence.
@@ -93,18 +92,11 @@ class PageServer:
         self._listening = listening_socket(ViewerOptions(LOOPBACK, port))
         self.access = Access(LOOPBACK, self._listening.getsockname()[1], new_token())
         self.server = uvicorn.Server(
-            uvicorn.Config(
+            config(
                 page_app(shown, self.access),
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                http=PunctualHttp,
-                loop="asyncio",
                 ws="none",
                 lifespan="off",
                 limit_concurrency=MOST_CONNECTIONS,
-                timeout_graceful_shutdown=1,
             )
         )
 

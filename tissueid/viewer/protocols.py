@@ -42,11 +42,13 @@ class PunctualHttp(H11Protocol):
         """Give the first request its time, at the cost of whoever has waited longest."""
         super().connection_made(transport)
         self._wait()
-        others = [
-            one for one in self.connections if isinstance(one, PunctualHttp) and one.waiting is not None
-        ]
-        if len(others) > MOST_WAITING:
-            min(others, key=_due).cut_off()
+        due = {
+            one: one.waiting.when()
+            for one in self.connections
+            if isinstance(one, PunctualHttp) and one.waiting is not None
+        }
+        if len(due) > MOST_WAITING:
+            min(due, key=due.__getitem__).cut_off()
 
     def data_received(self, data: bytes) -> None:
         """Give what is left of a request its time, until it is whole."""
@@ -78,10 +80,6 @@ class PunctualHttp(H11Protocol):
         if self.waiting is not None:
             self.waiting.cancel()
             self.waiting = None
-
-
-def _due(one: PunctualHttp) -> float:
-    return float("inf") if one.waiting is None else one.waiting.when()
 
 
 class SparingWebSocket(WebSocketsSansIOProtocol):

@@ -28,12 +28,15 @@ MOST_QUOTED = 120
 
 def is_loopback(host: str) -> bool:
     """True where an address is reached from this machine alone."""
-    if host == "localhost":
-        return True
+    address = _address(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return ipaddress.ip_address(host)
     except ValueError:
-        return False
+        return None
 
 
 def new_token() -> str:
@@ -84,19 +87,10 @@ class Access:
             return name in LOCAL_NAMES or name == self.host
         if name == self.host.lower():
             return True
-        try:
-            address = ipaddress.ip_address(name)
-        except ValueError:
-            # any other name could have been turned to this machine by somebody else's DNS
-            return False
-        return self.host in {"0.0.0.0", "::"} or address == _address(self.host)  # noqa: S104
-
-
-def _address(host: str) -> object:
-    try:
-        return ipaddress.ip_address(host)
-    except ValueError:
-        return None
+        # any other name could have been turned to this machine by somebody else's DNS
+        address = _address(name)
+        every = self.host in {"0.0.0.0", "::"}  # noqa: S104
+        return address is not None and (every or address == _address(self.host))
 
 
 def _split(host: str) -> tuple[str, int | None]:

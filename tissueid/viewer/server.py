@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.haptics.shared_hand import SharedHand
-from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
+from tissueid.viewer.bundling import BUNDLE, MISSING_BUNDLE
 from tissueid.viewer.protocols import (
     LARGEST_MESSAGE,
     Answer,
@@ -40,7 +40,7 @@ from tissueid.viewer.protocols import (
 from tissueid.viewer.security import Access, RefusalLog
 
 if TYPE_CHECKING:
-    from tissueid.viewer.feed import LiveFeed, Source
+    from tissueid.viewer.feed import Client, LiveFeed, Source
 
 #: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
 TURN_S = 0.01
@@ -64,18 +64,15 @@ class Stage:
         self._feed: LiveFeed | None = None
         self._known = asyncio.Event()
         self._news = asyncio.Event()
-        self._statuses: list[str] = []
+        self.statuses: list[str] = []
 
     def show_live(self, hello: Mapping[str, Any], feed: LiveFeed, pointer: HandPointer | None = None) -> None:
         """Show a running servo."""
         self._feed, self.pointer = feed, pointer
-        self._show(hello, lambda: feed)
+        self.show_log(hello, lambda: feed)
 
     def show_log(self, hello: Mapping[str, Any], source: Callable[[], Source]) -> None:
         """Show a log: a source of its own for each client."""
-        self._show(hello, source)
-
-    def _show(self, hello: Mapping[str, Any], source: Callable[[], Source]) -> None:
         self.hello, self._source = json.dumps(hello, allow_nan=False), source
         self._known.set()
 
@@ -86,12 +83,8 @@ class Stage:
 
     def tell(self, words: Mapping[str, Any]) -> None:
         """A status for all clients, now and later."""
-        self._statuses.append(json.dumps({"type": "status", **words}, allow_nan=False))
+        self.statuses.append(json.dumps({"type": "status", **words}, allow_nan=False))
         self._wake()
-
-    def statuses(self, seen: int) -> list[str]:
-        """Statuses after the first ``seen``."""
-        return self._statuses[seen:]
 
     async def source(self) -> Source:
         """A source for a new client, as soon as there is a session."""
@@ -149,9 +142,6 @@ class HandPointer:
         self.hand.point_at(np.clip(wanted, self.low_m - BEYOND_M, self.high_m + BEYOND_M).tolist())
 
 
-if TYPE_CHECKING:
-    from tissueid.viewer.feed import Client
-
 MOST_CLIENTS = 16
 #: Messages a client may send in a second: answers at 100 frames/s, and a pointer at twice a screen's rate.
 MOST_MESSAGES = 400
@@ -170,14 +160,6 @@ HEADERS = (
     (b"cross-origin-opener-policy", b"same-origin"),
     (b"cache-control", b"no-cache"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class TlsFiles:
-    """Files of a certificate and its key."""
-
-    certificate: Path
-    key: Path
 
 
 class Guarded:
@@ -256,7 +238,7 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
     async def page(_request: object) -> Response:
         file = bundle / "index.html"
         if not file.is_file():
-            return HTMLResponse(missing_bundle_words(), status_code=503)
+            return HTMLResponse(MISSING_BUNDLE, status_code=503)
         return FileResponse(file)
 
     async def samples(websocket: WebSocket) -> None:
@@ -310,7 +292,7 @@ async def _send(websocket: WebSocket, stage: Stage) -> None:
         assert stage.hello is not None  # noqa: S101 -- known with its source
         await websocket.send_text(stage.hello)
         while True:
-            for status in stage.statuses(told):
+            for status in stage.statuses[told:]:
                 told += 1
                 await websocket.send_text(status)
             frame = client.next_frame()
@@ -367,26 +349,35 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
     return NO_MESSAGE, "malformed message"
 
 
+def config(app: ASGIApp, **more: Any) -> uvicorn.Config:
+    """Settings of every server here: silent about itself, and in no client's hand."""
+    return uvicorn.Config(
+        app,
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        http=PunctualHttp,
+        loop="asyncio",
+        timeout_graceful_shutdown=1,
+        **more,
+    )
+
+
 class ViewerServer(uvicorn.Server):
     """The server of one session; signals belong to whoever runs it."""
 
-    def __init__(self, stage: Stage, access: Access, tls: TlsFiles | None = None) -> None:
+    def __init__(self, stage: Stage, access: Access, tls: tuple[str, str] | None = None) -> None:
+        certificate, key = tls or (None, None)
         super().__init__(
-            uvicorn.Config(
+            config(
                 viewer_app(stage, access),
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                http=PunctualHttp,
-                loop="asyncio",
                 ws=SparingWebSocket,
                 ws_max_size=LARGEST_MESSAGE,
                 ws_per_message_deflate=False,
                 limit_concurrency=MOST_CONNECTIONS,
-                timeout_graceful_shutdown=1,
-                ssl_certfile=None if tls is None else str(tls.certificate),
-                ssl_keyfile=None if tls is None else str(tls.key),
+                ssl_certfile=certificate,
+                ssl_keyfile=key,
             )
         )
 

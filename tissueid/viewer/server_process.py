@@ -91,15 +91,14 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
     from tissueid.viewer.security import Access
-    from tissueid.viewer.server import Stage, TlsFiles, ViewerServer
+    from tissueid.viewer.server import Stage, ViewerServer
 
     owner = Owner(link)
     first = owner.read()
     if not first:
         return
-    tls = None if first[0]["tls"] is None else TlsFiles(*map(Path, first[0]["tls"]))
     stage = Stage()
-    server = ViewerServer(stage, Access(**first[0]["access"]), tls)
+    server = ViewerServer(stage, Access(**first[0]["access"]), first[0]["tls"])
 
     def heard() -> None:
         lines = owner.read()

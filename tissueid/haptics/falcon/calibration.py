@@ -125,6 +125,8 @@ def save_calibration(calibration: Calibration, path: Path | None = None) -> Path
 
     Raises DeviceError: it can't be written, or holds what :func:`load_calibration` would refuse.
     """
+    import tomlkit
+
     from tissueid.store.files import write_file
 
     path = calibration_path() if path is None else path
@@ -135,10 +137,9 @@ def save_calibration(calibration: Calibration, path: Path | None = None) -> Path
             low, high = RANGES.get(key, (None, None))
             msg = f"not kept: {key} = {value!r} is not from {low} to {high}; measure again"
             raise DeviceError(msg) from error
-    lines = [f"{key} = {_toml(value)}\n" for key, value in asdict(calibration).items()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, (HEADER + "".join(lines)).encode("utf-8"))
+        write_file(path, (HEADER + tomlkit.dumps(asdict(calibration))).encode("utf-8"))
     except OSError as error:
         msg = f"{path}: the calibration can't be written ({error.strerror}); set XDG_CONFIG_HOME to a folder"
         raise DeviceError(msg) from error
@@ -167,14 +168,6 @@ def _number(path: Path, key: str, value: object, low: float, high: float) -> flo
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise _refusal(path, f"has {key} = {value!r}, which is no number from {low:g} to {high:g}")
     return float(value)
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml, value))}]"
-    return f'"{value}"' if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
 
 
 def _refusal(path: Path, what: str) -> DeviceError:

@@ -28,11 +28,18 @@ from tissueid.haptics.device import (
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
 from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, UsbTransport
 from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command, leds_of_state
-from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
+from tissueid.haptics.falcon.transport import (
+    BULK_IN,
+    BULK_OUT,
+    FileTransport,
+    LibUsb,
+    Transport,
+    UsbNode,
+    UsbTransport,
+)
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.motion import UNSEEN_TICKS
+from tissueid.haptics.measure import UNSEEN_TICKS
 
 Tell = Callable[[str], None]
 
@@ -84,7 +91,7 @@ class FalconDevice(HapticDevice):
             self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._geometry = self.calibration.legs().block()
-        self._transport: ByteTransport | None = None
+        self._transport: Transport | None = None
         self._usb: LibUsb | None = None
         self._parser = PacketParser()
         self._invalid = 0
@@ -182,21 +189,6 @@ class FalconDevice(HapticDevice):
         constants = np.concatenate([[self.calibration.units_per_Nm], self._geometry])
         return CompiledIO(f"tissueid.haptics.falcon.servo_io:{name}", handles, constants)
 
-    @property
-    def packets(self) -> int:
-        """Whole replies since it was opened."""
-        return self._parser.packets
-
-    @property
-    def damaged_replies(self) -> int:
-        """Replies that began and were none, since it was opened."""
-        return self._parser.invalid
-
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes that belong to no reply, since it was opened."""
-        return self._parser.dropped
-
     def _open(self) -> None:
         self._parser = PacketParser()
         self._invalid = 0
@@ -262,13 +254,13 @@ class FalconDevice(HapticDevice):
         """Send the motor values with the light of the state; homing mode stays, or homing is lost."""
         self._opened().write(encode_command(self._motor, leds=leds_of_state(int(self.state)), homing=True))
 
-    def _opened(self) -> ByteTransport:
+    def _opened(self) -> Transport:
         if self._transport is None:
             msg = "the Falcon is closed"
             raise DeviceError(msg)
         return self._transport
 
-    def _open_transport(self) -> ByteTransport:
+    def _open_transport(self) -> Transport:
         if self._port is None:
             if self._usb is None:
                 self._usb = LibUsb()

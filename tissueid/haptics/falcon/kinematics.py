@@ -89,18 +89,8 @@ Rows = tuple[Vector, Vector, Vector]
 
 #: Geometry block, float64: thigh, shin, the offsets c, d + e, f, r, s [m], angle at count zero [rad],
 #: angle of one count [rad], then cosine and sine of the three azimuths.
-THIGH = 0
-SHIN = 1
-C_OFFSET = 2
-PINS = 3
-F_OFFSET = 4
-R_OFFSET = 5
-S_OFFSET = 6
-ZERO_ANGLE = 7
-PER_COUNT = 8
-COSINES = 9
-SINES = 12
-GEOMETRY_SIZE = 15
+THIGH, SHIN, C_OFFSET, PINS, F_OFFSET, R_OFFSET, S_OFFSET, ZERO_ANGLE, PER_COUNT = range(9)
+COSINES, SINES, GEOMETRY_SIZE = 9, 12, 15
 
 #: Newton steps of the forward solution; five or six from afar, two or three when tracking.
 MAX_STEPS = 60

@@ -29,9 +29,7 @@ PACKET_BYTES = 16
 MOTOR_LIMIT = 4095
 
 #: LED bits of the wire.  Which colour is which has been read, not seen: no unit confirmed it here.
-LED_GREEN = 0x02
-LED_BLUE = 0x04
-LED_RED = 0x08
+LED_GREEN, LED_BLUE, LED_RED = 0x02, 0x04, 0x08
 
 START = 0x3C  # '<'
 END = 0x3E  # '>'
@@ -42,23 +40,15 @@ LAST_STATUS = 0xC0
 HOMING_BIT = 0x01
 SIGN = 0x8000
 RANGE = 0x10000
-STATUS_AT = 13
-UNKNOWN_AT = 14
-END_AT = 15
+STATUS_AT, UNKNOWN_AT, END_AT = 13, 14, 15
 
 _ARMED, _ENGAGED = int(State.ARMED), int(State.ENGAGED)
 
 #: Memory of the automaton, int64: bytes taken of the present candidate, the bytes themselves (by position),
 #: then the fields of the last whole reply and the counters since the memory was made.
-FILLED = 0
-ENCODERS = 16
-HOMED = 19
-BUTTONS = 20
+FILLED, ENCODERS, HOMED, BUTTONS = 0, 16, 19, 20
 #: Whole replies, candidates that broke, bytes that belong to no reply.
-PACKETS = 21
-INVALID = 22
-DROPPED = 23
-PARSER_SIZE = 24
+PACKETS, INVALID, DROPPED, PARSER_SIZE = 21, 22, 23, 24
 #: Fields of a reply in a row: three encoders, homed flags, buttons.
 REPLY_FIELDS = 5
 
@@ -203,7 +193,7 @@ def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int,
 class PacketParser:
     """Replies out of a byte stream that may begin anywhere, lose, gain or change bytes.
 
-    Everything else is dropped and counted.  The wire has no checksum: a reply whose nibble turned into
+    What is none is dropped and counted.  The wire has no checksum: a reply whose nibble turned into
     another nibble is still a reply.
     """
 

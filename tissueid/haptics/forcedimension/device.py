@@ -53,7 +53,6 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "dhdGetSystemType": (c_int, [c_byte]),
     "dhdGetStatus": (c_int, [POINTER(c_int), c_byte]),
     "dhdGetPosition": (c_int, [POINTER(c_double)] * 3 + [c_byte]),
-    "dhdGetLinearVelocity": (c_int, [POINTER(c_double)] * 3 + [c_byte]),
     "dhdSetForce": (c_int, [c_double] * 3 + [c_byte]),
     "dhdGetButtonMask": (c_uint, [c_byte]),
     "dhdEnableForce": (c_int, [c_ubyte, c_byte]),
@@ -71,8 +70,8 @@ class Sdk:
     Raises DeviceError: none is found, it lacks a function, or is older than :data:`OLDEST`.
     """
 
-    def __init__(self, library: str | None = None) -> None:
-        self.path, self.library = _load(library)
+    def __init__(self) -> None:
+        self.path, self.library = _load()
         for function, (result, arguments) in _PROTOTYPES.items():
             try:
                 symbol = getattr(self.library, function)
@@ -88,11 +87,11 @@ class Sdk:
             raise DeviceError(msg)
         self.identity = -1
 
-    def version(self) -> tuple[int, int, int, int]:
+    def version(self) -> tuple[int, ...]:
         """Major, minor, release, revision."""
         numbers = [c_int() for _ in range(4)]
         self.library.dhdGetSDKVersion(*map(byref, numbers))
-        return numbers[0].value, numbers[1].value, numbers[2].value, numbers[3].value
+        return tuple(number.value for number in numbers)
 
     def open_falcon(self) -> None:
         """Open the first Falcon; DeviceError with what the SDK says."""
@@ -120,13 +119,6 @@ class Sdk:
         x, y, z = c_double(), c_double(), c_double()
         code = self.library.dhdGetPosition(byref(x), byref(y), byref(z), self.identity)
         self._done("dhdGetPosition", code)
-        return x.value, y.value, z.value
-
-    def velocity(self) -> tuple[float, float, float]:
-        """Velocity in the SDK's frame [m/s]."""
-        x, y, z = c_double(), c_double(), c_double()
-        code = self.library.dhdGetLinearVelocity(byref(x), byref(y), byref(z), self.identity)
-        self._done("dhdGetLinearVelocity", code)
         return x.value, y.value, z.value
 
     def buttons(self) -> int:
@@ -175,8 +167,8 @@ def candidates() -> Iterator[str]:
     yield from LIBRARY_NAMES
 
 
-def _load(library: str | None) -> tuple[str, Any]:
-    for name in [library] if library else candidates():
+def _load() -> tuple[str, Any]:
+    for name in candidates():
         try:
             return name, ctypes.CDLL(name)
         except OSError:
@@ -220,12 +212,10 @@ class ForceDimensionDevice(HapticDevice):
         self,
         limits: GuardLimits | None = None,
         *,
-        library: str | None = None,
         tell: Callable[[str], None] | None = None,
         homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         super().__init__(GuardLimits() if limits is None else limits)
-        self._library = library
         if tell is not None:
             self.tell = tell
         self._homing_timeout_s = homing_timeout_s
@@ -283,7 +273,7 @@ class ForceDimensionDevice(HapticDevice):
         return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 
     def _open(self) -> None:
-        sdk = Sdk(self._library)
+        sdk = Sdk()
         sdk.open_falcon()
         self._sdk = sdk
         try:

@@ -13,11 +13,10 @@ from numba import types
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, Access, CompiledIO, register
 from tissueid.haptics.forcedimension.device import wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID
-from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
 
 #: Step that stands for one encoder count [m].
 COUNT_M = 45e-6

@@ -103,19 +103,15 @@ def main(given: list[str] | None = None) -> int:
         signal.signal(sign, lambda _number, _frame: stop.set())
     if options.until_eof:
         threading.Thread(target=_wait_for_eof, args=(stop,), daemon=True).start()
-    _be_punctual()
+    # a real device is not starved by a busy computer: this runs before other programs where that is allowed
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     with link:
         sys.stdout.write(f"{READY_LINE}{link.path}\n")
         sys.stdout.flush()
         while not stop.wait(0.1) and not link.falcon.gone:
             pass
     return 0
-
-
-def _be_punctual() -> None:
-    """Run before other programs where that is allowed: a real device is not starved by a busy computer."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _wait_for_eof(stop: threading.Event) -> None:

@@ -16,9 +16,10 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.arm import MAX_KNOTS, POSITION, TIME, Arm, arm_step, new_arm
+from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.falcon.emulator.wire import BootLoader, Command, CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
+from tissueid.haptics.shared_hand import MAX_KNOTS
 
 #: Kinds, and what each does while it lasts.
 FAULT_KINDS = {
@@ -266,11 +267,6 @@ class EmulatedFalcon:
     def firmware_tries(self) -> int:
         """Uploads that were begun."""
         return self._boot.tries
-
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes of the host that were part of no command."""
-        return self._reader.dropped
 
     @property
     def homed_bits(self) -> int:
