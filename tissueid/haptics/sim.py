@@ -46,7 +46,7 @@ from tissueid.haptics.device import (
 from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
-from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, SharedHand
 
 #: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
 #: by FAULT_SIZE counts; it is no longer homed.
@@ -72,8 +72,8 @@ def simulated_sample(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> int:
     """Write counts (3,) and their position (3,) [m]; bits VALID and HOMED, 0 without answer, -1 if gone."""
-    kind = int(parameters[layout.FAULT_KIND])
-    if kind != FAULT_NONE and memory[TIME] < parameters[layout.FAULT_AT]:
+    kind = int(parameters[FAULT_KIND])
+    if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
         kind = FAULT_NONE
     if kind == FAULT_GONE:
         return -1
@@ -85,7 +85,7 @@ def simulated_sample(
             memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[layout.PHASE + i])
         said = memory[HELD + i]
         if kind == FAULT_JUMP and i == 0:
-            said += parameters[layout.FAULT_SIZE]
+            said += parameters[FAULT_SIZE]
         counts[i] = int(said)
         # the middle of the count, so that rounding has no mean
         position[i] = (said + 0.5 - parameters[layout.PHASE + i]) * quantum
