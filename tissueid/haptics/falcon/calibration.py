@@ -130,16 +130,17 @@ def save_calibration(calibration: Calibration, path: Path | None = None) -> Path
     from tissueid.store.files import write_file
 
     path = calibration_path() if path is None else path
+    kept: dict[str, Any] = {}
     for key, value in asdict(calibration).items():
         try:
-            _checked(path, key, value, getattr(Calibration, key))
+            kept[key] = _checked(path, key, value, getattr(Calibration, key))
         except DeviceError as error:
             low, high = RANGES.get(key, (None, None))
             msg = f"not kept: {key} = {value!r} is not from {low} to {high}; measure again"
             raise DeviceError(msg) from error
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, (HEADER + tomlkit.dumps(asdict(calibration))).encode("utf-8"))
+        write_file(path, (HEADER + tomlkit.dumps(kept)).encode("utf-8"))
     except OSError as error:
         msg = f"{path}: the calibration can't be written ({error.strerror}); set XDG_CONFIG_HOME to a folder"
         raise DeviceError(msg) from error
