@@ -32,12 +32,11 @@ import numba as nb
 import numpy as np
 
 from tissueid.haptics import device as devices
-from tissueid.haptics.device import CompiledIO
-from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
+from tissueid.haptics.device import CompiledIO, compiled_io
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY
 from tissueid.haptics.falcon.servo_io import DESCRIPTOR
-from tissueid.haptics.guard import GuardLimits, new_guard
-from tissueid.haptics.servo_access import compiled_io
-from tissueid.haptics.watchdogs import REPLY_VALID
+from tissueid.haptics.guard import REPLY_VALID, new_guard
+from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.selftest import FORCE_STEP_NS, TICK_US, time_ticks
 from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.servo_plan import ServoPlan

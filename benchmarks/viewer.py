@@ -37,8 +37,8 @@ from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.session import Session
 from tissueid.viewer.frames import read_frame
+from tissueid.viewer.hello import show_session
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.showing import show_session
 
 S_TO_MS = 1e3
 CLIENT = "--client"
@@ -94,8 +94,7 @@ def threaded_viewer() -> Iterator[Any]:
     from tissueid.viewer.feed import LiveFeed
     from tissueid.viewer.hello import hello
     from tissueid.viewer.security import Access
-    from tissueid.viewer.server import ViewerServer
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage, ViewerServer
 
     listening = socket.create_server(("127.0.0.1", 0))
     port, stage = listening.getsockname()[1], Stage()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
-from tissueid.haptics.guard import GuardLimits
+from tissueid.haptics.limits import GuardLimits
 
 RANGE = (-0.05, 0.05)
 CAPABILITIES = Capabilities("fake", 5.0, True, 0.5, 1.0, (RANGE, RANGE, RANGE), hardware=False)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from command_line import QUICK, run, write_log
 
-from tissueid.haptics.falcon import libusb
+from tissueid.haptics.falcon import transport as libusb
 
 
 class EmptyUsb:

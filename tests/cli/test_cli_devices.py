@@ -21,9 +21,7 @@ from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.hand import PRESETS
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.link import LinkReport
-from tissueid.haptics.measure.ring_down import ArmEstimate
-from tissueid.haptics.measure.weighing import Weighing
+from tissueid.haptics.measure import ArmEstimate, LinkReport, Weighing
 from tissueid.store.schema import first_problem
 
 
@@ -145,7 +143,7 @@ def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(words: tupl
 
 def test_no_permission_is_exit_5_and_names_node_and_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(self: FalconDevice) -> None:
-        from tissueid.haptics.falcon.libusb import ERROR_ACCESS, LibUsb, UsbNode
+        from tissueid.haptics.falcon.transport import ERROR_ACCESS, LibUsb, UsbNode
 
         usb = LibUsb()
         try:
@@ -200,7 +198,7 @@ def test_delay_is_kept_where_it_makes_sense(
     delay: float, code: int, port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = LinkReport(5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
-    monkeypatch.setattr("tissueid.haptics.measure.link.measure_link", lambda *_: found)
+    monkeypatch.setattr("tissueid.haptics.measure.measure_link", lambda *_: found)
     ended = run("devices", "test", "--port", port, "--save", code=code)
     assert "10 unanswered, 0 damaged" in ended.stdout
     if code == 0:
@@ -245,7 +243,7 @@ def test_calibrate_force_keeps_what_was_weighed(
         seen.append((mass_kg, device.limits.dead_man))
         return Weighing(0.4, 1.7, 0.98, 1.25, 0.01)
 
-    monkeypatch.setattr("tissueid.haptics.measure.weighing.weigh", weighed)
+    monkeypatch.setattr("tissueid.haptics.measure.weigh", weighed)
     ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes", code=0)
     assert seen == [(0.1, False)]
     assert load_calibration(configuration).units_per_Nm == pytest.approx(1.25 * 6600.0)
@@ -264,7 +262,7 @@ def test_an_implausible_weighing_is_not_kept(
     port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = Weighing(0.4, 1.7, 0.98, 10.0, 0.01)
-    monkeypatch.setattr("tissueid.haptics.measure.weighing.weigh", lambda *_: found)
+    monkeypatch.setattr("tissueid.haptics.measure.weigh", lambda *_: found)
     ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes", "-q", code=5)
     assert "not kept: units_per_Nm = 66000.0 is not from 1000.0 to 30000.0; measure again" in ended.stderr
     assert not configuration.exists()
@@ -275,7 +273,7 @@ def test_calibrate_damping_keeps_what_can_be_relied_on(
     port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = ArmEstimate(0.25, 0.62, 0.11, 0.02)
-    monkeypatch.setattr("tissueid.haptics.measure.ring_down.ring_down", lambda *_: found)
+    monkeypatch.setattr("tissueid.haptics.measure.ring_down", lambda *_: found)
     file = tmp_path / "mine.toml"
     ended = run("devices", "calibrate-damping", "--port", port, "--yes", "--calibration", file, "--json")
     assert ended.code == 0, ended.stderr

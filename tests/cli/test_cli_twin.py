@@ -13,7 +13,7 @@ from test_cli_laws import STUDY, recorded
 
 import tissueid as ti
 from tissueid.errors import UsageError
-from tissueid.haptics.simulated_layout import MAX_KNOTS
+from tissueid.haptics.shared_hand import MAX_KNOTS
 from tissueid.rendering.session_plan import read_script
 from tissueid.store.schema import check
 from tissueid.twin.program import program_of_recording, program_of_script

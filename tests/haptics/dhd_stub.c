@@ -2,7 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-double stub_position[3], stub_velocity[3], stub_force[3], stub_max_force = -1.0;
+double stub_position[3], stub_force[3], stub_max_force = -1.0;
 int stub_homed, stub_fails, stub_open, stub_stopped, stub_gravity = -1, stub_forces_on = -1, stub_major = 3, stub_code;
 unsigned int stub_buttons;
 signed char stub_identity;
@@ -16,7 +16,6 @@ int dhdOpenType(int type) { if (type != 60 || stub_fails) return -1; stub_open =
 int dhdGetSystemType(signed char identity) { return answer(identity) < 0 ? -1 : 60; }
 int dhdGetStatus(int status[16], signed char identity) { memset(status, 0, 16 * sizeof status[0]); status[3] = stub_homed; return answer(identity); }
 int dhdGetPosition(double *x, double *y, double *z, signed char identity) { *x = stub_position[0]; *y = stub_position[1]; *z = stub_position[2]; return answer(identity); }
-int dhdGetLinearVelocity(double *x, double *y, double *z, signed char identity) { *x = stub_velocity[0]; *y = stub_velocity[1]; *z = stub_velocity[2]; return answer(identity); }
 int dhdSetForce(double x, double y, double z, signed char identity) { stub_force[0] = x; stub_force[1] = y; stub_force[2] = z; return answer(identity); }
 unsigned int dhdGetButtonMask(signed char identity) { (void)identity; return stub_buttons; }
 int dhdEnableForce(unsigned char value, signed char identity) { stub_forces_on = value; return answer(identity); }

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
-from tissueid.haptics.watchdogs import REPLY_VALID
+from tissueid.haptics import guard as machine
+from tissueid.haptics.guard import REPLY_VALID, guard, new_guard, observe, transition
+from tissueid.haptics.limits import GuardLimits
 
 TICK = 1e-3
 REST = np.zeros(3)
@@ -41,6 +41,10 @@ class Guarded:
         out = np.full(3, 99.0)
         guard(self.memory, self.limits, np.asarray(force, float), dt, out)
         return out
+
+    def ticks(self, count: int, force, **seen: object) -> list[np.ndarray]:
+        """Equal ticks, and the forces that may be sent."""
+        return [self.tick(force, **seen) for _ in range(count)]
 
     def to(self, state: float) -> Guarded:
         """Walk up to a state; ENGAGED with the start-up ramp behind it."""

@@ -1,4 +1,4 @@
-"""The arm against closed forms of its equation, and its energies against each other."""
+"""The arm against closed forms and its energies against each other; hands and scripts, where they move it."""
 
 from __future__ import annotations
 
@@ -7,56 +7,53 @@ import math
 import numpy as np
 import pytest
 
+from tissueid.errors import UsageError
 from tissueid.haptics import arm as a
+from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import Arm, arm_step, new_arm, port_energy
+from tissueid.haptics.hand import PRESETS, Hand, parse_script, preset, scripted_hand
 
 TICK = 1e-3
 ORIGIN = np.zeros(3)
+PLACE, SPEED = slice(a.POSITION, a.POSITION + 3), slice(a.VELOCITY, a.VELOCITY + 3)
 
 
 def held(arm: Arm, stiffness: float, damping: float = 0.0) -> np.ndarray:
     """Block of an arm in a hand that holds where its target is."""
     block = arm.block()
-    block[[a.HAND_STIFFNESS, a.HAND_DAMPING]] = stiffness, damping
+    block[[layout.HAND_STIFFNESS, layout.HAND_DAMPING]] = stiffness, damping
     return block
 
 
-def pulled(offset: np.ndarray) -> np.ndarray:
-    """Memory of an arm at rest, away from the target of its hand at the origin."""
-    memory = new_arm(ORIGIN)
-    memory[a.POSITION : a.POSITION + 3] = offset
-    return memory
+def moved(block: np.ndarray, ticks: int, *, force=ORIGIN, place=ORIGIN, speed=ORIGIN):
+    """Memory of an arm after some ticks, and all its places; the target of its hand is the origin."""
+    memory, seen = new_arm(ORIGIN), np.zeros((ticks, 3))
+    memory[PLACE], memory[SPEED] = place, speed
+    for tick in range(ticks):
+        arm_step(memory, block, np.array(force), TICK)
+        seen[tick] = memory[PLACE]
+    return memory, seen
 
 
 def kinetic(memory: np.ndarray, arm: Arm) -> float:
-    return float(0.5 * arm.mass_kg * (memory[a.VELOCITY : a.VELOCITY + 3] ** 2).sum())
+    return float(0.5 * arm.mass_kg * (memory[SPEED] ** 2).sum())
 
 
 def test_a_free_oscillation_keeps_amplitude_and_frequency():
-    arm = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)
-    block = held(arm, 300.0)
-    memory = pulled(np.array([0.01, -0.02, 0.005]))
-    omega = math.sqrt(300.0 / 0.25)
-    seen = np.zeros((400, 3))
-    for tick in range(400):
-        arm_step(memory, block, ORIGIN, TICK)
-        seen[tick] = memory[a.POSITION : a.POSITION + 3]
-    expected = np.cos(omega * TICK * np.arange(1, 401))[:, None] * np.array([0.01, -0.02, 0.005])
+    arm, start = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0), np.array([0.01, -0.02, 0.005])
+    memory, seen = moved(held(arm, 300.0), 400, place=start)
+    expected = np.cos(math.sqrt(300.0 / 0.25) * TICK * np.arange(1, 401))[:, None] * start
     # the midpoint rule turns (omega h)^2/12 = 2.5e-7 too slowly: 3.5e-6 rad in 14 rad of 20 mm
     assert np.abs(seen - expected).max() < 1e-7
-    energy = kinetic(memory, arm) + 0.5 * 300.0 * (memory[a.POSITION : a.POSITION + 3] ** 2).sum()
-    assert energy == pytest.approx(0.5 * 300.0 * (0.01**2 + 0.02**2 + 0.005**2), rel=1e-10)
+    energy = kinetic(memory, arm) + 0.5 * 300.0 * (memory[PLACE] ** 2).sum()
+    assert energy == pytest.approx(0.5 * 300.0 * (start**2).sum(), rel=1e-10)
 
 
 def test_a_damped_oscillation_follows_its_closed_form():
     arm = Arm(mass_kg=0.2, damping_N_s_per_m=1.5, friction_N=0.0)
-    block = held(arm, 500.0, damping=3.0)
-    memory = pulled(np.array([0.0, 0.0, 0.01]))
-    decay = (1.5 + 3.0) / (2.0 * 0.2)
+    memory, _ = moved(held(arm, 500.0, damping=3.0), 250, place=(0.0, 0.0, 0.01))
+    decay, t = (1.5 + 3.0) / (2.0 * 0.2), 0.25
     omega = math.sqrt(500.0 / 0.2 - decay**2)
-    for _ in range(250):
-        arm_step(memory, block, ORIGIN, TICK)
-    t = 0.25
     expected = 0.01 * math.exp(-decay * t) * (math.cos(omega * t) + decay / omega * math.sin(omega * t))
     assert memory[a.POSITION + 2] == pytest.approx(expected, abs=1e-9)  # second order in h = 50 us
 
@@ -65,51 +62,34 @@ def test_a_damped_oscillation_follows_its_closed_form():
 @pytest.mark.parametrize("force", [np.array([1.0, 0.0, 0.0]), np.array([0.6, -2.0, 0.5])])
 def test_a_pushed_arm_ends_at_its_terminal_speed(force):
     arm = Arm(mass_kg=0.1, damping_N_s_per_m=2.0, friction_N=0.3)
-    memory, block = new_arm(ORIGIN), arm.block()
-    for _ in range(1000):  # twenty time constants m/b of 50 ms
-        arm_step(memory, block, force, TICK)
+    memory, _ = moved(arm.block(), 1000, force=force)  # twenty time constants m/b of 50 ms
     size = float(np.linalg.norm(force))
-    expected = force / size * (size - 0.3) / 2.0
-    np.testing.assert_allclose(memory[a.VELOCITY : a.VELOCITY + 3], expected, rtol=1e-7)
+    np.testing.assert_allclose(memory[SPEED], force / size * (size - 0.3) / 2.0, rtol=1e-7)
 
 
 def test_friction_stops_a_sliding_arm_where_its_energy_is_spent():
     arm = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.2)
-    memory, block = new_arm(ORIGIN), arm.block()
-    memory[a.VELOCITY : a.VELOCITY + 3] = np.array([0.06, -0.08, 0.0])
-    for _ in range(200):
-        arm_step(memory, block, ORIGIN, TICK)
+    memory, _ = moved(arm.block(), 200, speed=(0.06, -0.08, 0.0))
     way = 0.5 * 0.25 * 0.1**2 / 0.2
     # the last sub-step of 50 us may end at rest inside it: at most fc/m h^2 = 2 nm
-    np.testing.assert_allclose(
-        memory[a.POSITION : a.POSITION + 3], way * np.array([0.6, -0.8, 0.0]), atol=2e-9
-    )
+    np.testing.assert_allclose(memory[PLACE], way * np.array([0.6, -0.8, 0.0]), atol=2e-9)
     assert kinetic(memory, arm) == 0.0
 
 
 def test_an_arm_that_sticks_does_not_move_at_all():
-    arm = Arm(friction_N=0.1)
-    memory, block = new_arm(ORIGIN), held(arm, 300.0, 5.0)
-    force = np.array([0.05, 0.05, 0.05])  # 0.087 N in all
-    for _ in range(300):
-        arm_step(memory, block, force, TICK)
-    assert (memory[a.POSITION : a.POSITION + 3] == 0.0).all()
-    assert (memory[a.VELOCITY : a.VELOCITY + 3] == 0.0).all()
+    block, force = held(Arm(friction_N=0.1), 300.0, 5.0), np.array([0.05, 0.05, 0.05])  # 0.087 N in all
+    memory, _ = moved(block, 300, force=force)
+    assert (memory[PLACE] == 0.0).all()
+    assert (memory[SPEED] == 0.0).all()
     arm_step(memory, block, force * 1.2, TICK)  # 0.104 N
-    assert (memory[a.POSITION : a.POSITION + 3] > 0.0).all()
+    assert (memory[PLACE] > 0.0).all()
 
 
 @pytest.mark.needs_jit
 def test_an_arm_comes_to_rest_in_the_band_of_friction_without_chatter():
-    arm = Arm(friction_N=0.1)
-    memory, block = pulled(np.array([0.004, 0.0, 0.0])), held(arm, 300.0, 2.0)
-    speeds = np.zeros(1500)
-    for tick in range(1500):
-        arm_step(memory, block, ORIGIN, TICK)
-        speeds[tick] = memory[a.VELOCITY]
-    at_rest = np.flatnonzero(speeds == 0.0)
-    assert at_rest.size > 1000
-    assert (speeds[at_rest[-1000] :] == 0.0).all()
+    memory, seen = moved(held(Arm(friction_N=0.1), 300.0, 2.0), 1500, place=(0.004, 0.0, 0.0))
+    assert (np.diff(seen[-1001:], axis=0) == 0.0).all()
+    assert (memory[SPEED] == 0.0).all()
     assert abs(memory[a.POSITION]) <= 0.1 / 300.0
 
 
@@ -118,24 +98,21 @@ def test_an_arm_comes_to_rest_in_the_band_of_friction_without_chatter():
 def test_energies_close_to_rounding(seed):
     rng = np.random.default_rng(seed)
     arm = Arm(mass_kg=0.25, damping_N_s_per_m=0.5, friction_N=0.1)
-    block = held(arm, 800.0, 8.0)
-    memory = new_arm(ORIGIN)
-    block[a.POINTER_ON] = 1.0
+    memory, block = new_arm(ORIGIN), held(arm, 800.0, 8.0)
+    block[layout.POINTER_ON] = 1.0
     throughput = 0.0
     for tick in range(400):
         if tick % 40 == 0:
-            block[a.POINTER : a.POINTER + 3] = rng.normal(0.0, 0.02, 3)
-        force = rng.normal(0.0, 2.0, 3)
-        before = memory[a.POSITION : a.POSITION + 3].copy()
+            block[layout.POINTER : layout.POINTER + 3] = rng.normal(0.0, 0.02, 3)
+        force, before = rng.normal(0.0, 2.0, 3), memory[PLACE].copy()
         arm_step(memory, block, force, rng.uniform(2e-4, 2e-3))
-        throughput += float(force @ (memory[a.POSITION : a.POSITION + 3] - before))
-    work = memory[a.MOTOR_WORK] + memory[a.HAND_WORK]
+        throughput += float(force @ (memory[PLACE] - before))
     losses = memory[a.DAMPING_LOSS] + memory[a.FRICTION_LOSS]
     assert memory[a.MOTOR_WORK] == pytest.approx(throughput, rel=1e-9)
     # friction that reverses within a sub-step counts by the mean speed, not by the one it acts at: < 1e-9 J
+    work = memory[a.MOTOR_WORK] + memory[a.HAND_WORK]
     assert work - losses == pytest.approx(kinetic(memory, arm), abs=2e-9)
-    assert memory[a.DAMPING_LOSS] > 0.0
-    assert memory[a.FRICTION_LOSS] > 0.0
+    assert (memory[[a.DAMPING_LOSS, a.FRICTION_LOSS]] > 0.0).all()
     assert port_energy(memory) == pytest.approx(losses - memory[a.MOTOR_WORK], rel=1e-12)
 
 
@@ -143,49 +120,37 @@ def test_a_spring_rendered_without_delay_in_continuous_time_would_be_passive():
     """The ledger itself: a force that follows the position exactly gives back no more than it took."""
     arm = Arm(damping_N_s_per_m=0.0, friction_N=0.0, substep_s=1e-5)
     memory, block = new_arm(ORIGIN), held(arm, 300.0, 5.0)
-    block[a.POINTER_ON] = 1.0
+    block[layout.POINTER_ON] = 1.0
     least = 0.0
     for tick in range(4000):
-        block[a.POINTER + 2] = 0.01 if (tick // 1000) % 2 == 0 else -0.01
-        arm_step(memory, block, -800.0 * memory[a.POSITION : a.POSITION + 3], 1e-5)
+        block[layout.POINTER + 2] = 0.01 if (tick // 1000) % 2 == 0 else -0.01
+        arm_step(memory, block, -800.0 * memory[PLACE], 1e-5)
         least = min(least, port_energy(memory))
     # held for 10 us a step, the spring has a negative damping of k h/2 = 4e-3 N s/m: of 5 mm at 0.2 m/s, uJ
     assert -8e-6 < least <= 0.0
 
 
 def test_a_knock_of_the_force_turns_with_the_axes():
-    arm = Arm(friction_N=0.15)
     turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
-    force = np.array([0.7, -0.4, 1.1])
-    plain, turned = new_arm(ORIGIN), new_arm(ORIGIN)
-    block = held(arm, 200.0, 3.0)
-    for _ in range(100):
-        arm_step(plain, block, force, TICK)
-        arm_step(turned, block, turn @ force, TICK)
-    np.testing.assert_allclose(
-        turned[a.POSITION : a.POSITION + 3], turn @ plain[a.POSITION : a.POSITION + 3], atol=1e-15
-    )
+    block, force = held(Arm(friction_N=0.15), 200.0, 3.0), np.array([0.7, -0.4, 1.1])
+    plain, turned = moved(block, 100, force=force)[1], moved(block, 100, force=turn @ force)[1]
+    np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-15)
 
 
 def test_a_tick_and_its_parts_agree_to_second_order():
-    arm = Arm(friction_N=0.0)
-    whole, parts = new_arm(ORIGIN), new_arm(ORIGIN)
-    block = held(arm, 1000.0, 10.0)
-    force = np.array([1.0, 0.0, -2.0])
+    block, force = held(Arm(friction_N=0.0), 1000.0, 10.0), np.array([1.0, 0.0, -2.0])
+    whole, parts = moved(block, 100, force=force)[0], new_arm(ORIGIN)
     for _ in range(100):
-        arm_step(whole, block, force, TICK)
         arm_step(parts, block, force, 0.37 * TICK)
         arm_step(parts, block, force, 0.63 * TICK)
-    np.testing.assert_allclose(
-        whole[a.POSITION : a.POSITION + 3], parts[a.POSITION : a.POSITION + 3], atol=1e-9
-    )
+    np.testing.assert_allclose(whole[PLACE], parts[PLACE], atol=1e-9)
 
 
 @pytest.mark.parametrize("dt", [0.0, -1e-3, math.nan])
 def test_no_time_moves_nothing(dt):
-    memory, block = pulled(np.array([0.01, 0.0, 0.0])), held(Arm(), 300.0)
+    memory, _ = moved(held(Arm(), 300.0), 1, place=(0.01, 0.0, 0.0))
     before = memory.copy()
-    arm_step(memory, block, np.ones(3), dt)
+    arm_step(memory, held(Arm(), 300.0), np.ones(3), dt)
     assert (memory == before).all()
 
 
@@ -195,3 +160,122 @@ def test_no_time_moves_nothing(dt):
 def test_impossible_arms_are_refused(wrong):
     with pytest.raises(ValueError, match=r"must be positive|can't be negative"):
         Arm(**wrong)
+
+
+SURFACE = np.array([0.01, -0.02, 0.13])
+INWARD = np.array([0.0, 0.0, -1.0])
+STILL = np.zeros(3)
+
+
+def test_a_script_moves_the_grip_in_tissue_units_whatever_the_force():
+    hand = scripted_hand(
+        "indent 8 mm at 250 mm/min; hold 0.1 s; retract to 3 mm at 10 mm/s",
+        motion_scale=5.0,
+        surface_m=SURFACE,
+        inward=INWARD,
+        rest_s=0.2,
+    )
+    memory, block = new_arm(hand.start_m), hand.write(Arm().block())
+    speed = 250.0 / 60.0
+    corner = 0.2 + 8.5 / speed  # from half a millimetre above the tissue
+    assert hand.duration_s == pytest.approx(corner + 0.1 + 0.5, abs=1e-12)
+    depths, times = [], []
+    push = np.array([0.3, 0.0, 7.0])
+    while memory[a.TIME] < hand.duration_s:
+        arm_step(memory, block, push, 5e-3)
+        times.append(memory[a.TIME])
+        depths.append((SURFACE[2] - memory[a.POSITION + 2]) * 1e3 / 5.0)
+    time = np.array(times)
+    expected = np.interp(time, [0.2, corner, corner + 0.1, corner + 0.6], [-0.5, 8.0, 8.0, 3.0])
+    np.testing.assert_allclose(depths, expected, atol=1e-9)
+    np.testing.assert_allclose(memory[a.POSITION : a.POSITION + 2], SURFACE[:2], atol=1e-15)
+    # the machine's work is what the motors took, and what damping, friction and motion took
+    losses = memory[a.DAMPING_LOSS] + memory[a.FRICTION_LOSS]
+    kinetic = 0.5 * Arm().mass_kg * (memory[a.VELOCITY : a.VELOCITY + 3] ** 2).sum()
+    assert memory[a.HAND_WORK] + memory[a.MOTOR_WORK] - losses == pytest.approx(kinetic, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "strokes"),
+    [
+        ("indent 8 mm at 250 mm/min; hold 2 s", [("indent", 8.0), ("hold", 8.0)]),
+        (
+            " indent 2mm at 1 mm/s;;hold .5s; indent 4 mm at 60mm/min ;",
+            [("indent", 2.0), ("hold", 2.0), ("indent", 4.0)],
+        ),
+        (
+            "hold 1 s; indent 1.5 mm at 5 mm/s; retract at 5 mm/s",
+            [("hold", -0.5), ("indent", 1.5), ("retract", -0.5)],
+        ),
+        ("", "1 to 62 strokes"),
+        ("press 8 mm", "is no stroke"),
+        ("indent 8 at 250 mm/min", "is no stroke"),
+        ("indent 8 mm at 0 mm/min", "speed of"),
+        ("indent 8 mm at 20000 mm/min", "speed of"),
+        ("indent 4 mm at 5 mm/s; indent 3 mm at 5 mm/s", "does not go deeper"),
+        ("indent 4 mm at 5 mm/s; retract to 5 mm at 5 mm/s", "does not go back"),
+        ("hold 0 s", "is no stroke"),
+        ("hold 1e9 s", "is no stroke"),
+        ("indent 8 mm at 250 mm/min\x1b[2J", "is no stroke"),
+        ("hold 1 s;" * 63, "1 to 62 strokes"),
+    ],
+)
+def test_scripts_are_read_and_those_that_make_no_sense_refused(text, strokes):
+    if not isinstance(strokes, str):
+        assert [(stroke.kind, stroke.depth_mm) for stroke in parse_script(text)] == strokes
+        return
+    with pytest.raises(UsageError, match=strokes) as caught:
+        parse_script(text)
+    assert "\x1b" not in caught.value.message
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_start_in_air_reach_their_depth_and_move_no_faster_than_a_hand(name):
+    hand = preset(
+        name, surface_m=SURFACE, inward=INWARD, depth_m=0.003, speed_m_per_s=2e-3, rest_s=0.1, stay_s=0.5
+    )
+    knots = hand.knots()
+    depth = SURFACE[2] - knots[:, 3]
+    speed = np.abs(np.diff(depth) / np.diff(knots[:, 0]))
+    assert depth[0] < 0.0
+    assert depth.max() == pytest.approx(0.003, abs=1e-12)
+    assert speed.max() < 0.5
+    if name == "slow press":
+        assert speed.max() == pytest.approx(2e-3, rel=1e-9)
+    assert (knots[-1, 4] == 0.0) == (name == "release")
+    assert (hand.tremor_m > 0.0) == (name == "tremor")
+
+
+def test_a_tremor_swings_by_its_amplitude_at_its_frequency():
+    hand = Hand(
+        (0.0,), ((0.0, 0.0, 0.1),), (1.0,), rigid=True, tremor_m=3e-4, tremor_hz=8.0, tremor_phase=0.4
+    )
+    memory, block = new_arm(hand.start_m), hand.write(Arm().block())
+    seen = []
+    for _ in range(500):
+        arm_step(memory, block, STILL, 1e-3)
+        seen.append(memory[a.POSITION + 2] - 0.1)
+    time = 1e-3 * np.arange(1, 501)
+    expected = 3e-4 * np.minimum(time / a.TREMOR_RISE_S, 1.0) * np.sin(2.0 * np.pi * 8.0 * time + 0.4)
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
+
+
+def test_a_released_grip_flies_free():
+    hand = Hand((0.0, 0.05), ((0.0, 0.0, 0.1),) * 2, (1.0, 0.0), stiffness_N_per_m=500.0)
+    memory, block = new_arm(hand.start_m), hand.write(Arm(damping_N_s_per_m=0.0, friction_N=0.0).block())
+    for _ in range(50):
+        arm_step(memory, block, STILL, 1e-3)
+    start = memory[a.POSITION + 2]
+    for _ in range(100):
+        arm_step(memory, block, np.array([0.0, 0.0, 1.0]), 1e-3)
+    assert memory[a.POSITION + 2] - start == pytest.approx(0.5 * 1.0 / 0.25 * 0.1**2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "reason"), [((0.0, 0.0), "must rise"), ((0.0, float("nan")), "finite"), ((), "1 to 64 knots")]
+)
+def test_impossible_and_unknown_hands_are_refused(times, reason):
+    with pytest.raises(UsageError, match="hands are step, slow press"):
+        preset("punch", surface_m=SURFACE, inward=INWARD, depth_m=0.01)
+    with pytest.raises(ValueError, match=reason):
+        Hand(times, ((0.0, 0.0, 0.1),) * len(times), (1.0,) * len(times))

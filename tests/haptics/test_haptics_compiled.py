@@ -46,7 +46,7 @@ def test_scipy_is_out_of_reach_only_while_numba_sets_itself_up():
         "import importlib.util, sys\n"
         "from tissueid.compiled import without_scipy\n"
         "from tissueid.haptics.guard import new_guard, transition\n"
-        "from tissueid.haptics.guard_states import SHUT\n"
+        "from tissueid.haptics.guard import SHUT\n"
         "from tissueid.haptics.limits import GuardLimits\n"
         "with without_scipy():\n"
         "    transition(new_guard(), GuardLimits().block(), SHUT)\n"

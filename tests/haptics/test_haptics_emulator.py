@@ -1,4 +1,4 @@
-"""The emulated Falcon between its bytes: homing, counts, motors, delay, faults, links."""
+"""The emulated Falcon: its end of the wire, and what lies between its bytes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from tissueid.haptics.falcon.emulator import (
     ScriptedFault,
 )
 from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
-from tissueid.haptics.falcon.emulator.faults import parse_fault
-from tissueid.haptics.falcon.emulator.geometry import AZIMUTHS, LENGTHS, grip_force, leg_angles
+from tissueid.haptics.falcon.emulator.machine import AZIMUTHS, LENGTHS, grip_force, leg_angles, parse_fault
+from tissueid.haptics.falcon.emulator.wire import BootLoader, CommandReader, reply_bytes
+from tissueid.haptics.falcon.packets import PacketParser, encode_command
 from tissueid.haptics.hand import Hand
 
 SLIPPERY = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)
@@ -66,41 +67,24 @@ def test_a_place_out_of_reach_is_said(place):
 
 def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts():
     falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
-    flags, jumps = [], []
-    last = None
-    for _ in range(HOMED_AFTER):
-        packet = falcon.receive(HOME)
-        flags.append(homed_bits(packet))
-        counts = encoders(packet)
-        if last is not None:
-            jumps.append(max(abs(now - before) for now, before in zip(counts, last, strict=True)))
-        last = counts
-    assert flags[0] == 0
-    assert flags[-1] == 7
-    assert max(jumps) > 200  # the unknown zero of power-up goes
-    assert flags.index(7) > flags.index(max(flags)) - 1
-    np.testing.assert_allclose(kinematics.forward(angles(last)), falcon.position_m, atol=1e-4)
+    answers = [falcon.receive(HOME) for _ in range(HOMED_AFTER)]
+    counts = [encoders(packet) for packet in answers]
+    assert (homed_bits(answers[0]), homed_bits(answers[-1])) == (0, 7)
+    assert np.abs(np.diff(counts, axis=0)).max() > 200  # the unknown zero of power-up goes
+    np.testing.assert_allclose(kinematics.forward(angles(counts[-1])), falcon.position_m, atol=1e-4)
 
 
 @pytest.mark.needs_jit
 def test_homed_bits_are_said_only_while_homing_is_commanded_and_forgotten_without():
     falcon = homed_falcon()
-    assert homed_bits(falcon.receive(HOME)) == 7
-    assert homed_bits(falcon.receive(ZERO)) == 0
-    assert homed_bits(falcon.receive(HOME)) == 0
-
-
-@pytest.mark.needs_jit
-def test_a_user_who_never_homes_is_waited_for_in_vain():
-    falcon = homed_falcon(homes=False)
-    assert homed_bits(falcon.receive(HOME)) == 0
+    assert [homed_bits(falcon.receive(packet)) for packet in (HOME, ZERO, HOME)] == [7, 0, 0]
+    # a user who never homes is waited for in vain
+    assert homed_bits(homed_falcon(homes=False).receive(HOME)) == 0
 
 
 def test_the_user_waits_for_the_first_homing_command():
     falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
-    first = encoders(falcon.receive(ZERO))
-    for _ in range(100):
-        assert encoders(falcon.receive(ZERO)) == first
+    assert len({tuple(encoders(falcon.receive(ZERO))) for _ in range(100)}) == 1
     assert falcon.time_s == 0.0
 
 
@@ -128,15 +112,18 @@ def at_rest_off_axis(**settings: object) -> EmulatedFalcon:
     return falcon
 
 
+def units_of(falcon: EmulatedFalcon, force: list[float]) -> tuple[int, ...]:
+    """Motor units by which the driver means a force."""
+    torque = kinematics.torque(falcon.position_m, np.array(force))
+    return tuple(round(-6600.0 * float(value)) for value in torque)
+
+
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("force", [[1.5, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 2.0], [0.7, 0.9, -1.1]])
 def test_motor_units_push_the_grip_with_the_force_the_driver_meant(force):
     falcon = at_rest_off_axis(motor_delay_s=0.0)
-    start = falcon.position_m
-    torque = kinematics.torque(start, np.array(force))
-    units = tuple(round(-6600.0 * float(value)) for value in torque)
-    falcon.receive(command(units))
-    for _ in range(20):
+    start, units = falcon.position_m, units_of(falcon, force)
+    for _ in range(21):
         falcon.receive(command(units))
     moved = falcon.position_m - start
     # F/(2 m) t^2 over 20 ms from the tick after the first command; half a motor unit of 6600 is 0.1 mN m
@@ -144,18 +131,14 @@ def test_motor_units_push_the_grip_with_the_force_the_driver_meant(force):
 
 
 @pytest.mark.needs_jit
-def test_a_torque_comes_after_the_delay_of_the_motors():
-    moved = []
-    for delay in (0.0, 0.0005, 0.0023):
-        falcon = at_rest_off_axis(motor_delay_s=delay)
-        start = falcon.position_m
-        torque = kinematics.torque(start, np.array([0.0, 0.0, 1.0]))
-        units = tuple(round(-6600.0 * float(value)) for value in torque)
-        for _ in range(11):
-            falcon.receive(command(units))
-        moved.append(falcon.position_m[2] - start[2])
-    expected = [0.5 / 0.25 * (0.010 - delay) ** 2 for delay in (0.0, 0.0005, 0.0023)]
-    np.testing.assert_allclose(moved, expected, rtol=0.02)
+@pytest.mark.parametrize("delay", [0.0, 0.0005, 0.0023])
+def test_a_torque_comes_after_the_delay_of_the_motors(delay):
+    falcon = at_rest_off_axis(motor_delay_s=delay)
+    start, units = falcon.position_m, units_of(falcon, [0.0, 0.0, 1.0])
+    for _ in range(11):
+        falcon.receive(command(units))
+    moved = falcon.position_m[2] - start[2]
+    assert moved == pytest.approx(0.5 / 0.25 * (0.010 - delay) ** 2, rel=0.02)
 
 
 @pytest.mark.needs_jit
@@ -175,36 +158,34 @@ def spoilt_answers(fault: ScriptedFault, count: int = 60) -> list[bytes]:
 
 
 @pytest.mark.needs_jit
-@pytest.mark.parametrize(("kind", "length"), [("short", 14), ("doubled", 32), ("garbled", 16), ("stall", 16)])
-def test_a_single_fault_spoils_one_answer(kind, length):
-    answers = spoilt_answers(ScriptedFault(kind, 3.52))
-    good = [
-        packet for packet in answers if len(packet) == 16 and set(packet[1:13]) <= set(b"ABCDEFGHIJKLMNOP")
-    ]
-    assert sum(len(packet) == length for packet in answers) == (1 if length != 16 else 60)
-    assert len(good) == {"short": 59, "doubled": 59, "garbled": 59, "stall": 60}[kind]
-
-
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("kind", ["silence", "bad packets"])
-def test_a_lasting_fault_ends_when_it_is_over(kind):
-    answers = spoilt_answers(ScriptedFault(kind, 3.51, duration_s=0.020))
-    good = [len(packet) == 16 and packet[1] < 0x51 for packet in answers]
-    assert good.count(False) == pytest.approx(20, abs=1)
-    assert good[0]
-    assert good[-1]
+@pytest.mark.parametrize(
+    ("fault", "length", "spoilt"),
+    [
+        (ScriptedFault("short", 3.52), 14, 1),
+        (ScriptedFault("doubled", 3.52), 32, 1),
+        (ScriptedFault("garbled", 3.52), 16, 1),
+        (ScriptedFault("stall", 3.52), 16, 0),
+        # lasting ones end when they are over
+        (ScriptedFault("silence", 3.51, duration_s=0.020), 0, 20),
+        (ScriptedFault("bad packets", 3.51, duration_s=0.020), 16, 20),
+    ],
+)
+def test_a_fault_spoils_one_answer_or_those_of_its_time(fault, length, spoilt):
+    answers = spoilt_answers(fault)
+    bad = [one for one in answers if len(one) != 16 or not set(one[1:13]) <= set(b"ABCDEFGHIJKLMNOP")]
+    assert len(bad) == pytest.approx(spoilt, abs=1 if spoilt > 1 else 0)
+    assert {len(one) for one in bad} <= {length}
+    assert answers[0] not in bad
+    assert answers[-1] not in bad
 
 
 @pytest.mark.needs_jit
 def test_faults_of_the_encoders_and_of_homing():
     still = spoilt_answers(ScriptedFault("frozen", 3.51))
     assert len({packet[1:13] for packet in still[15:]}) == 1
-    plain, jumped = (
-        spoilt_answers(ScriptedFault("stall", 99.0)),
-        spoilt_answers(ScriptedFault("jump", 3.51, size=300.0)),
-    )
-    assert encoders(jumped[-1])[0] - encoders(plain[-1])[0] == 300
-    assert encoders(jumped[-1])[1:] == encoders(plain[-1])[1:]
+    faults = (ScriptedFault("stall", 99.0), ScriptedFault("jump", 3.51, size=300.0))
+    plain, jumped = (encoders(spoilt_answers(fault)[-1]) for fault in faults)
+    assert np.subtract(jumped, plain).tolist() == [300, 0, 0]
     assert homed_bits(spoilt_answers(ScriptedFault("unhomed", 3.51))[-1]) == 0b101
 
 
@@ -302,14 +283,13 @@ def test_a_process_that_can_not_start_says_why():
         ("jump@6.5:300", ScriptedFault("jump", 6.5, size=300.0)),
         ("bad packets@5/0.5", ScriptedFault("bad packets", 5.0, 0.5)),
         ("stall@5:100/0.2", ScriptedFault("stall", 5.0, 0.2, 100.0)),
+        *((text, None) for text in ("unplug", "unplug@soon", "jump@5:x", "melt@5")),
     ],
 )
-def test_faults_are_read(text, fault):
-    assert parse_fault(text) == fault
-
-
-@pytest.mark.parametrize("text", ["unplug", "unplug@soon", "jump@5:x", "melt@5"])
-def test_faults_that_are_none_are_refused(text):
+def test_faults_are_read_and_those_that_are_none_refused(text, fault):
+    if fault is not None:
+        assert parse_fault(text) == fault
+        return
     with pytest.raises(UsageError, match="no fault"):
         parse_fault(text)
 
@@ -325,3 +305,131 @@ def test_an_emulator_is_compiled_before_it_answers():
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[1, 1, 1]"
+
+
+HELLO, GREETING = b"\nC\r", b"\nD,\r"
+
+
+@pytest.mark.parametrize(
+    ("encoders", "buttons", "homed", "packet"),
+    [
+        ((-2345, -338, -267), 0, 0, b"<HNGPOKOPFPOPAA>"),
+        ((1, -1, 0), 0, 0, b"<BAAAPPPPAAAAAA>"),
+        # byte thirteen carries buttons and homed legs
+        ((0, 0, 0), 0b1010, 0b101, b"<AAAAAAAAAAAA" + bytes([0x41 + 0x0A + 0x50]) + b"A>"),
+        ((0, 0, 0), 15, 7, b"<AAAAAAAAAAAA\xc0A>"),
+    ],
+)
+def test_replies_are_spelled_as_recorded(encoders, buttons, homed, packet):
+    assert reply_bytes(encoders, buttons=buttons, homed=homed) == packet
+
+
+@pytest.mark.parametrize(
+    ("packet", "motors", "homing", "lamps"),
+    [
+        (ZERO, (0, 0, 0), False, set()),
+        (b"<AAAAAAAAAAAADA>", (0, 0, 0), True, {"green"}),
+        (b"<AAAAAAAAAAAAPA>", (0, 0, 0), True, {"green", "blue", "red"}),
+        (b"<PPPAAAAABAAAIA>", (4095, 0, 1), False, {"red"}),
+        (command((-4095, 12, -1), 4), (-4095, 12, -1), False, {"blue"}),
+    ],
+)
+def test_commands_are_read_as_published(packet, motors, homing, lamps):
+    (found,) = CommandReader().feed(packet)
+    assert (found.motors, found.homing, set(found.lamps)) == (motors, homing, lamps)
+
+
+def test_driver_and_emulator_spell_every_number_alike():
+    rng = np.random.default_rng(11)
+    reader, parser = CommandReader(), PacketParser()
+    for _ in range(500):
+        motors = tuple(int(value) for value in rng.integers(-4095, 4096, 3))
+        leds, homing = int(rng.integers(0, 8)) << 1, bool(rng.integers(0, 2))
+        (heard,) = reader.feed(encode_command(motors, leds=leds, homing=homing))
+        assert (heard.motors, heard.homing) == (motors, homing)
+        assert len(heard.lamps) == leds.bit_count()
+        counts = tuple(int(value) for value in rng.integers(-32768, 32768, 3))
+        buttons, homed = int(rng.integers(0, 16)), int(rng.integers(0, 8))
+        (said,) = parser.feed(reply_bytes(counts, buttons=buttons, homed=homed))
+        assert (tuple(said.encoders), said.buttons, said.homed) == (counts, buttons, homed)
+
+
+def test_commands_are_found_in_any_pieces_and_among_garbage():
+    rng = np.random.default_rng(3)
+    sent, stream = [], b""
+    for _ in range(300):
+        # garbage of letters that could belong to a packet, but never ends one
+        stream += bytes(rng.choice(np.frombuffer(b"<ABCPQ\x00\xff", np.uint8), rng.integers(0, 20)))
+        motors = tuple(int(value) for value in rng.integers(-4095, 4096, 3))
+        sent.append(motors)
+        stream += command(motors)
+    reader, heard = CommandReader(), []
+    at = 0
+    while at < len(stream):
+        size = int(rng.integers(1, 40))
+        heard += [found.motors for found in reader.feed(stream[at : at + size])]
+        at += size
+    assert heard == sent
+    assert reader.dropped == len(stream) - 16 * len(sent)
+
+
+@pytest.mark.parametrize(
+    "spoilt", [b"<AAAAQAAAAAAAAA>", b"<AAAAAAAAAAAAQA>", b"<AAAAAAAAAAAAAAA", b"AAAAAAAAAAAAAAA>"]
+)
+def test_what_is_no_command_gets_no_answer(spoilt):
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+    assert falcon.receive(spoilt) == b""
+    assert falcon.commands == 0
+    assert len(falcon.receive(ZERO)) == 16
+
+
+def uploaded(boot: BootLoader, firmware: bytes) -> list[bytes]:
+    """Answers to a greeting, a start and the chunks of a firmware."""
+    return [boot.feed(HELLO)[0], boot.feed(b"A")[0]] + [
+        boot.feed(firmware[at : at + 62])[0] for at in range(0, len(firmware), 62)
+    ]
+
+
+@pytest.mark.parametrize("long_greeting", [False, True])
+def test_an_upload_is_greeted_and_echoed_byte_for_byte_once_no_try_is_to_fail(long_greeting):
+    firmware = bytes(range(256)) * 2
+    boot = BootLoader(firmware_bytes=len(firmware), long_greeting=long_greeting, failing_tries=2)
+    for _ in range(2):
+        assert b"".join(uploaded(boot, firmware)[2:]) != firmware
+    answers = uploaded(boot, firmware)
+    assert answers[:2] == [(b"\x00" if long_greeting else b"") + GREETING, b"A"]
+    assert b"".join(answers[2:]) == firmware
+    assert boot.tries == 3
+
+
+def test_the_loader_answers_at_its_rates_only_and_starts_at_the_last():
+    boot = BootLoader(firmware_bytes=None)
+    assert not boot.set_baud(1_500_000)
+    assert boot.feed(HELLO)[0] == b""
+    boot.set_baud(9600)
+    assert boot.feed(HELLO)[0] == GREETING
+    boot.set_baud(140_000)  # what a tty makes of the divisor is 1.5 % off
+    assert boot.feed(b"A")[0] == b"A"
+    assert boot.feed(b"firmware")[0] == b"firmware"
+    assert boot.set_baud(1_500_000)
+
+
+def test_greetings_may_stay_unanswered():
+    boot = BootLoader(firmware_bytes=10, silent_hellos=3)
+    assert [boot.feed(HELLO)[0] for _ in range(4)] == [b"", b"", b"", GREETING]
+
+
+def test_requests_of_the_serial_chip_reach_the_loader():
+    falcon = EmulatedFalcon(EmulatorSettings(firmware_loaded=False, period_s=1e-3))
+    assert falcon.receive(ZERO) == b""
+    opening = [(0, 1), (0, 2), (9, 16), (3, 0x4138), (4, 8), (2, 0), (1, 0x0200), (1, 0x0100), (1, 0x0101)]
+    for request, value in opening:
+        falcon.control(request, value)
+    assert falcon.receive(HELLO) == GREETING
+    falcon.control(3, 0x0015)
+    assert falcon.receive(b"A") == b"A"
+    assert falcon.receive(b"some firmware") == b"some firmware"
+    assert not falcon.running
+    falcon.control(3, 0x0002)
+    assert falcon.running
+    assert len(falcon.receive(HOME)) == 16

@@ -16,14 +16,9 @@ from tissueid.haptics.falcon.calibration import (
     load_calibration,
     save_calibration,
 )
-from tissueid.haptics.falcon.constants import GEOMETRIES
 from tissueid.haptics.falcon.device import limits_of
-from tissueid.haptics.falcon.kinematics import jacobian
+from tissueid.haptics.falcon.kinematics import GEOMETRIES, jacobian
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
-
-
-def test_without_a_file_the_assumptions_hold(tmp_path: Path) -> None:
-    assert load_calibration(tmp_path / "falcon.toml") == Calibration()
 
 
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
@@ -35,21 +30,22 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
 
 
 def test_file_lies_in_the_configuration_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(module.sys, "platform", "linux")
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert calibration_path() == tmp_path / "tissueid" / "falcon.toml"
-    monkeypatch.delenv("XDG_CONFIG_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert calibration_path() == tmp_path / ".config" / "tissueid" / "falcon.toml"
-    monkeypatch.setattr(module.sys, "platform", "win32")
     monkeypatch.setenv("APPDATA", str(tmp_path / "roaming"))
-    assert calibration_path() == tmp_path / "roaming" / "tissueid" / "falcon.toml"
-    monkeypatch.setattr(module.sys, "platform", "darwin")
-    assert calibration_path() == tmp_path / "Library" / "Application Support" / "tissueid" / "falcon.toml"
+    for platform, configured, folder in (
+        ("linux", str(tmp_path / "own"), "own"),
+        ("linux", "", ".config"),
+        ("win32", "", "roaming"),
+        ("darwin", "", "Library/Application Support"),
+    ):
+        monkeypatch.setattr(module.sys, "platform", platform)
+        monkeypatch.setenv("XDG_CONFIG_HOME", configured)
+        assert calibration_path() == tmp_path / folder / "tissueid" / "falcon.toml"
 
 
-def test_a_part_of_the_keys_is_enough(tmp_path: Path) -> None:
+def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path: Path) -> None:
     file = tmp_path / "falcon.toml"
+    assert load_calibration(file) == Calibration()
     file.write_text("zero_angle_deg = 40\n", encoding="utf-8")
     assert load_calibration(file) == Calibration(zero_angle_deg=40.0)
 
@@ -80,10 +76,9 @@ def test_a_damaged_file_is_refused_with_the_way_out(line: str, reason: str, tmp_
 
 def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "falcon.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DeviceError, match="can't be read"):
-        load_calibration(tmp_path / "falcon.toml")
-    with pytest.raises(DeviceError, match="can't be read"):
-        load_calibration(tmp_path)
+    for path in (tmp_path / "falcon.toml", tmp_path):
+        with pytest.raises(DeviceError, match="can't be read"):
+            load_calibration(path)
 
 
 def test_nothing_that_would_be_refused_is_written(tmp_path: Path) -> None:
@@ -118,9 +113,8 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
     for geometry in GEOMETRIES.values():
         for _ in range(300):
             direction = random.normal(size=3)
-            place = np.array([0.0, 0.0, 0.130]) + 0.04 * random.uniform() * direction / np.linalg.norm(
-                direction
-            )
+            out = 0.04 * random.uniform() * direction / np.linalg.norm(direction)
+            place = np.array([0.0, 0.0, 0.130]) + out
             worst = max(worst, float(np.linalg.norm(jacobian(place, geometry=geometry), axis=0).max()))
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)

@@ -10,17 +10,19 @@ import struct
 import termios
 import time
 import tty
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from direct_wire import Direct
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import device as module
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings, ScriptedFault
-from tissueid.haptics.falcon.transport import FileTransport, TransportLost, is_socket, of_socket
+from tissueid.haptics.falcon.transport import FileTransport, TransportLost
 from tissueid.haptics.limits import NO_REPLY_S
 from tissueid.haptics.states import Fault, State
 
@@ -29,39 +31,6 @@ pytestmark = pytest.mark.needs_jit
 
 TERMIOS2 = struct.Struct("4I20B2I")
 GET_TERMIOS2 = 0x802C542A
-
-
-class Wire:
-    """A transport straight into an emulated Falcon in virtual time."""
-
-    where = "test"
-    modem = None
-
-    def __init__(self, falcon: EmulatedFalcon) -> None:
-        self.falcon = falcon
-        self.closed = False
-        self._waiting = b""
-
-    def write(self, data: bytes) -> None:
-        self._waiting += self.falcon.receive(data)
-        if self.falcon.gone:
-            msg = "unplugged"
-            raise TransportLost(msg)
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self._waiting = self._waiting, b""
-        if not data:
-            time.sleep(min(timeout_s, 1e-4))
-        return data
-
-    def purge(self) -> None:
-        self._waiting = b""
-
-    def set_baud(self, baud: int) -> None:
-        self.falcon.set_baud(baud)
-
-    def close(self) -> None:
-        self.closed = True
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +44,7 @@ def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))  # type: ignore[arg-type]
     told: list[str] = []
     device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
-    device._open_transport = lambda: Wire(falcon)  # type: ignore[method-assign]
+    device._open_transport = lambda: Direct(falcon, modem=False)  # type: ignore[method-assign]
     return device, falcon, told
 
 
@@ -112,13 +81,11 @@ def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> No
             assert falcon.force_N == pytest.approx(force, abs=0.01)
 
 
-def test_homing_that_never_comes_ends_with_the_missing_legs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_homing_that_never_comes_ends_with_the_missing_legs() -> None:
     device, falcon, _ = wired(homes=False)
     device._homing_timeout_s = 0.2
-    with (
-        pytest.raises(DeviceError, match=r"leg 1 and 2 and 3 missing .* pull the grip all the way out"),
-        device,
-    ):
+    missing = r"leg 1 and 2 and 3 missing .* pull the grip all the way out"
+    with pytest.raises(DeviceError, match=missing), device:
         device.home()
     assert device.state is State.CLOSED
     assert falcon.last_motors == (0, 0, 0)
@@ -140,13 +107,6 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyP
     assert told[-1] == module.HOMING_STEPS[1]
 
 
-def test_a_fault_while_homing_is_told() -> None:
-    device, _, _ = wired(faults=(ScriptedFault("bad packets", 0.5),))
-    device._limits[NO_REPLY_S] = 10.0
-    with pytest.raises(DeviceError, match="homing ended: the device sent too many damaged packets"), device:
-        device.home()
-
-
 def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
     device, falcon, _ = wired()
     with device:
@@ -155,9 +115,9 @@ def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
         for _ in range(100):
             assert device.read().homed
             device.write_force([0.0, 0.0, 0.0], 1e-3)
-        assert (device.damaged_replies, device.dropped_bytes) == (0, 0)
-        assert device.packets > 300
-        assert falcon.dropped_bytes == 0
+        assert (device._parser.invalid, device._parser.dropped) == (0, 0)
+        assert device._parser.packets > 300
+        assert falcon._reader.dropped == 0
 
 
 def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
@@ -176,9 +136,12 @@ def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
 )
 def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> None:
     device, _, _ = wired(faults=(ScriptedFault(kind, 3.5),))
+    homing, _, _ = wired(faults=(ScriptedFault(kind, 0.5),))
     if kind == "bad packets":
         # each of them is a silence as well, and on a busy machine ten of them may take 20 ms
-        device._limits[NO_REPLY_S] = 10.0
+        device._limits[NO_REPLY_S] = homing._limits[NO_REPLY_S] = 10.0
+        with pytest.raises(DeviceError, match="homing ended: the device sent too many damaged"), homing:
+            homing.home()
     with device:
         device.home()
         assert read_until_fault(device, 2500) is expected
@@ -194,7 +157,7 @@ def test_one_spoilt_reply_is_dropped_and_counted(kind: str) -> None:
             device.read()
             device.write_force([0.0, 0.0, 0.0], 1e-3)
         assert device.state is State.ARMED
-        assert device.damaged_replies == (0 if kind == "doubled" else 1)
+        assert device._parser.invalid == (0 if kind == "doubled" else 1)
 
 
 def test_counts_of_no_position_are_as_good_as_damaged() -> None:
@@ -271,24 +234,30 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path, monkeypatch: 
     assert told[-4:] == [f"firmware: {done} of 700 bytes" for done in (186, 372, 558, 700)]
 
 
-@pytest.mark.parametrize("baud", [9600, 142_857, 1_500_000])
-def test_terminal_takes_the_three_rates(baud: int) -> None:
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, FileTransport]]:
+    """The other end of a terminal, and the transport on it."""
     master, slave = pty.openpty()
+    tty.setraw(master)
     transport = FileTransport.open(os.ttyname(slave))
-    transport.set_baud(baud)
-    answer = bytearray(TERMIOS2.size)
-    fcntl.ioctl(master, GET_TERMIOS2, answer)
-    assert TERMIOS2.unpack(answer)[-1] == baud
-    assert transport.modem is None
+    yield master, transport
     transport.close()
     os.close(master)
     os.close(slave)
 
 
-def test_every_byte_passes_a_terminal_unchanged() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(master)
-    transport = FileTransport.open(os.ttyname(slave))
+def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal: tuple[int, FileTransport]) -> None:
+    master, transport = terminal
+    for baud in (9600, 142_857, 1_500_000):
+        transport.set_baud(baud)
+        answer = bytearray(TERMIOS2.size)
+        fcntl.ioctl(master, GET_TERMIOS2, answer)
+        assert TERMIOS2.unpack(answer)[-1] == baud
+    assert transport.modem is None
+
+
+def test_every_byte_passes_a_terminal_unchanged(terminal: tuple[int, FileTransport]) -> None:
+    master, transport = terminal
     everything = bytes(range(256))
     transport.write(everything)
     received = b""
@@ -299,15 +268,11 @@ def test_every_byte_passes_a_terminal_unchanged() -> None:
     while len(back) < 256:
         back += transport.read(1.0)
     assert (received, back) == (everything, everything)
-    transport.close()
-    os.close(master)
-    os.close(slave)
 
 
 def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
     ours, theirs = socket.socketpair()
-    transport = of_socket(ours)
-    assert is_socket(transport.descriptor)
+    transport = FileTransport(ours.detach(), "socket")
     theirs.send(b"stale")
     transport.purge()
     assert transport.read(0.001) == b""
@@ -328,19 +293,25 @@ def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
 def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tissueid.haptics.falcon.transport.WRITE_TIMEOUT_S", 0.02)
     ours, theirs = socket.socketpair()
-    transport = of_socket(ours)
+    transport = FileTransport(ours.detach(), "socket")
     with pytest.raises(TransportLost, match="takes no more bytes"):
         transport.write(bytes(50_000_000))
     transport.close()
     theirs.close()
 
 
-def test_ports_that_can_not_be_opened_say_why(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="there is no such device"):
-        FileTransport.open(str(tmp_path / "ttyUSB9"))
+def test_ports_that_can_not_be_opened_say_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(DeviceError, match="is no terminal device"):
-        FileTransport.open(str(tmp_path / "file"))
+    for name, why in (("ttyUSB9", "there is no such device"), ("file", "is no terminal device")):
+        with pytest.raises(DeviceError, match=why):
+            FileTransport.open(str(tmp_path / name))
+
+    def refused(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tissueid.haptics.falcon.transport.os.open", refused)
+    with pytest.raises(DeviceError, match=r"no permission; join the group .*dialout"):
+        FileTransport.open("/dev/ttyUSB0")
 
 
 def test_modem_lines_of_a_serial_port_are_set_one_by_one(
@@ -371,12 +342,3 @@ def test_modem_lines_of_a_serial_port_are_set_one_by_one(
     ]
     transport.close()
     os.close(master)
-
-
-def test_a_port_without_permission_names_the_group(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object) -> int:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("tissueid.haptics.falcon.transport.os.open", refused)
-    with pytest.raises(DeviceError, match=r"no permission; join the group .*dialout"):
-        FileTransport.open("/dev/ttyUSB0")

@@ -13,9 +13,8 @@ import pytest
 
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.falcon.calibration import Calibration
-from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
-from tissueid.haptics.falcon.kinematics import forward, inverse
-from tissueid.haptics.falcon.libusb import UDEV_RULE
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, forward, inverse
+from tissueid.haptics.falcon.transport import UDEV_RULE
 from tissueid.haptics.registry import DEVICES
 from tissueid.haptics.states import State
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from direct_wire import Direct
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import firmware as module
@@ -20,63 +21,9 @@ from tissueid.haptics.falcon.firmware import (
     is_running,
     upload,
 )
-from tissueid.haptics.falcon.transport import TransportLost
 
 CONTENT = np.random.default_rng(2).bytes(500)
 FILE = Firmware(Path("firmware.bin"), CONTENT, None)
-
-
-class Direct:
-    """A transport whose other end answers at once, with the modem lines of the chip."""
-
-    where = "test"
-
-    def __init__(self, falcon: EmulatedFalcon, *, modem: bool = True) -> None:
-        self.falcon = falcon
-        self.said: list[str] = []
-        self.closed = False
-        self._modem = modem
-        self._waiting = b""
-
-    @property
-    def modem(self) -> Direct | None:
-        return self if self._modem else None
-
-    def write(self, data: bytes) -> None:
-        if self.falcon.gone:
-            msg = "gone"
-            raise TransportLost(msg)
-        self._waiting += self.falcon.receive(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self._waiting = self._waiting[:50], self._waiting[50:]
-        if not data:
-            time.sleep(min(timeout_s, 1e-3))
-        return data
-
-    def purge(self) -> None:
-        self._waiting = b""
-
-    def set_baud(self, baud: int) -> None:
-        self.said.append(f"baud {baud}")
-        self.falcon.set_baud(baud)
-
-    def set_dtr(self, on: bool) -> None:
-        self.said.append(f"dtr {on}")
-        if on:
-            self.falcon.control(1, 0x0101)
-
-    def set_rts(self, on: bool) -> None:
-        self.said.append(f"rts {on}")
-
-    def set_frame(self) -> None:
-        self.said.append("8N1")
-
-    def set_latency(self, milliseconds: int) -> None:
-        self.said.append(f"latency {milliseconds}")
-
-    def close(self) -> None:
-        self.closed = True
 
 
 @pytest.fixture(autouse=True)
@@ -92,6 +39,18 @@ def bare(**settings: object) -> EmulatedFalcon:
     return EmulatedFalcon(
         EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings)  # type: ignore[arg-type]
     )
+
+
+def reopening(falcon: EmulatedFalcon) -> tuple[list[Direct], Callable[[], Direct]]:
+    """Transports that were opened, and how one more is, which resets the device."""
+    opened: list[Direct] = []
+
+    def open_transport() -> Direct:
+        falcon.control(1, 0x0101)
+        opened.append(Direct(falcon))
+        return opened[-1]
+
+    return opened, open_transport
 
 
 def test_running_firmware_is_recognised_by_its_reply() -> None:
@@ -122,26 +81,23 @@ def test_hello_is_said_until_it_is_answered() -> None:
     assert transport.falcon.running
 
 
-def test_a_loader_that_never_answers_is_given_up_after_100_calls() -> None:
-    transport = Direct(bare(silent_hellos=10_000))
-    with pytest.raises(UploadError, match="no answer to 100 calls"):
-        upload(transport, CONTENT)
-
-
-def test_a_wrong_echo_names_the_bytes() -> None:
-    with pytest.raises(UploadError, match="echo of bytes 186 to 247"):
-        upload(Direct(bare(failing_tries=1)), CONTENT)
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"silent_hellos": 10_000}, "no answer to 100 calls"),
+        ({"failing_tries": 1}, "echo of bytes 186 to 247"),
+    ],
+)
+def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(
+    settings: dict[str, int], reason: str
+) -> None:
+    with pytest.raises(UploadError, match=reason):
+        upload(Direct(bare(**settings)), CONTENT)
 
 
 def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport() -> None:
     falcon = bare(failing_tries=2)
-    opened: list[Direct] = []
-
-    def open_transport() -> Direct:
-        falcon.control(1, 0x0101)
-        opened.append(Direct(falcon))
-        return opened[-1]
-
+    opened, open_transport = reopening(falcon)
     told: list[str] = []
     transport = ensure_running(
         open_transport, lambda: FILE, progress=lambda text, _done, _all: told.append(text)
@@ -157,13 +113,7 @@ def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport() -> None
 
 def test_ten_failed_uploads_are_the_end_with_what_to_do() -> None:
     falcon = bare(failing_tries=99)
-    opened: list[Direct] = []
-
-    def open_transport() -> Direct:
-        falcon.control(1, 0x0101)
-        opened.append(Direct(falcon))
-        return opened[-1]
-
+    opened, open_transport = reopening(falcon)
     with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
         ensure_running(open_transport, lambda: FILE)
     assert len(opened) == 10
@@ -183,17 +133,12 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch: pytest.Monkey
     assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
 
 
-def test_no_file_is_asked_for_where_firmware_runs() -> None:
-    def no_file() -> Firmware:
-        pytest.fail("asked for a file")
-
-    transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3)))
-    assert ensure_running(lambda: transport, no_file) is transport
-
-
-def test_a_missing_file_closes_the_transport(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
-    transport = Direct(bare())
+    running, transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))), Direct(bare())
+    assert ensure_running(lambda: running, find_firmware) is running
     with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
         ensure_running(lambda: transport, find_firmware)
     assert transport.closed

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
+from tissueid.haptics import measure
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
+from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
+from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure import link, weighing
-from tissueid.haptics.measure.link import measure_link
-from tissueid.haptics.measure.motion import Motion
-from tissueid.haptics.measure.ring_down import estimate_arm, ring_down
-from tissueid.haptics.measure.weighing import GRAVITY, weigh
+from tissueid.haptics.measure import (
+    GRAVITY,
+    MIDDLE_M,
+    POSES_M,
+    Motion,
+    estimate_arm,
+    fitted,
+    measure_link,
+    ring_down,
+    weigh,
+    weigh_poses,
+)
 from tissueid.haptics.sim import SimulatedDevice
+from tissueid.rendering.law_session import _carried
+from tissueid.rendering.scene import load_scene
 
 #: Seconds of a device in virtual time, a millisecond each.
 pytestmark = pytest.mark.needs_jit
@@ -33,16 +47,12 @@ def no_pause(_until: float) -> None:
     """A device in virtual time is never waited for."""
 
 
-class HangingGrip(HapticDevice):
-    """A grip that falls along y until its stop, whose newton is not one; in virtual time."""
+class Grip(HapticDevice):
+    """A free grip that a test computes, in virtual time."""
 
-    name = "hanging"
-
-    def __init__(self, *, truth: float, own_kg: float = 0.06, friction_N: float = 0.1) -> None:
+    def __init__(self) -> None:
         super().__init__(HANDS_OFF)
-        self.mass_hung_kg = 0.0
-        self._truth, self._own_kg, self._friction_N = truth, own_kg, friction_N
-        self._time = self._place = self._speed = self._force = 0.0
+        self._time = 0.0
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:
@@ -57,6 +67,18 @@ class HangingGrip(HapticDevice):
 
     def _close(self) -> None:
         pass
+
+
+class HangingGrip(Grip):
+    """A grip that falls along y until its stop, whose newton is not one; in virtual time."""
+
+    name = "hanging"
+
+    def __init__(self, *, truth: float, own_kg: float = 0.06, friction_N: float = 0.1) -> None:
+        super().__init__()
+        self.mass_hung_kg = 0.0
+        self._truth, self._own_kg, self._friction_N = truth, own_kg, friction_N
+        self._place = self._speed = self._force = 0.0
 
     def _read(self) -> DeviceSample:
         step, inertia = TICK_S / 4, 0.25 + self.mass_hung_kg
@@ -91,43 +113,46 @@ def homed(device: HapticDevice) -> None:
         device.write_force([0.0, 0.0, 0.0], TICK_S)
 
 
+@pytest.fixture
+def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGrip]]:
+    """Makes a homed grip; two periods of weighing are enough."""
+    monkeypatch.setattr(measure, "PERIODS", 2)
+    made = []
+
+    def make(**options: float) -> HangingGrip:
+        made.append(HangingGrip(**options))
+        homed(made[-1])
+        return made[-1]
+
+    yield make
+    for device in made:
+        device.close()
+
+
 @pytest.mark.parametrize(("truth", "grams"), [(1.9, 150.0), (0.7, 50.0)])
-def test_weighing_finds_the_newton_of_a_device(
-    truth: float, grams: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(weighing, "PERIODS", 2)
-    device = HangingGrip(truth=truth)
-    homed(device)
+def test_weighing_finds_the_newton_of_a_device(hanging, truth: float, grams: float) -> None:
+    device = hanging(truth=truth)
     found = weigh(device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause)
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
     assert found.ratio == pytest.approx(1.0 / truth, rel=2e-3)
     assert found.empty_N == pytest.approx(0.06 * GRAVITY / truth, rel=5e-3)
     assert found.weight_N == pytest.approx(grams / 1000 * 9.80665, rel=1e-12)
-    device.close()
 
 
-def test_a_mass_that_was_not_hung_is_not_felt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weighing, "PERIODS", 2)
-    device = HangingGrip(truth=1.0)
-    homed(device)
-    with pytest.raises(
-        DeviceError, match=r"the mass was not felt: .* 0\.59 N without it and 0\.59 N with it"
-    ):
-        weigh(device, 0.1, lambda: None, no_pause)
-    device.close()
-
-
-@pytest.mark.parametrize(("own_kg", "reason"), [(0.19, "needs the whole"), (0.30, "did not lift the grip")])
-def test_a_mass_too_heavy_for_the_clamp_is_told(
-    own_kg: float, reason: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("own_kg", "reason"),
+    [
+        (0.06, r"the mass was not felt: .* 0\.59 N without it and 0\.59 N with it"),
+        # 2 N of clamp at a truth of 1: 190 g are 1.86 N, and friction and swing need more; 300 g are 2.9 N
+        (0.19, "needs the whole.*smaller mass"),
+        (0.30, "did not lift the grip.*smaller mass"),
+    ],
+)
+def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(
+    hanging, own_kg: float, reason: str
 ) -> None:
-    monkeypatch.setattr(weighing, "PERIODS", 2)
-    # 2 N of clamp at a truth of 1: 190 g are 1.86 N, and friction and swing need more; 300 g are 2.9 N
-    device = HangingGrip(truth=1.0, own_kg=own_kg)
-    homed(device)
-    with pytest.raises(DeviceError, match=rf"{reason}.*smaller mass"):
-        weigh(device, 0.1, lambda: None, no_pause)
-    device.close()
+    with pytest.raises(DeviceError, match=reason):
+        weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
@@ -168,18 +193,20 @@ class Clocked(SimulatedDevice):
         return replace(sample, valid=not lost, damaged=int(lost))
 
 
+@pytest.fixture
+def clocked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clocked]:
+    Clocked.now_s = 0.0
+    monkeypatch.setattr(measure.time, "monotonic", lambda: Clocked.now_s)
+    with Clocked() as device:
+        yield device
+
+
 @pytest.mark.parametrize(("answer_ms", "ticks"), [(0.3, 1.5), (0.9, 1.5), (1.4, 2.5)])
 def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
-    answer_ms: float, ticks: float, monkeypatch: pytest.MonkeyPatch
+    clocked: Clocked, answer_ms: float, ticks: float
 ) -> None:
-    Clocked.now_s = 0.0
-    monkeypatch.setattr(link.time, "monotonic", lambda: Clocked.now_s)
-    device = Clocked()
-    device.open()
-    device.answer_s = answer_ms * 1e-3
-    device.lost_every = 10
-    report = measure_link(device, 1.0)
-    device.close()
+    clocked.answer_s, clocked.lost_every = answer_ms * 1e-3, 10
+    report = measure_link(clocked, 1.0)
     assert report.delay_ticks == pytest.approx(ticks, abs=1e-9)
     assert report.round_trip_ms == pytest.approx((answer_ms,) * 3, rel=1e-6)
     assert report.rate_hz == pytest.approx(0.9 * 1e3 / answer_ms, rel=0.01)
@@ -188,13 +215,101 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
     assert report.damaged == report.commands - report.replies
 
 
-def test_a_device_that_never_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    Clocked.now_s = 0.0
-    monkeypatch.setattr(link.time, "monotonic", lambda: Clocked.now_s)
-    device = Clocked()
-    device.open()
-    device.answer_s = 0.002
-    device.lost_every = 1
+def test_a_device_that_never_answers_is_told(clocked: Clocked) -> None:
+    clocked.answer_s, clocked.lost_every = 0.002, 1
     with pytest.raises(DeviceError, match="answered none of 50 commands"):
-        measure_link(device, 0.1)
+        measure_link(clocked, 0.1)
+
+
+WEIGHT_N = np.array([0.05, 0.7, -0.1])
+SLOPE = np.array([[2.0, 0.0, 0.5], [0.0, 4.0, 0.0], [0.5, 0.0, -3.0]])
+KNOWN = Calibration(
+    weight_N=tuple(WEIGHT_N.tolist()), weight_slope_N_per_m=tuple(SLOPE.ravel()), weight_measured=True
+)
+
+
+class HeavyGrip(Grip):
+    """A grip whose weight changes with its place, with friction; in virtual time."""
+
+    name = "heavy"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._force = np.zeros(3)
+        self._place, self._speed = np.array(MIDDLE_M), np.zeros(3)
+
+    def _read(self) -> DeviceSample:
+        held = WEIGHT_N + SLOPE @ (self._place - MIDDLE_M)
+        push = self._speed + TICK_S * (self._force - held - 0.5 * self._speed) / 0.25
+        # Coulomb friction takes speed away, never turns it round
+        size = float(np.linalg.norm(push))
+        self._speed = push * max(size - TICK_S * 0.1 / 0.25, 0.0) / max(size, 1e-12)
+        self._place = self._place + TICK_S * self._speed
+        self._time += TICK_S
+        counts = np.floor(self._place / 45e-6)
+        return DeviceSample(self._time, 45e-6 * counts, counts.astype(int), 0, homed=True, valid=True)
+
+    def _write(self, force_N: NDArray[np.float64]) -> None:
+        self._force = np.array(force_N)
+
+
+@pytest.mark.slow
+def test_the_weight_is_found_behind_friction_and_encoders() -> None:
+    device = HeavyGrip()
+    homed(device)
+    found = weigh_poses(device, no_pause)
     device.close()
+    # friction of 0.1 N is in every force; to and fro it cancels to a tenth of that
+    np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=0.01)
+    np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=0.5)
+    assert found.residual_N < 0.02
+    assert found.poses == len(POSES_M) == 9
+
+
+def test_a_plane_through_exact_forces_is_the_plane() -> None:
+    places = np.array(POSES_M)
+    found = fitted(places, WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T)
+    np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=1e-12)
+    np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=1e-10)
+    assert found.residual_N < 1e-12
+
+
+def test_noise_of_the_forces_is_the_standard_error() -> None:
+    places, chance = np.array(POSES_M), np.random.default_rng(1)
+    clean = WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T
+    found = [fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
+    spread = np.std([one.weight_N[1] for one in found])
+    # nine poses around the middle: a third of the noise of one; 300 draws know a spread to 4 %
+    assert spread == pytest.approx(0.05 / 3.0, rel=0.15)
+    assert np.sqrt(np.mean([one.stderr_N**2 for one in found])) == pytest.approx(0.05 / 3.0, rel=0.1)
+
+
+def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path: Path) -> None:
+    path = save_calibration(KNOWN, tmp_path / "falcon.toml")
+    assert load_calibration(path) == KNOWN
+    path.write_text("weight_N = [0.0, 0.7]\n")
+    with pytest.raises(DeviceError, match="not 3 numbers"):
+        load_calibration(path)
+    path.write_text("weight_N = [0.0, 70.0, 0.0]\n")
+    with pytest.raises(DeviceError, match="weight_N"):
+        load_calibration(path)
+    with pytest.raises(DeviceError, match="not kept"):
+        save_calibration(replace(KNOWN, weight_N=(0.0, 9.0, 0.0)), path)
+
+
+def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise() -> None:
+    device = FalconDevice(calibration=KNOWN)
+    plan = replace(
+        load_scene("hip-resurfacing").guidance,
+        weight_N=(0.0, 0.0, 0.0),
+        weight_slope_N_per_m=((0.0,) * 3,) * 3,
+    )
+    carried = _carried(plan, device, assumed=False)
+    there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - MIDDLE_M)
+    np.testing.assert_allclose(carried.weight_N, there, atol=1e-12)
+    np.testing.assert_allclose(carried.weight_slope_N_per_m, SLOPE)
+    stated = replace(plan, weight_N=(0.0, 1.0, 0.0))
+    assert _carried(stated, device, assumed=False) == stated
+    assert _carried(stated, device, assumed=True) == carried
+    unknown = FalconDevice(calibration=replace(KNOWN, weight_measured=False))
+    assert _carried(plan, unknown, assumed=True) == plan

@@ -13,8 +13,7 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import firmware
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
-from tissueid.haptics.falcon.libusb import BULK_TRANSFER, LibUsb, UsbNode, without_status
-from tissueid.haptics.falcon.transport import TransportLost
+from tissueid.haptics.falcon.transport import LibUsb, TransportLost, UsbNode, without_status
 
 #: Requests: type, request, value, index, length.
 PURGE = ["control 40 0 0001 0 0", "control 40 0 0002 0 0"]
@@ -30,39 +29,44 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled("usb_stub", tmp_path_factory.mktemp("usb"))
 
 
+class Stub:
+    """The stand-in for libusb: what it was asked, and how it behaves."""
+
+    def __init__(self, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.library, self._environment = ctypes.CDLL(str(library)), monkeypatch
+        self.library.stub_record.restype = ctypes.c_char_p
+        monkeypatch.setenv("TISSUEID_LIBUSB", str(library))
+        monkeypatch.delenv("FALCON_STUB", raising=False)
+
+    @property
+    def lines(self) -> list[str]:
+        text: bytes = self.library.stub_record()
+        return text.decode("ascii").splitlines()
+
+    def mode(self, word: str) -> None:
+        # it reads its own process's environment
+        self._environment.setenv("FALCON_STUB", word)
+        self.library.stub_clear()
+
+
 @pytest.fixture
-def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> ctypes.CDLL:
-    monkeypatch.setenv("TISSUEID_LIBUSB", str(library))
-    monkeypatch.delenv("FALCON_STUB", raising=False)
-    found = ctypes.CDLL(str(library))
-    found.stub_record.restype = ctypes.c_char_p
-    return found
+def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> Stub:
+    return Stub(library, monkeypatch)
 
 
-def lines(stub: ctypes.CDLL) -> list[str]:
-    text: bytes = stub.stub_record()
-    return text.decode("ascii").splitlines()
-
-
-def mode(stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch, word: str) -> None:
-    # the stub reads its own process's environment
-    monkeypatch.setenv("FALCON_STUB", word)
-    stub.stub_clear()
-
-
-def test_opening_purges_then_sets_latency_and_baud_then_purges(stub: ctypes.CDLL) -> None:
+def test_opening_purges_then_sets_latency_and_baud_then_purges(stub: Stub) -> None:
     usb = LibUsb()
     transport = usb.open()
-    assert lines(stub) == OPENING
+    assert stub.lines == OPENING
     transport.close()
     usb.close()
-    assert lines(stub)[len(OPENING) :] == ["release 0", "close", "exit"]
+    assert stub.lines[len(OPENING) :] == ["release 0", "close", "exit"]
     transport.close()
     usb.close()
-    assert lines(stub)[-1] == "exit"
+    assert stub.lines[-1] == "exit"
 
 
-def test_falcons_are_found_by_their_numbers_among_other_chips(stub: ctypes.CDLL) -> None:
+def test_falcons_are_found_by_their_numbers_among_other_chips(stub: Stub) -> None:
     usb = LibUsb()
     assert usb.falcons() == [UsbNode(3, 7)]
     assert usb.falcons()[0].path == "/dev/bus/usb/003/007"
@@ -70,16 +74,14 @@ def test_falcons_are_found_by_their_numbers_among_other_chips(stub: ctypes.CDLL)
         usb.open(UsbNode(9, 9))
 
 
-def test_upload_follows_the_known_order_of_lines_rates_and_bytes(
-    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    mode(stub, monkeypatch, "bare")
+def test_upload_follows_the_known_order_of_lines_rates_and_bytes(stub: Stub) -> None:
+    stub.mode("bare")
     usb = LibUsb()
     transport = usb.open()
     content = np.random.default_rng(1).bytes(150)
     seen: list[tuple[int, int]] = []
     firmware.upload(transport, content, lambda _text, done, total: seen.append((done, total)))
-    assert lines(stub)[len(OPENING) :] == [
+    assert stub.lines[len(OPENING) :] == [
         *PURGE, LATENCY_16, HELLO_BAUD, *FRAME, RTS_LOW, DTR_LOW, DTR_HIGH,
         "out 0a 43 0d",
         DTR_LOW, UPLOAD_BAUD, "out 41",
@@ -98,7 +100,7 @@ def test_status_bytes_are_taken_out_of_every_64() -> None:
     assert without_status(b"") == b""
 
 
-def test_device_reads_and_commands_over_usb(stub: ctypes.CDLL) -> None:
+def test_device_reads_and_commands_over_usb(stub: Stub) -> None:
     device = FalconDevice(calibration=Calibration())
     device.open()
     sample = device.read()
@@ -106,15 +108,15 @@ def test_device_reads_and_commands_over_usb(stub: ctypes.CDLL) -> None:
     assert (sample.valid, sample.homed, sample.buttons) == (True, False, 0)
     device.write_force([0.0, 0.0, 1.0], 0.001)
     # not homed: no force; homing mode and the red light
-    assert lines(stub)[-1] == "out " + b"<AAAAAAAAAAAAJA>".hex(" ")
+    assert stub.lines[-1] == "out " + b"<AAAAAAAAAAAAJA>".hex(" ")
     device.close()
-    ended = lines(stub)
+    ended = stub.lines
     zeros = ended.count("out " + b"<AAAAAAAAAAAAJA>".hex(" "))
     assert zeros >= 20
     assert ended[-3:] == ["release 0", "close", "exit"]
 
 
-def test_compiled_servo_is_given_libusbs_own_transfer(stub: ctypes.CDLL) -> None:
+def test_compiled_servo_is_given_libusbs_own_transfer(stub: Stub) -> None:
     device = FalconDevice(calibration=Calibration())
     assert device.compiled() is None
     device.open()
@@ -125,19 +127,18 @@ def test_compiled_servo_is_given_libusbs_own_transfer(stub: ctypes.CDLL) -> None
     assert 0 < timeout <= 5
     packet = np.frombuffer(b"<BAAAPPPPAAAAAA>", np.uint8).copy()
     moved = np.zeros(1, np.int32)
-    transfer = BULK_TRANSFER(address)
+    size, byte = ctypes.c_size_t, ctypes.c_ubyte
+    transfer = ctypes.CFUNCTYPE(ctypes.c_int, size, byte, size, ctypes.c_int, size, ctypes.c_uint)(address)
     assert transfer(handle, bulk_out, packet.ctypes.data, 16, moved.ctypes.data, timeout) == 0
     assert moved[0] == 16
-    assert lines(stub)[-1] == "out " + packet.tobytes().hex(" ")
+    assert stub.lines[-1] == "out " + packet.tobytes().hex(" ")
     assert given.constants[0] == 6600.0
     assert given.constants[1:].tolist() == Calibration().legs().block().tolist()
     device.close()
 
 
-def test_no_permission_names_the_node_and_the_udev_line(
-    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    mode(stub, monkeypatch, "access")
+def test_no_permission_names_the_node_and_the_udev_line(stub: Stub) -> None:
+    stub.mode("access")
     with pytest.raises(DeviceError) as refused:
         LibUsb().open()
     text = refused.value.message
@@ -148,23 +149,21 @@ def test_no_permission_names_the_node_and_the_udev_line(
     assert found.note == text
 
 
-def test_a_falcon_in_use_says_so(stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch) -> None:
-    mode(stub, monkeypatch, "busy")
-    with pytest.raises(DeviceError, match="in use by another program"):
-        LibUsb().open()
-    assert lines(stub) == ["open", "close"]
-
-
-def test_nothing_plugged_in_is_an_empty_list_and_a_refusal(
-    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("word", "reason", "said"),
+    [("busy", "in use by another program", ["open", "close"]), ("none", "power supply", [])],
+)
+def test_a_falcon_in_use_and_one_that_is_missing_say_so(
+    stub: Stub, word: str, reason: str, said: list[str]
 ) -> None:
-    mode(stub, monkeypatch, "none")
-    assert FalconDevice.detect() == []
-    with pytest.raises(DeviceError, match="power supply"):
+    stub.mode(word)
+    with pytest.raises(DeviceError, match=reason):
         FalconDevice(calibration=Calibration()).open()
+    assert [line for line in stub.lines if line in {"open", "close"}] == said
+    assert [bool(found.note) for found in FalconDevice.detect()] == [True] * (word == "busy")
 
 
-def test_a_falcon_that_can_be_opened_has_no_note(stub: ctypes.CDLL) -> None:
+def test_a_falcon_that_can_be_opened_has_no_note(stub: Stub) -> None:
     assert [(found.where, found.note) for found in FalconDevice.detect()] == [("/dev/bus/usb/003/007", "")]
 
 
@@ -182,13 +181,13 @@ def test_another_library_is_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
         LibUsb()
 
 
-def test_unplugging_is_a_lost_transport(stub: ctypes.CDLL) -> None:
+def test_unplugging_is_a_lost_transport(stub: Stub) -> None:
     transport = LibUsb().open()
-    stub.stub_unplug()
+    stub.library.stub_unplug()
     for action in (lambda: transport.write(b"x"), lambda: transport.read(0.01), transport.purge):
         with pytest.raises(TransportLost, match=r"/dev/bus/usb/003/007 is gone \(LIBUSB_ERROR_NO_DEVICE\)"):
             action()
 
 
-def test_a_read_returns_nothing_after_its_time_out(stub: ctypes.CDLL) -> None:
+def test_a_read_returns_nothing_after_its_time_out(stub: Stub) -> None:
     assert LibUsb().open().read(0.002) == b""

@@ -12,9 +12,14 @@ from c_library import compiled
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.packets import BUTTON_NAMES
-from tissueid.haptics.forcedimension import ForceDimensionDevice
-from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION
-from tissueid.haptics.forcedimension.sdk import LIBRARY_VARIABLE, Sdk, candidates
+from tissueid.haptics.forcedimension.device import (
+    LIBRARY_VARIABLE,
+    ORIGIN_M,
+    ROTATION,
+    ForceDimensionDevice,
+    Sdk,
+    candidates,
+)
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import State
 
@@ -51,7 +56,7 @@ def test_sdk_is_looked_for_where_its_documentation_puts_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
-    monkeypatch.setattr("tissueid.haptics.forcedimension.sdk.platform.machine", lambda: "x86_64")
+    monkeypatch.setattr("tissueid.haptics.forcedimension.device.platform.machine", lambda: "x86_64")
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("FDSDK", "/opt/fd")
     monkeypatch.setenv("FORCEDIM_SDK", "/opt/other")
@@ -91,13 +96,6 @@ def test_no_device_is_told_in_the_sdks_words(stub: Stub) -> None:
         ForceDimensionDevice().open()
 
 
-def test_a_device_that_opens_is_detected_and_let_go(stub: Stub, library: Path) -> None:
-    assert [(one.name, one.where, one.note) for one in ForceDimensionDevice.detect()] == [
-        ("forcedimension", str(library), "")
-    ]
-    assert stub.number("open").value == 0
-
-
 def test_axes_are_mapped_once_and_back(stub: Stub) -> None:
     # ours: x right, y up, z to the user; theirs: x to the user, y right, z up
     assert pytest.approx(np.eye(3)) == ROTATION @ ROTATION.T
@@ -110,8 +108,9 @@ def test_axes_are_mapped_once_and_back(stub: Stub) -> None:
 
 
 def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub: Stub) -> None:
-    device = ForceDimensionDevice()
-    with device:
+    (found,) = ForceDimensionDevice.detect()
+    assert (found.name, found.note, stub.number("open").value) == ("forcedimension", "", 0)
+    with ForceDimensionDevice():
         assert (stub.number("gravity").value, stub.number("forces_on").value) == (0, 1)
         assert ctypes.c_double.in_dll(stub.library, "stub_max_force").value == 2.0
         assert stub.number("open").value == 1
@@ -127,20 +126,18 @@ def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(
         with pytest.raises(DeviceError, match="homing never completed"):
             device.home()
         stub.number("homed").value = 1
+        # a busy machine takes its time for fifty readings
+        device._homing_timeout_s = 10.0
         device.home()
         assert device.state is State.ARMED
 
 
-def test_answers_short_of_failure_are_taken(stub: Stub) -> None:
+def test_answers_short_of_failure_are_taken_and_a_lost_device_is_an_error(stub: Stub) -> None:
     with ForceDimensionDevice() as device:
         for code in (1, 2):
             stub.number("code").value = code
             assert device.read().valid
         stub.number("code").value = 0
-
-
-def test_a_lost_device_is_an_error(stub: Stub) -> None:
-    with ForceDimensionDevice() as device:
         stub.number("fails").value = 1
         with pytest.raises(DeviceError, match="dhdGetPosition failed: no device found"):
             device.read()
@@ -178,11 +175,3 @@ def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub: Stub) -> 
         )
         assert prototype(int(given.handles[1]))(0.1, 0.2, 0.3, 5) == 0
         assert list(stub.array("force")) == [0.1, 0.2, 0.3]
-
-
-def test_velocity_is_there_for_who_wants_it(stub: Stub) -> None:
-    stub.array("velocity")[:] = [1.0, 2.0, 3.0]
-    sdk = Sdk()
-    sdk.open_falcon()
-    assert sdk.velocity() == (1.0, 2.0, 3.0)
-    sdk.close()

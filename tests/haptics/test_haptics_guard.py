@@ -1,4 +1,4 @@
-"""The guard: state machine, limits and their precedence, against closed forms."""
+"""The guard: states, limits and their precedence against closed forms; each fault is seen within its time."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from guarded import FREE, STILL, TICK, Guarded
+from guarded import FREE, MOVING, STILL, TICK, Guarded
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.guard import GuardLimits, uncalibrated_clamp_N
+from tissueid.haptics import guard as machine
+from tissueid.haptics.guard import REPLY_APART, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
+from tissueid.haptics.limits import GuardLimits, uncalibrated_clamp_N
 from tissueid.haptics.states import Fault, Lamp, State
 
 #: Scaling a vector to a length rounds each component once.
@@ -25,33 +26,30 @@ def lengths(forces: list[np.ndarray]) -> np.ndarray:
 class TestLimits:
     def test_a_long_force_is_cut_to_the_clamp_and_keeps_its_direction(self):
         guarded = Guarded().to(machine.ENGAGED)
-        outs = [guarded.tick((30.0, 40.0, 0.0)) for _ in range(20)]
+        outs = guarded.ticks(20, (30.0, 40.0, 0.0))
         assert outs[-1] == pytest.approx([3.0, 4.0, 0.0], rel=ROUNDING)
         assert guarded.lamps == Lamp.CLIPPED
 
     def test_a_rising_force_takes_one_slew_a_tick(self):
         guarded = Guarded().to(machine.ENGAGED)
-        outs = [guarded.tick((0.0, 0.0, 2.2)) for _ in range(6)]
+        outs = guarded.ticks(6, (0.0, 0.0, 2.2))
         assert lengths(outs) == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.2, 2.2], rel=ROUNDING)
 
-    def test_a_falling_force_falls_at_once(self):
+    @pytest.mark.parametrize(
+        ("before", "wanted", "sent"),
+        [
+            ((0.0, 0.0, 4.0), (0.0, 0.0, 0.3), (0.0, 0.0, 0.3)),
+            # turned round from zero, turned by sixty degrees from half
+            ((4.0, 0.0, 0.0), (-4.0, 0.0, 0.0), (-0.5, 0.0, 0.0)),
+            ((4.0, 0.0, 0.0), (2.0, 2.0 * 3.0**0.5, 0.0), (1.25, 1.25 * 3.0**0.5, 0.0)),
+        ],
+    )
+    def test_a_force_falls_at_once_and_rises_from_its_share_along_the_new_direction(
+        self, before, wanted, sent
+    ):
         guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((0.0, 0.0, 4.0))
-        assert guarded.tick((0.0, 0.0, 0.3)).tolist() == [0.0, 0.0, 0.3]
-
-    def test_a_force_that_turns_round_starts_from_zero(self):
-        guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((4.0, 0.0, 0.0))
-        assert guarded.tick((-4.0, 0.0, 0.0)).tolist() == [-0.5, 0.0, 0.0]
-
-    def test_a_force_that_turns_by_sixty_degrees_starts_from_half(self):
-        guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((4.0, 0.0, 0.0))
-        turned = np.array([np.cos(np.pi / 3), np.sin(np.pi / 3), 0.0])
-        assert guarded.tick(4.0 * turned) == pytest.approx(2.5 * turned, rel=ROUNDING)
+        guarded.ticks(10, before)
+        assert guarded.tick(wanted) == pytest.approx(sent, rel=ROUNDING)
 
     def test_a_force_within_every_limit_is_sent_as_it_is(self):
         guarded = Guarded().to(machine.ENGAGED)
@@ -69,7 +67,7 @@ class TestLimits:
         limits = replace(FREE, clamp_N=5.0, rms_limit_N=3.0, rms_window_s=2.0)
         guarded = Guarded(limits).to(machine.ENGAGED)
         # ten windows: what is left of the start is exp(-10)
-        outs = lengths([guarded.tick((0.0, 0.0, 9.0), dt=5e-3) for _ in range(4000)])
+        outs = lengths(guarded.ticks(4000, (0.0, 0.0, 9.0), dt=5e-3))
         assert outs.max() == pytest.approx(5.0, rel=ROUNDING)
         assert outs[-1] == pytest.approx(3.0, rel=1e-3)
         assert guarded.lamps & Lamp.RMS_LIMITED
@@ -86,7 +84,7 @@ class TestStart:
     def test_the_start_up_ramp_is_linear_over_its_time(self):
         guarded = Guarded().to(machine.ARMED)
         guarded.tell(machine.ENGAGE)
-        outs = [guarded.tick((0.0, 0.0, 1.0)) for _ in range(1100)]
+        outs = guarded.ticks(1100, (0.0, 0.0, 1.0))
         expected = np.minimum(TICK * np.arange(1, 1101), 1.0)
         # a thousand additions of a thousandth
         assert np.array(outs)[:, 2] == pytest.approx(expected, abs=1e-12)
@@ -94,8 +92,7 @@ class TestStart:
     def test_while_the_force_rises_damping_fades(self):
         guarded = Guarded().to(machine.ARMED)
         guarded.tell(machine.ENGAGE)
-        for _ in range(249):
-            guarded.tick((0.0, 0.0, 1.0))
+        guarded.ticks(249, (0.0, 0.0, 1.0))
         out = guarded.tick((0.0, 0.0, 1.0), velocity=(0.1, 0.0, 0.0))
         assert out == pytest.approx([-0.75 * FREE.damping_N_s_per_m * 0.1, 0.0, 0.25], abs=1e-12)
 
@@ -106,8 +103,7 @@ class TestStart:
     def test_a_device_engages_outside_tissue_or_with_a_small_force_alone(self, penetration, wanted, engages):
         guarded = Guarded().to(machine.ARMED)
         guarded.tell(machine.ENGAGE)
-        for _ in range(3):
-            guarded.tick((0.0, 0.0, wanted), penetration=penetration)
+        guarded.ticks(3, (0.0, 0.0, wanted), penetration=penetration)
         assert (guarded.state == State.ENGAGED) is engages
 
     def test_a_device_is_armed_after_fifty_homed_replies_in_a_row(self):
@@ -126,7 +122,7 @@ class TestFault:
         for _ in range(30):
             before = guarded.tick((0.0, 9.0, 12.0))
         outs = [before, guarded.tick((0.0, 9.0, 12.0), homed=False)]
-        outs += [guarded.tick((0.0, 9.0, 12.0)) for _ in range(19)]
+        outs += guarded.ticks(19, (0.0, 9.0, 12.0))
         sizes = lengths(outs)
         assert guarded.state == State.FAULT
         assert np.all(-np.diff(sizes) <= 0.5 + 1e-9)
@@ -136,17 +132,18 @@ class TestFault:
 
     def test_a_fault_does_not_wait_for_a_stall_of_the_loop(self):
         guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(30):
-            guarded.tick((0.0, 0.0, 5.0))
+        guarded.ticks(30, (0.0, 0.0, 5.0))
         guarded.tick((0.0, 0.0, 5.0), homed=False)
         assert guarded.tick((0.0, 0.0, 5.0), dt=0.1).tolist() == [0.0, 0.0, 0.0]
 
+    @pytest.mark.parametrize("axis", range(3))
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-    def test_a_force_that_is_no_number_ramps_the_last_one_to_zero(self, bad):
+    def test_a_force_of_which_one_component_is_no_number_ramps_the_last_one_to_zero(self, bad, axis):
         guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((0.0, 0.0, 2.0))
-        out = guarded.tick((0.0, bad, 2.0))
+        guarded.ticks(10, (0.0, 0.0, 2.0))
+        force = np.array([0.0, 0.0, 2.0])
+        force[axis] = bad
+        out = guarded.tick(force)
         assert out == pytest.approx([0.0, 0.0, 2.0 * 19 / 20], rel=1e-12)
         assert guarded.fault == Fault.NOT_A_NUMBER
 
@@ -168,14 +165,12 @@ class TestFault:
 
     def test_silence_of_the_owner_is_damping_then_a_fault(self):
         guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((0.0, 0.0, 2.0))
+        guarded.ticks(10, (0.0, 0.0, 2.0))
         guarded.tell(machine.HEARTBEAT_LOST)
-        outs = [guarded.tick((0.0, 0.0, 2.0), velocity=(0.1, 0.0, 0.0)) for _ in range(20)]
+        outs = guarded.ticks(20, (0.0, 0.0, 2.0), velocity=(0.1, 0.0, 0.0))
         assert outs[-1] == pytest.approx([-FREE.damping_N_s_per_m * 0.1, 0.0, 0.0], abs=1e-12)
         assert guarded.state == State.ENGAGED
-        for _ in range(100):
-            guarded.tick((0.0, 0.0, 2.0))
+        guarded.ticks(100, (0.0, 0.0, 2.0))
         assert guarded.state == State.FAULT
         assert guarded.fault == Fault.HEARTBEAT
 
@@ -183,9 +178,8 @@ class TestFault:
 class TestRelease:
     def test_letting_go_of_the_button_ramps_down_in_100_ms(self):
         guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((0.0, 0.0, 2.0), buttons=0x04)
-        outs = lengths([guarded.tick((0.0, 0.0, 2.0), buttons=0x0B) for _ in range(100)])
+        guarded.ticks(10, (0.0, 0.0, 2.0), buttons=0x04)
+        outs = lengths(guarded.ticks(100, (0.0, 0.0, 2.0), buttons=0x0B))
         assert outs == pytest.approx(2.0 * (1.0 - np.arange(1, 101) / 100), abs=1e-12)
         assert guarded.tick((0.0, 0.0, 2.0), buttons=0).tolist() == [0.0, 0.0, 0.0]
         assert guarded.state == State.ARMED
@@ -193,8 +187,7 @@ class TestRelease:
 
     def test_pressing_it_again_in_tissue_waits_for_a_free_tool(self):
         guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        for _ in range(110):
-            guarded.tick((0.0, 0.0, 2.0), buttons=0, penetration=2e-3)
+        guarded.ticks(110, (0.0, 0.0, 2.0), buttons=0, penetration=2e-3)
         guarded.tick((0.0, 0.0, 2.0), buttons=0x04, penetration=2e-3)
         assert guarded.state == State.ARMED
         guarded.tick((0.0, 0.0, 0.0), buttons=0x04, penetration=-1e-3)
@@ -202,8 +195,7 @@ class TestRelease:
 
     def test_pressing_it_again_during_the_ramp_turns_the_ramp(self):
         guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        for _ in range(50):
-            guarded.tick((0.0, 0.0, 0.4), buttons=0, penetration=1e-3)
+        guarded.ticks(50, (0.0, 0.0, 0.4), buttons=0, penetration=1e-3)
         low, high = (guarded.tick((0.0, 0.0, 0.4), buttons=0x04, penetration=1e-3)[2] for _ in range(2))
         assert 0.2 < low < high
         assert guarded.state == State.ENGAGED
@@ -221,11 +213,10 @@ class TestStall:
     @pytest.mark.parametrize("dt", [0.1, 0.0051, 0.0, -1.0, np.nan, np.inf])
     def test_a_stalled_loop_ramps_down_and_resumes(self, dt):
         guarded = Guarded().to(machine.ENGAGED)
-        for _ in range(10):
-            guarded.tick((0.0, 0.0, 4.0))
+        guarded.ticks(10, (0.0, 0.0, 4.0))
         outs = [guarded.tick((0.0, 0.0, 4.0), dt=dt)]
         assert guarded.lamps & Lamp.STALLED
-        outs += [guarded.tick((0.0, 0.0, 4.0)) for _ in range(140)]
+        outs += guarded.ticks(140, (0.0, 0.0, 4.0))
         sizes = lengths(outs)
         assert np.all(sizes <= 4.0)
         assert sizes.min() == pytest.approx(0.0, abs=1e-9)
@@ -319,15 +310,146 @@ class TestGuardLimits:
         assert max(b - a for a, b in pairwise(lengths(outs))) <= 0.5 + ROUNDING
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_force_of_which_one_component_is_no_number_is_a_fault(axis, bad):
+LEG_JUMP = np.array([0, -201, 0], np.int64)
+LEG_FAST = np.array([0, -200, 0], np.int64)
+
+
+def ticks_to_fault(guarded: Guarded, limit: int = 1000, **seen: object) -> int:
+    """Ticks until FAULT."""
+    for count in range(1, limit + 1):
+        guarded.tick((0.0, 0.0, 2.0), **seen)
+        if guarded.state == State.FAULT:
+            return count
+    return -1
+
+
+@pytest.mark.parametrize(
+    ("seen", "ticks", "fault"),
+    [
+        ({"reply": REPLY_LOST}, 1, Fault.TRANSPORT),
+        ({"reply": REPLY_NONE}, 100, Fault.NO_REPLY),
+        ({"reply": REPLY_DAMAGED}, 10, Fault.BAD_PACKETS),
+        ({"reply": REPLY_APART}, 10, Fault.LEGS_APART),
+        ({"moved": LEG_JUMP}, 1, Fault.ENCODER_JUMP),
+        ({"velocity": (1.2, 0.9, 0.1)}, 1, Fault.OVERSPEED),
+        ({"velocity": (np.nan, 0.0, 0.0)}, 1, Fault.OVERSPEED),
+        ({"homed": False}, 1, Fault.NOT_HOMED),
+    ],
+)
+def test_a_fault_of_the_device_is_seen_within_its_time(seen, ticks, fault):
     guarded = Guarded().to(machine.ENGAGED)
-    before = [guarded.tick((0.1, 0.1, 0.1)) for _ in range(3)][-1]
-    force = np.full(3, 0.1)
-    force[axis] = bad
-    sent = guarded.tick(force)
-    assert guarded.state == State.FAULT
-    assert guarded.fault == Fault.NOT_A_NUMBER
-    assert np.isfinite(sent).all()
-    assert np.linalg.norm(sent) <= np.linalg.norm(before)
+    assert ticks_to_fault(guarded, **seen) == ticks
+    assert guarded.fault == fault
+
+
+@pytest.mark.parametrize("seen", [{"moved": LEG_FAST}, {"velocity": (1.2, 0.9, 0.0)}])
+def test_what_a_hand_can_do_is_no_fault(seen):
+    assert ticks_to_fault(Guarded().to(machine.ENGAGED), 300, **seen) == -1
+
+
+def test_nine_damaged_packets_and_a_good_one_are_no_fault():
+    guarded = Guarded().to(machine.ENGAGED)
+    for _ in range(20):
+        for _ in range(9):
+            guarded.tick(reply=REPLY_DAMAGED)
+        guarded.tick()
+    assert guarded.state == State.ENGAGED
+
+
+def test_a_hand_that_moved_on_during_a_stall_did_not_jump():
+    guarded = Guarded().to(machine.ENGAGED)
+    guarded.tick(moved=np.array([900, 0, 0], np.int64), dt=5e-3)
+    assert guarded.state == State.ENGAGED
+    guarded.tick(moved=np.array([1001, 0, 0], np.int64), dt=5e-3)
+    assert guarded.fault == Fault.ENCODER_JUMP
+
+
+def test_encoders_that_stand_still_while_the_force_changed_are_frozen():
+    guarded = Guarded().to(machine.ENGAGED)
+    guarded.tick((0.0, 0.0, 0.5))
+    count = 0
+    while guarded.memory[machine.PHASE] != machine.YIELDING and count < 1000:
+        guarded.tick((0.0, 0.0, 1.0), moved=STILL)
+        count += 1
+    # 200 ms from the first tick that saw the changed force
+    assert count == pytest.approx(0.2 / TICK, abs=2)
+    assert guarded.state == State.ENGAGED
+    damped = ticks_to_fault(guarded, moved=STILL)
+    # 20 ms of ramp, 100 ms of damping alone
+    assert damped == pytest.approx((FREE.fault_ramp_s + FREE.damping_s) / TICK, abs=2)
+    assert guarded.fault == Fault.ENCODER_FROZEN
+
+
+@pytest.mark.parametrize("change", [0.0, 0.15])
+def test_a_resting_hand_under_a_steady_force_is_not_frozen(change):
+    guarded = Guarded().to(machine.ENGAGED)
+    guarded.ticks(5, (0.0, 0.0, 1.0), moved=MOVING)
+    for k in range(2000):
+        guarded.tick((0.0, 0.0, 1.0 - change * k / 2000), moved=STILL)
+    assert guarded.state == State.ENGAGED
+
+
+@pytest.mark.parametrize(("state", "ticks"), [(machine.HOMING, 500), (machine.ARMED, 100)])
+def test_silence_is_a_fault_before_any_force_too(state, ticks):
+    guarded = Guarded().to(state)
+    # a device that is being homed by hand, without force, has more time
+    assert ticks_to_fault(guarded, reply=REPLY_NONE) == ticks
+
+
+@pytest.mark.parametrize(
+    ("state", "seen"),
+    [
+        (machine.OPEN, {"reply": REPLY_LOST}),
+        (machine.FIRMWARE, {"reply": REPLY_LOST}),
+        (machine.HOMING, {"homed": False, "moved": np.array([5000, 0, 0], np.int64)}),
+    ],
+)
+def test_firmware_may_be_silent_and_coordinates_may_jump_while_homing(state, seen):
+    assert ticks_to_fault(Guarded().to(state), 100, **seen) == -1
+
+
+@pytest.mark.parametrize("reply", [REPLY_NONE, REPLY_DAMAGED])
+@pytest.mark.parametrize("phase", [machine.RISING, machine.RELEASING, machine.RECOVERING, machine.YIELDING])
+def test_a_silent_device_is_without_force_after_20_ms_whatever_went_on(reply, phase):
+    guarded = Guarded().to(machine.ENGAGED)
+    guarded.ticks(5, (0.0, 0.0, 2.0), velocity=(0.3, 0.0, 0.0))
+    guarded.memory[machine.PHASE] = phase
+    sent = guarded.ticks(99, (0.0, 0.0, 2.0), velocity=(0.3, 0.0, 0.0), reply=reply)
+    assert np.linalg.norm(sent[2]) > 0.5
+    assert (np.array(sent[19:]) == 0.0).all()
+
+
+def test_a_hiccup_of_30_ms_takes_the_force_away_and_gives_it_back():
+    guarded = Guarded().to(machine.ENGAGED)
+    before = guarded.ticks(5, (0.0, 0.0, 2.0))[-1]
+    silent = guarded.ticks(30, (0.0, 0.0, 2.0), reply=REPLY_NONE)
+    assert (np.array(silent[19:]) == 0.0).all()
+    assert guarded.lamps & Lamp.SILENT
+    # in 30 ms a hand of 1 m/s made 30 mm, which is no jump
+    after = [guarded.tick((0.0, 0.0, 2.0), moved=np.array([470, 0, 0], np.int64))]
+    assert guarded.state == State.ENGAGED
+    assert not guarded.lamps & Lamp.SILENT
+    after += guarded.ticks(120, (0.0, 0.0, 2.0))
+    rises = np.diff([0.0, *[np.linalg.norm(one) for one in after]])
+    assert (rises >= 0.0).all()
+    # over the recovery, not at once
+    assert rises.max() <= 0.03
+    np.testing.assert_allclose(after[-1], before)
+
+
+def test_an_encoder_that_jumps_after_a_hiccup_is_a_fault_nevertheless():
+    guarded = Guarded().to(machine.ENGAGED)
+    for _ in range(30):
+        guarded.tick(reply=REPLY_NONE)
+    guarded.tick(moved=np.array([31 * 200 + 1, 0, 0], np.int64))
+    assert guarded.fault == Fault.ENCODER_JUMP
+
+
+@pytest.mark.parametrize(("delay_ticks", "punctual", "late"), [(1.5, 2, 3), (4.5, 5, 6), (0.5, 2, 3)])
+def test_answers_are_late_beyond_the_delay_that_the_scale_was_worked_out_for(delay_ticks, punctual, late):
+    guarded = Guarded(replace(FREE, delay_ticks=delay_ticks)).to(machine.ENGAGED)
+    for unanswered in (punctual, late):
+        for _ in range(30):
+            observe_wire(guarded.memory, guarded.limits, unanswered, TICK)
+        guarded.tick((0.0, 0.0, 1.0))
+        assert bool(guarded.lamps & Lamp.LATENCY) is (unanswered == late)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from guarded import FREE
 
-from tissueid.haptics import guard_states as machine
+from tissueid.haptics import guard as machine
 from tissueid.haptics.guard import guard, new_guard
 
 REFERENCE = Path(__file__).resolve().parents[2] / "benchmarks" / "servo_reference.c"

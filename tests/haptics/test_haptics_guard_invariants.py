@@ -10,7 +10,7 @@ from guarded import FREE, Guarded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tissueid.haptics import guard_states as machine
+from tissueid.haptics import guard as machine
 from tissueid.haptics.states import State
 
 pytestmark = pytest.mark.needs_jit

@@ -62,12 +62,9 @@ def test_an_unknown_device_is_told_which_there_are():
         registry.device_class("falcom")
 
 
-def test_a_device_of_another_distribution_is_found_by_its_entry_point(plugins):
+def test_a_device_of_another_distribution_is_found_and_takes_no_built_in_name(plugins):
     assert registry.device_class("fake") is FakeDevice
     assert registry.device_names()[-3:] == ["broken", "fake", "nothing"]
-
-
-def test_a_plugin_can_not_take_the_name_of_a_built_in_device(plugins):
     assert registry.device_class("sim") is SimulatedDevice
 
 
@@ -83,28 +80,27 @@ def test_a_broken_plugin_hides_no_other_device(plugins, monkeypatch):
     found = {device.name: device for device in registry.detect_all()}
     assert {"sim", "fake", "broken", "nothing"} <= set(found)
     assert "ModuleNotFoundError" in found["broken"].note
+    assert registry.choose_device() == registry.Choice("fake", "device fake: found at this test")
 
 
-def test_auto_without_hardware_takes_the_simulated_device_and_says_why(monkeypatch):
-    nothing_found(monkeypatch)
-    assert registry.choose_device() == registry.Choice(
-        "sim", "device sim, simulated: no haptic device was found"
-    )
-    assert isinstance(registry.open_device(), SimulatedDevice)
-
-
-def test_auto_takes_hardware_with_nothing_in_its_way(monkeypatch):
-    nothing_found(monkeypatch, note="")
-    assert registry.choose_device() == registry.Choice(
-        "falcon", "device falcon: found at /dev/bus/usb/001/004"
-    )
-
-
-def test_auto_says_what_stands_in_the_way_of_hardware(monkeypatch):
-    nothing_found(monkeypatch, note="no permission")
-    choice = registry.choose_device()
-    assert choice.name == "sim"
-    assert "falcon at /dev/bus/usb/001/004: no permission" in choice.why
+@pytest.mark.parametrize(
+    ("note", "choice"),
+    [
+        (None, ("sim", "device sim, simulated: no haptic device was found")),
+        ("", ("falcon", "device falcon: found at /dev/bus/usb/001/004")),
+        (
+            "no permission",
+            ("sim", "device sim, simulated: falcon at /dev/bus/usb/001/004: no permission"),
+        ),
+    ],
+)
+def test_auto_takes_hardware_with_nothing_in_its_way_else_the_simulated_one_and_says_why(
+    monkeypatch, note, choice
+):
+    nothing_found(monkeypatch, note)
+    assert registry.choose_device() == registry.Choice(*choice)
+    if note is None:
+        assert isinstance(registry.open_device(), SimulatedDevice)
 
 
 def test_a_device_named_by_the_user_is_never_replaced(monkeypatch):
@@ -114,21 +110,13 @@ def test_a_device_named_by_the_user_is_never_replaced(monkeypatch):
         registry.choose_device("flacon")
 
 
-def test_auto_does_not_stop_at_a_broken_plugin(plugins, monkeypatch):
-    nothing_found(monkeypatch)
-    choice = registry.choose_device()
-    assert choice == registry.Choice("fake", "device fake: found at this test")
-
-
-def test_a_force_law_of_another_distribution_is_found(plugins):
+def test_a_force_law_of_another_distribution_is_found(request):
+    with pytest.raises(UsageError, match="installed: none"):
+        registry.environment_law("magnet")
+    request.getfixturevalue("plugins")
     assert registry.environment_law("spring") is fake_device.law
     assert registry.environment_names() == ["number", "spring"]
     with pytest.raises(UsageError, match=r"'magnet'.*number, spring.*tissueid\.environments"):
         registry.environment_law("magnet")
     with pytest.raises(DeviceError, match=r"'number'.*tuple, not a function"):
         registry.environment_law("number")
-
-
-def test_without_plugins_there_is_no_force_law():
-    with pytest.raises(UsageError, match="installed: none"):
-        registry.environment_law("magnet")

@@ -1,21 +1,24 @@
-"""Drivers called by address from the compiled servo, against stand-in libraries that see every command."""
+"""The compiled servo's own ways to devices, against stand-in libraries that see every command."""
 
 from __future__ import annotations
 
 import ctypes
+import os
+import socket
 
 import numpy as np
 import pytest
 from c_library import compiled
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.device import HANDLES_SIZE, CompiledIO
-from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
-from tissueid.haptics.falcon.kinematics import forward
-from tissueid.haptics.guard import GuardLimits, new_guard
-from tissueid.haptics.servo_access import compiled_io
-from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
-from tissueid.rendering.servo_io import sense
+from tissueid.haptics import guard as machine
+from tissueid.haptics.device import HANDLES_SIZE, HOMED, PRESSED, REPLY, WORDS_SIZE, CompiledIO, compiled_io
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, GUESS_M, forward
+from tissueid.haptics.falcon.transport import FileTransport
+from tissueid.haptics.guard import REPLY_APART, REPLY_LOST, REPLY_VALID, new_guard
+from tissueid.haptics.limits import GuardLimits
+from tissueid.rendering.servo_io import command, sense
 from tissueid.rendering.servo_tick import send
 
 LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
@@ -28,25 +31,19 @@ def address(library: ctypes.CDLL, name: str) -> int:
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value
 
 
-def engaged() -> np.ndarray:
-    """Memory of a guard with the start-up ramp behind it."""
-    memory = new_guard()
-    memory[[machine.STATE, machine.GAIN]] = machine.ENGAGED, 1.0
-    return memory
-
-
 class Loop:
-    """What a tick has in its hands, and the reading and the sending of one."""
+    """What a tick has in its hands, with the start-up ramp behind it: its reading and its sending."""
 
     def __init__(self, given: CompiledIO) -> None:
         self.io = compiled_io(given)
-        self.memory = engaged()
+        self.memory = new_guard()
+        self.memory[[machine.STATE, machine.GAIN]] = machine.ENGAGED, 1.0
         self.position, self.counts = np.zeros(3), np.zeros(3, np.int64)
-        self.words, self.out = np.zeros(4, np.int64), np.zeros(3)
+        self.words, self.out = np.zeros(WORDS_SIZE, np.int64), np.zeros(3)
 
     def read(self) -> int:
         sense(self.io, 1e-3, self.position, self.counts, self.words)
-        return int(self.words[0])
+        return int(self.words[REPLY])
 
     def send(self, force: tuple[float, float, float], times: int = 1) -> None:
         for _ in range(times):
@@ -65,13 +62,8 @@ def force_dimension(library: ctypes.CDLL) -> Loop:
     handles = np.zeros(HANDLES_SIZE, np.int64)
     names = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
     handles[:4] = [*(address(library, name) for name in names), 5]
-    return Loop(
-        CompiledIO(
-            "tissueid.haptics.forcedimension.servo_io:SDK",
-            handles,
-            np.concatenate([ROTATION.ravel(), ORIGIN]),
-        )
-    )
+    constants = np.concatenate([ROTATION.ravel(), ORIGIN])
+    return Loop(CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants))
 
 
 class TestForceDimension:
@@ -82,8 +74,7 @@ class TestForceDimension:
         assert loop.read() == REPLY_VALID
         assert loop.position.tolist() == (ROTATION @ [0.01, 0.02, 0.03] + ORIGIN).tolist()
         # centre and up of the SDK are centre and forward of the wire
-        assert loop.words[2] == 0x4 | 0x2
-        assert loop.words[1] == 1
+        assert (loop.words[PRESSED], loop.words[HOMED]) == (0x4 | 0x2, 1)
 
     def test_a_force_passes_the_guard_and_arrives_in_the_drivers_frame(self, driver):
         loop = force_dimension(driver)
@@ -92,52 +83,87 @@ class TestForceDimension:
         assert loop.out == pytest.approx([0.0, 1.2, 1.6], rel=1e-12)
         assert arrived == pytest.approx(ROTATION.T @ loop.out, rel=1e-12)
 
-    def test_a_driver_that_fails_is_a_lost_device(self, driver):
-        loop = force_dimension(driver)
-        ctypes.c_int.in_dll(driver, "stub_fails").value = 1
+    def test_a_driver_that_fails_once_to_read_or_to_send_is_a_lost_device(self, driver):
+        loop, sends = force_dimension(driver), force_dimension(driver)
+        fails = ctypes.c_int.in_dll(driver, "stub_fails")
+        fails.value = 1
         assert loop.read() == REPLY_LOST
+        sends.send((0.0, 0.0, 0.0))
+        fails.value = 0
+        assert sends.read() == REPLY_LOST
 
 
 @pytest.fixture
 def usb(tmp_path, monkeypatch):
     """The stand-in of libusb with a Falcon that runs."""
+    library = compiled("usb_stub", tmp_path)
+    monkeypatch.setenv("TISSUEID_LIBUSB", str(library))
     monkeypatch.delenv("FALCON_STUB", raising=False)
-    library = ctypes.CDLL(str(compiled("usb_stub", tmp_path)))
-    context, listed, handle = ctypes.c_void_p(), ctypes.POINTER(ctypes.c_void_p)(), ctypes.c_void_p()
-    library.libusb_init(ctypes.byref(context))
-    library.libusb_get_device_list(context, ctypes.byref(listed))
-    library.libusb_open(ctypes.c_void_p(listed[1]), ctypes.byref(handle))
-    library.handle = handle.value
-    library.stub_record.restype = ctypes.c_char_p
-    return library
+    found = ctypes.CDLL(str(library))
+    found.stub_record.restype = ctypes.c_char_p
+    return found
 
 
-def falcon(library: ctypes.CDLL) -> Loop:
-    handles = np.zeros(HANDLES_SIZE, np.int64)
-    handles[:5] = address(library, "libusb_bulk_transfer"), library.handle, 0x02, 0x81, 2
-    constants = np.concatenate([[6600.0], DEFAULT_GEOMETRY.block()])
-    return Loop(CompiledIO("tissueid.haptics.falcon.servo_io:USB", handles, constants))
+class TestFalcon:
+    @pytest.fixture
+    def device(self, usb):
+        opened = FalconDevice(calibration=Calibration())
+        opened.open()
+        yield opened
+        opened.close()
 
-
-class TestUsb:
-    def test_a_reply_is_read_without_the_status_bytes_of_its_packet(self, usb):
-        loop = falcon(usb)
+    def test_a_reply_is_read_without_the_status_bytes_of_its_packet(self, device):
+        loop = Loop(device.compiled())
         loop.send((0.0, 0.0, 0.0))
         assert loop.read() == REPLY_VALID
+        # beyond the stops: no position, but not homed either
+        assert loop.counts.tolist() == [-2345, -338, -267]
+        assert (loop.words[HOMED], loop.words[PRESSED]) == (0, 0)
         angles = np.radians(35.0) + loop.counts * DEFAULT_GEOMETRY.radians_per_count
         assert loop.position == pytest.approx(forward(angles), abs=1e-9)
 
-    def test_a_force_goes_out_as_one_packet_of_sixteen_bytes(self, usb):
-        loop = falcon(usb)
-        loop.read()
+    def test_a_force_goes_out_as_the_drivers_own_packet(self, usb, device):
+        loop, force = Loop(device.compiled()), np.array([0.3, -0.2, 0.5])
         usb.stub_clear()
-        loop.send((0.0, 0.0, 0.0))
-        # zero torque three times, then green, blue and homing for a device with force
-        assert usb.stub_record() == b"out 3c" + 12 * b" 41" + b" 48 41 3e\n"
+        command(loop.io, loop.memory, LIMITS, force)
+        (sent,) = usb.stub_record().decode("ascii").splitlines()
+        device._grip[:] = GUESS_M
+        device._write(force)
+        by_driver = usb.stub_record().decode("ascii").splitlines()[-1]
+        # the same numbers; the light of the driver's own state is red, that of the loop's green and blue
+        assert sent.split()[:14] == by_driver.split()[:14]
+        assert sent.split()[14:] == [f"{0x41 + 0x01 + 0x02 + 0x04:02x}", "41", "3e"]
 
-    def test_an_unplugged_device_is_lost(self, usb):
-        loop = falcon(usb)
+    def test_an_unplugged_device_is_lost(self, usb, device):
+        loop = Loop(device.compiled())
         loop.send((0.0, 0.0, 0.0))
         loop.read()
         usb.stub_unplug()
         assert loop.read() == REPLY_LOST
+
+    def test_a_descriptor_gives_the_position_of_the_driver_or_says_that_there_is_none(self):
+        ours, theirs = socket.socketpair()
+        device = FalconDevice(calibration=Calibration(), port=0)
+        device._transport = FileTransport(ours.detach(), "socket")
+        loop = Loop(device.compiled())
+
+        def exchange(reply: bytes) -> int:
+            command(loop.io, loop.memory, LIMITS, np.zeros(3))
+            theirs.send(reply)
+            return loop.read()
+
+        # 256, 16 and -240 counts, all homed, centre button
+        assert exchange(b"<AABAABAAABPP\xb5A>") == REPLY_VALID
+        assert loop.counts.tolist() == [256, 16, -240]
+        assert (loop.words[HOMED], loop.words[PRESSED]) == (1, 4)
+        there = forward(np.radians(35.0) + loop.counts * DEFAULT_GEOMETRY.radians_per_count)
+        assert loop.position == pytest.approx(there, abs=1e-12)
+        assert theirs.recv(64) == b"<AAAAAAAAAAAAHA>"
+        # 12288 counts of one leg, homed: no position of the grip has them
+        assert exchange(b"<AAADAAAAAAAA\xb5A>") == REPLY_APART
+        assert loop.position == pytest.approx(there, abs=1e-12)
+        theirs.close()
+        os.fstat(int(device.compiled().handles[0]))
+        command(loop.io, loop.memory, LIMITS, np.zeros(3))
+        assert loop.read() == REPLY_LOST
+        device._close()

@@ -1,20 +1,30 @@
-"""The simulated device: what its docstring guarantees."""
+"""The simulated device, and a recorded motion played again: what their docstrings guarantee."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tissueid.errors import DeviceError
-from tissueid.haptics import sim_kernels as k
+from tissueid.errors import BundleError, DeviceError
+from tissueid.haptics import sim as k
 from tissueid.haptics.arm import TIME, Arm
-from tissueid.haptics.guard import GuardLimits
 from tissueid.haptics.hand import Hand, preset
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import open_device
-from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_kernels import simulated_advance, simulated_command, simulated_sample
-from tissueid.haptics.simulated_layout import PHASE, POINTER_ON
+from tissueid.haptics.replay import ReplayDevice
+from tissueid.haptics.ring import RECORD
+from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, POINTER_ON
+from tissueid.haptics.sim import (
+    CENTRE_M,
+    SimulatedDevice,
+    simulated_advance,
+    simulated_command,
+    simulated_sample,
+)
 from tissueid.haptics.states import State
+from tissueid.store import session_log
 
 SURFACE = np.array(CENTRE_M)
 INWARD = np.array([0.0, 0.0, -1.0])
@@ -61,16 +71,17 @@ def test_in_virtual_time_no_clock_is_read():
     assert device.time_s == pytest.approx(180 * 5e-4, abs=1e-12)
 
 
+@pytest.mark.parametrize("dt", [1e-3, 0.1])
 @pytest.mark.parametrize("delay_ticks", [0.0, 1.0, 1.5, 2.3])
-def test_a_force_is_felt_after_its_delay_and_not_before(delay_ticks):
+def test_a_force_is_felt_after_its_delay_and_not_before_also_in_a_stall(delay_ticks, dt):
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=delay_ticks)
     simulated_command(device.memory, device.parameters, np.array([0.0, 0.0, 2.0]))
-    ticks = 5
-    for _ in range(ticks):
-        simulated_advance(device.memory, device.parameters, 1e-3)
+    for _ in range(5):
+        simulated_advance(device.memory, device.parameters, dt)
     fell = device.true_position_m[2] - CENTRE_M[2]
     # a constant force is integrated exactly by the midpoint rule
-    assert fell == pytest.approx(0.5 * 2.0 / 0.25 * ((ticks - delay_ticks) * 1e-3) ** 2, rel=1e-9)
+    assert fell == pytest.approx(0.5 * 2.0 / 0.25 * (5 * dt - delay_ticks * 1e-3) ** 2, rel=1e-9)
+    assert device.memory[k.LOST] == 0.0
 
 
 def test_forces_take_over_from_each_other_within_a_tick():
@@ -82,15 +93,7 @@ def test_forces_take_over_from_each_other_within_a_tick():
     speed = (1.0 - 3.0) / 0.25 * 1e-3
     way = (0.5 * 1.0 * 1.0**2 + 1.0 * 1.0 - 0.5 * 3.0 * 1.0**2) / 0.25 * 1e-6 + speed * 1.5e-3
     assert device.true_position_m[0] == pytest.approx(way, rel=1e-9)
-    assert (device.felt_force_N == 0.0).all()
-
-
-def test_a_stall_neither_loses_nor_repeats_a_force():
-    device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=1.5)
-    simulated_command(device.memory, device.parameters, np.array([1.0, 0.0, 0.0]))
-    simulated_advance(device.memory, device.parameters, 0.1)
-    assert device.true_position_m[0] == pytest.approx(0.5 / 0.25 * (0.1 - 1.5e-3) ** 2, rel=1e-9)
-    assert device.memory[k.LOST] == 0.0
+    assert (device.memory[k.FELT : k.FELT + 3] == 0.0).all()
 
 
 @pytest.mark.needs_jit
@@ -111,7 +114,7 @@ def test_positions_are_rounded_to_counts_without_a_mean_error():
 def test_the_compiled_blocks_are_the_device():
     device = SimulatedDevice(hand=pressing(), seed=9)
     io = device.compiled()
-    assert io.kind == "tissueid.haptics.sim_io:SIMULATED"
+    assert io.kind == "tissueid.haptics.sim:SIMULATED"
     place, counts = np.zeros(3), np.zeros(3, np.int64)
     device.open()
     for _ in range(50):
@@ -154,18 +157,13 @@ def test_a_pointer_that_is_no_point_is_refused(point):
         SimulatedDevice().set_pointer(point)
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        (k.FAULT_SILENT, 0),
-        (k.FAULT_GONE, -1),
-        (k.FAULT_UNHOMED, k.VALID),
-        (k.FAULT_FROZEN, k.VALID | k.HOMED),
-    ],
-)
+SAID = {k.FAULT_SILENT: 0, k.FAULT_GONE: -1, k.FAULT_UNHOMED: k.VALID, k.FAULT_FROZEN: k.VALID | k.HOMED}
+
+
+@pytest.mark.parametrize(("kind", "said"), SAID.items())
 def test_scripted_faults_begin_at_their_time(kind, said):
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY)
-    device.parameters[[k.FAULT_KIND, k.FAULT_AT]] = kind, 0.010
+    device.parameters[[FAULT_KIND, FAULT_AT]] = kind, 0.010
     place, counts = np.zeros(3), np.zeros(3, np.int64)
     answers, seen = [], []
     for _ in range(40):
@@ -181,7 +179,7 @@ def test_scripted_faults_begin_at_their_time(kind, said):
 
 def test_a_jump_is_one_encoder_off_by_its_size():
     device = SimulatedDevice(hand=FREE)
-    device.parameters[[k.FAULT_KIND, k.FAULT_AT, k.FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
+    device.parameters[[FAULT_KIND, FAULT_AT, FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
     place, counts = np.zeros(3), np.zeros(3, np.int64)
     simulated_sample(device.memory, device.parameters, place, counts)
     np.testing.assert_allclose(place - device.true_position_m, [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
@@ -189,7 +187,7 @@ def test_a_jump_is_one_encoder_off_by_its_size():
 
 def test_a_device_that_is_gone_ends_in_fault():
     device = SimulatedDevice()
-    device.parameters[[k.FAULT_KIND, k.FAULT_AT]] = k.FAULT_GONE, 0.005
+    device.parameters[[FAULT_KIND, FAULT_AT]] = k.FAULT_GONE, 0.005
     with device:
         for _ in range(3):
             device.read()
@@ -214,3 +212,93 @@ def test_it_is_found_by_name_without_any_device():
     assert SimulatedDevice.detect()[0].note == ""
     assert not device.capabilities.hardware
     assert device.capabilities.delay_ticks == 1.5
+
+
+def motion(count: int = 200) -> np.ndarray:
+    """Records of a motion on an uneven time base."""
+    rng = np.random.default_rng(4)
+    records = np.zeros(count, RECORD)
+    records["time_s"] = 17.0 + np.cumsum(rng.uniform(5e-4, 2e-3, count))
+    records["position_m"] = [0.0, 0.01, 0.13] + 0.01 * rng.normal(size=(count, 3)).cumsum(axis=0) / count
+    records["buttons"] = np.arange(count) // 50
+    return records
+
+
+def player(monkeypatch: pytest.MonkeyPatch, records: np.ndarray, **options: object) -> ReplayDevice:
+    """A replay device of records that need no file."""
+    log = session_log.SessionLog(head={}, records=records, summary=None)
+    monkeypatch.setattr(session_log, "read_session_log", lambda _path: log)
+    return ReplayDevice(log="motion.h5", **options)  # type: ignore[arg-type]
+
+
+def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch):
+    records = motion()
+    now = [3.0]
+    device = player(monkeypatch, records, clock=lambda: now[0])
+    own = records["time_s"] - records["time_s"][0]
+    with device:
+        first = device.read()
+        np.testing.assert_array_equal(first.position_m, records["position_m"][0])
+        for at in (20, 77, 150):
+            now[0] = 3.0 + own[at]
+            np.testing.assert_allclose(device.read().position_m, records["position_m"][at], atol=1e-15)
+            now[0] = 3.0 + 0.5 * (own[at] + own[at + 1])
+            between = 0.5 * (records["position_m"][at] + records["position_m"][at + 1])
+            sample = device.read()
+            np.testing.assert_allclose(sample.position_m, between, atol=1e-15)
+            assert sample.buttons == at // 50
+        assert not device.ended
+        now[0] = 3.0 + own[-1] + 10.0
+        np.testing.assert_array_equal(device.read().position_m, records["position_m"][-1])
+        assert device.ended
+    assert device.duration_s == pytest.approx(own[-1], abs=1e-12)
+
+
+def test_no_force_changes_the_motion(monkeypatch):
+    records = motion()
+    paths = []
+    for force in (0.0, 3.0):
+        device = player(monkeypatch, records, real_time=False)
+        with device:
+            device.engage()
+            path = []
+            for _ in range(150):
+                path.append(device.read().position_m)
+                device.write_force([0.0, 0.0, force], 1e-3)
+            paths.append(np.array(path))
+    np.testing.assert_array_equal(paths[0], paths[1])
+    time = 1e-3 * np.arange(150)
+    own = records["time_s"] - records["time_s"][0]
+    expected = np.column_stack([np.interp(time, own, records["position_m"][:, axis]) for axis in range(3)])
+    np.testing.assert_allclose(paths[0], expected, atol=1e-15)
+
+
+def test_records_that_are_no_numbers_are_left_out(monkeypatch):
+    records = motion()
+    records["position_m"][60, 1] = np.nan
+    device = player(monkeypatch, records, real_time=False)
+    assert np.isfinite(device._position_m).all()
+    gap = records["time_s"][61] - records["time_s"][59]
+    assert device._time_s[60] - device._time_s[59] == pytest.approx(gap, abs=1e-12)
+
+
+@pytest.mark.parametrize("spoil", ["short", "backward"])
+def test_a_log_without_motion_is_refused(monkeypatch, spoil):
+    records = motion()
+    if spoil == "short":
+        records = records[:1]
+    else:
+        records["time_s"][100] = 0.0
+    with pytest.raises(DeviceError, match="hold no motion"):
+        player(monkeypatch, records)
+
+
+def test_a_log_that_is_none_is_refused_and_a_missing_one_asked_for(tmp_path: Path):
+    file = tmp_path / "log.h5"
+    file.write_bytes(b"something else")
+    with pytest.raises(BundleError, match=r"log\.h5"):
+        ReplayDevice(log=file)
+    with pytest.raises(DeviceError, match="give one with --replay"):
+        ReplayDevice().open()
+    assert "needs the log" in ReplayDevice.detect()[0].note
+    assert not ReplayDevice().capabilities.hardware

@@ -31,23 +31,17 @@ class Mutant:
 
 
 _GUARD = "haptics/guard.py"
-_STATES = "haptics/guard_states.py"
-_WATCHDOGS = "haptics/watchdogs.py"
 _TICK = "rendering/servo_tick.py"
 _LOOP = "rendering/servo_loop.py"
 _PASSIVITY = "rendering/passivity_control.py"
 _ENVIRONMENT = "rendering/environment.py"
 _DEVICE = "haptics/device.py"
-_PACKETS = "haptics/falcon/packet_kernels.py"
-_KINEMATICS = "haptics/falcon/kinematic_kernels.py"
+_PACKETS = "haptics/falcon/packets.py"
+_KINEMATICS = "haptics/falcon/kinematics.py"
 _FALCON = "haptics/falcon/servo_io.py"
 _CONTROL = "rendering/control/law.py"
 
-_OF_GUARD = (
-    "tests/haptics/test_haptics_watchdogs.py",
-    "tests/haptics/test_haptics_guard.py",
-    "tests/haptics/test_haptics_guard_invariants.py",
-)
+_OF_GUARD = ("tests/haptics/test_haptics_guard.py", "tests/haptics/test_haptics_guard_invariants.py")
 _OF_DEVICE = ("tests/haptics/test_haptics_device.py",)
 _OF_TICK = ("tests/render/test_render_tick_memory.py", "tests/render/test_render_servo_tick.py")
 _OF_PASSIVITY = ("tests/render/test_render_passivity_control.py",)
@@ -59,7 +53,7 @@ _OF_CONTROL = ("tests/render/test_render_control_law.py",)
 
 #: Caught by tests that run without compilation.
 INTERPRETED = (
-    Mutant("clamp left out", _GUARD, "if bound > limits[CLAMP_N]:", "if False:", _OF_GUARD),
+    Mutant("clamp left out", _GUARD, "if bound > limits[bar.CLAMP_N]:", "if False:", _OF_GUARD),
     Mutant("clamp of each axis", _GUARD, "out[i] = out[i] * scale", "out[i] = min(out[i], bound)", _OF_GUARD),
     Mutant("slew left out", _GUARD, "if bound > risen:", "if False:", _OF_GUARD),
     Mutant(
@@ -104,7 +98,7 @@ INTERPRETED = (
     Mutant("damping pushes", _GUARD, "gain * force[i] - damping *", "gain * force[i] + damping *", _OF_GUARD),
     Mutant(
         "no ramp at engaging",
-        _STATES,
+        _GUARD,
         "    memory[GAIN] = 0.0\n    memory[RISE_RATE]",
         "    memory[GAIN] = 1.0\n    memory[RISE_RATE]",
         _OF_GUARD,
@@ -123,84 +117,84 @@ INTERPRETED = (
     Mutant(
         "a late wire lowers nothing",
         _GUARD,
-        "(limits[DELAY_TICKS] + memory[DELAYED_TICKS])",
-        "limits[DELAY_TICKS]",
+        "(limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])",
+        "limits[bar.DELAY_TICKS]",
         _OF_TICK,
     ),
     Mutant(
         "the second fault is reported",
-        _STATES,
+        _GUARD,
         "if memory[STATE] == FAULTED or memory[STATE] == CLOSED:",
         "if memory[STATE] == CLOSED:",
         _OF_GUARD,
     ),
-    Mutant("shut with force", _STATES, "        memory[STATE] = CLOSED\n", "        pass\n", _OF_GUARD),
+    Mutant("shut with force", _GUARD, "        memory[STATE] = CLOSED\n", "        pass\n", _OF_GUARD),
     Mutant(
         "parameters change in contact",
-        _STATES,
+        _GUARD,
         "state != ENGAGED or memory[PENETRATION] <= 0.0",
         "True",
         _OF_GUARD,
     ),
-    Mutant("silence unseen", _WATCHDOGS, "        fail(memory, _NO_REPLY)", "        pass", _OF_GUARD),
+    Mutant("silence unseen", _GUARD, "        fail(memory, _NO_REPLY)", "        pass", _OF_GUARD),
     Mutant(
-        "silence keeps its force", _WATCHDOGS, "        pause(memory, limits)\n", "        pass\n", _OF_GUARD
+        "silence keeps its force",
+        _GUARD,
+        "        pause(memory, limits)\n        # nobody",
+        "        # nobody",
+        _OF_GUARD,
     ),
     Mutant(
         "silence damps by an old velocity",
-        _WATCHDOGS,
+        _GUARD,
         "        for i in range(3):\n            memory[VELOCITY + i] = 0.0\n",
         "        pass\n",
         _OF_GUARD,
     ),
-    Mutant(
-        "damaged packets are good", _WATCHDOGS, "        memory[DAMAGED] += 1.0", "        pass", _OF_GUARD
-    ),
-    Mutant("a jump unseen", _WATCHDOGS, "            fail(memory, _JUMP)", "            pass", _OF_GUARD),
+    Mutant("damaged packets are good", _GUARD, "        memory[DAMAGED] += 1.0", "        pass", _OF_GUARD),
+    Mutant("a jump unseen", _GUARD, "            fail(memory, _JUMP)", "            pass", _OF_GUARD),
     Mutant(
         "a jump of one leg alone",
-        _WATCHDOGS,
+        _GUARD,
         "    for i in range(3):\n        if abs(counts_moved[i])",
         "    for i in range(1):\n        if abs(counts_moved[i])",
         _OF_GUARD,
     ),
-    Mutant("a gap is a jump", _WATCHDOGS, "    if gap > limits[JUMP_S]:", "    if False:", _OF_GUARD),
-    Mutant("too fast unseen", _WATCHDOGS, "        fail(memory, _OVERSPEED)", "        pass", _OF_GUARD),
+    Mutant("a gap is a jump", _GUARD, "    if gap > limits[bar.JUMP_S]:", "    if False:", _OF_GUARD),
+    Mutant("too fast unseen", _GUARD, "        fail(memory, _OVERSPEED)", "        pass", _OF_GUARD),
     Mutant(
         "lost homing unseen",
-        _WATCHDOGS,
+        _GUARD,
         "        fail(memory, _NOT_HOMED)\n        return",
         "        return",
         _OF_GUARD,
     ),
-    Mutant(
-        "a frozen encoder unseen", _WATCHDOGS, "        yield_to(memory, _FROZEN)", "        pass", _OF_GUARD
-    ),
+    Mutant("a frozen encoder unseen", _GUARD, "        yield_to(memory, _FROZEN)", "        pass", _OF_GUARD),
     Mutant(
         "a resting hand is frozen",
-        _WATCHDOGS,
+        _GUARD,
         "memory[STILL_CHANGE_N] > least and force2",
         "force2",
         _OF_GUARD,
     ),
     Mutant(
         "the button is always held",
-        _WATCHDOGS,
-        "held = limits[DEAD_MAN] == 0.0 or",
+        _GUARD,
+        "held = limits[bar.DEAD_MAN] == 0.0 or",
         "held = True or",
         _OF_GUARD,
     ),
-    Mutant("any button will do", _WATCHDOGS, "buttons & int(limits[DEAD_MAN_BUTTONS])", "buttons", _OF_GUARD),
+    Mutant("any button will do", _GUARD, "buttons & int(limits[bar.DEAD_MAN_BUTTONS])", "buttons", _OF_GUARD),
     Mutant(
         "armed by one reply",
-        _WATCHDOGS,
+        _GUARD,
         "memory[HOMED_REPLIES] + 1.0 if homed",
-        "limits[HOMED_NEEDED] if homed",
+        "limits[bar.HOMED_NEEDED] if homed",
         _OF_GUARD,
     ),
     Mutant(
         "a late answer is forgotten at once",
-        _WATCHDOGS,
+        _GUARD,
         "memory[DELAYED_TICKS] - FORGOTTEN_PER_S * dt",
         "memory[DELAYED_TICKS] - 1e6 * dt",
         _OF_TICK,
@@ -215,8 +209,8 @@ INTERPRETED = (
     Mutant(
         "a lost transport is no fault",
         _DEVICE,
-        "self._write(self._out)\n        except (OSError, DeviceError) as error:\n            transition(",
-        "self._write(self._out)\n        except (OSError, DeviceError) as error:\n            print(",
+        "        machine.transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)",
+        "        pass",
         _OF_DEVICE,
     ),
     Mutant("tissue remembers another", _TICK, "    put_at_rest(environment_memory)\n", "", _OF_TICK),
@@ -381,7 +375,7 @@ COMPILED = (
         _FALCON,
         "elif not found or _alone(parts.since, parts.last, counts):",
         "elif _alone(parts.since, parts.last, counts):",
-        ("tests/haptics/test_haptics_compiled_io.py",),
+        ("tests/haptics/test_haptics_servo_drivers.py",),
     ),
     Mutant(
         "a leg that goes on alone is believed",

@@ -14,15 +14,14 @@ import numba as nb
 import numpy as np
 
 from tissueid.haptics.arm import Arm, port_energy
-from tissueid.haptics.guard_states import FAULT, STATE
+from tissueid.haptics.guard import FAULT, STATE
 from tissueid.haptics.hand import PRESETS as HANDS
 from tissueid.haptics.hand import preset
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_io import SimulatedIO
-from tissueid.haptics.simulated_layout import QUANTUM
+from tissueid.haptics.shared_hand import QUANTUM
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, SimulatedIO
 from tissueid.model.passivity import required_damping, scaling_for
 from tissueid.rendering.environment import INFO_DEPTH_MM
 from tissueid.rendering.options import PRESETS, preset_tissue

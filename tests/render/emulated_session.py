@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from tissueid.haptics.device import compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
@@ -17,7 +18,6 @@ from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering.options import preset_check, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits

@@ -23,8 +23,8 @@ from tissueid.haptics.falcon import firmware as firmware_module
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
-from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
-from tissueid.haptics.guard_states import GAIN, HEARTBEAT_LOST, PHASE, YIELDING, transition
+from tissueid.haptics.falcon.packets import INVALID, PACKETS
+from tissueid.haptics.guard import GAIN, HEARTBEAT_LOST, PHASE, YIELDING, transition
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.environment import LAW

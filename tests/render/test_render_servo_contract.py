@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_render_servo_tick import PERIOD, Rig, tissue
 
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics import sim_kernels as sim
+from tissueid.haptics import guard as machine
+from tissueid.haptics import sim
 from tissueid.haptics.guard import transition
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering.environment import LAW

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from tissueid.errors import DeviceError
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.device import CompiledIO
+from tissueid.haptics import guard as machine
+from tissueid.haptics.device import CompiledIO, compiled_io
 from tissueid.haptics.guard import transition
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
 from tissueid.rendering.options import preset_tissue

@@ -9,9 +9,9 @@ import time
 import numpy as np
 import pytest
 
+from tissueid.haptics.device import compiled_io
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_loop, servo_schedule
 from tissueid.rendering.selftest import Figure, SelfTest, TickTimes, run_selftest, time_ticks

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from fake_device import FakeDevice
 
-from tissueid.haptics.guard_states import GAIN
+from tissueid.haptics.device import UNANSWERED
+from tissueid.haptics.guard import GAIN
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import UNANSWERED
 from tissueid.haptics.states import Lamp, State
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import TOTAL_J, PassivityLimits

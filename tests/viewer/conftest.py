@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from rendered_session import Session
 
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer.bundling import BUNDLE
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -23,6 +25,20 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+
+
+@pytest.fixture
+def ring() -> Iterator[Ring]:
+    made = Ring.create()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def hand() -> Iterator[SharedHand]:
+    made = SharedHand.create()
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="module")

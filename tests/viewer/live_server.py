@@ -20,8 +20,7 @@ from tissueid.viewer.feed import LiveFeed
 from tissueid.viewer.frames import Frame, read_frame
 from tissueid.viewer.hello import hello
 from tissueid.viewer.security import Access
-from tissueid.viewer.server import ViewerServer
-from tissueid.viewer.stage import HandPointer, Stage
+from tissueid.viewer.server import HandPointer, Stage, ViewerServer
 
 PATIENCE_S = 20.0
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 START_S = 90.0
 
@@ -41,3 +42,39 @@ class Session:
         if self.process.poll() is None:
             os.kill(self.process.pid, signal.SIGTERM)
         return self.process.wait(30)
+
+
+def now(page: Any) -> Any:
+    """What a page holds."""
+    return page.evaluate("window.tissueid ? window.tissueid.read() : null")
+
+
+def wait(page: Any, true: Any, meanwhile: Any = lambda: None) -> Any:
+    """What a page holds once that is so; meanwhile something goes on."""
+    deadline = time.monotonic() + START_S
+    while True:
+        meanwhile()
+        found = now(page)
+        if found is not None and true(found):
+            return found
+        assert time.monotonic() < deadline, found
+        time.sleep(0.05)
+
+
+def drag_down(page: Any, pixels: int) -> None:
+    """Press the left button on the scene and go down; it stays pressed."""
+    box = page.locator("#scene").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for part in range(1, 16):
+        page.mouse.move(x, y + pixels * part / 15)
+        time.sleep(0.05)
+
+
+def heard(page: Any) -> list[str]:
+    """Errors that a page says from now on."""
+    said: list[str] = []
+    page.on("console", lambda one: said.append(one.text) if one.type == "error" else None)
+    page.on("pageerror", lambda error: said.append(str(error)))
+    return said

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from live_server import record, served
+from rendered_session import drag_down, heard, now, wait
 from session_heads import head_of
 
 from tissueid.haptics.states import Fault, State
@@ -32,12 +33,10 @@ def page(chromium: Any, sessions: Any) -> Iterator[Any]:
     opened.set_default_timeout(1e3 * PATIENCE_S)
     for _ in range(STARTS):
         opened.session = sessions()
-        opened.said = []
         opened.goto(opened.session.url)
         if is_engaged(opened):
             break
-    opened.on("console", lambda said: opened.said.append(said.text) if said.type == "error" else None)
-    opened.on("pageerror", lambda error: opened.said.append(str(error)))
+    opened.said = heard(opened)
     # a page without an error from its first line on
     opened.reload()
     wait(opened, lambda now: now["drawn"] > 3 and now["newest"]["state"] == State.ENGAGED)
@@ -56,33 +55,9 @@ def is_engaged(page: Any) -> bool:
     return False
 
 
-def now(page: Any) -> dict[str, Any] | None:
-    """What the page holds."""
-    found: dict[str, Any] | None = page.evaluate("window.tissueid ? window.tissueid.read() : null")
-    return found
-
-
-def wait(page: Any, true: Any, meanwhile: Any = lambda: None) -> dict[str, Any]:
-    """Until the page shows something; meanwhile something goes on."""
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
-        meanwhile()
-        found = now(page)
-        if found is not None and true(found):
-            return found
-        assert time.monotonic() < deadline, found
-        time.sleep(0.05)
-
-
-def press(page: Any, pixels: float) -> dict[str, Any]:
+def press(page: Any, pixels: int) -> Any:
     """Drag the tool down, and keep it there."""
-    box = page.locator("#scene").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for part in range(1, 11):
-        page.mouse.move(x, y + pixels * part / 10)
-        time.sleep(0.02)
+    drag_down(page, pixels)
     return wait(page, lambda now: now["newest"]["depth_mm"] > 0.3)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rendered_session import Session
+from rendered_session import Session, drag_down, heard, wait
 
 from tissueid.haptics.states import State
 from tissueid.rendering.scene import load_scene
@@ -19,7 +19,6 @@ from tissueid.rendering.scene import load_scene
 # a page that is drawn without a graphics card takes every core there is: not beside other tests
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
-PATIENCE_S = 90.0
 SIM = ("--device", "sim", "--viewer", "--seconds", "200")
 
 
@@ -28,9 +27,7 @@ def opened(chromium: Any, folder: Path, *asked: str) -> Iterator[Any]:
     """A page of a session, once its force is on."""
     session = Session(*asked, *SIM, folder=folder)
     page = chromium.new_page(viewport={"width": 1400, "height": 900})
-    page.said = []
-    page.on("console", lambda said: page.said.append(said.text) if said.type == "error" else None)
-    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.said = heard(page)
     try:
         page.goto(session.url, wait_until="commit")
         wait(page, lambda now: now["newest"]["state"] == State.ENGAGED)
@@ -38,28 +35,6 @@ def opened(chromium: Any, folder: Path, *asked: str) -> Iterator[Any]:
     finally:
         page.close()
         session.end()
-
-
-def wait(page: Any, true: Callable[[Any], bool]) -> Any:
-    """What the page holds, once that is so."""
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
-        found = page.evaluate("window.tissueid ? window.tissueid.read() : null")
-        if found is not None and true(found):
-            return found
-        assert time.monotonic() < deadline, found
-        time.sleep(0.05)
-
-
-def drag_down(page: Any, pixels: int) -> None:
-    """Press the left button on the scene and go down; it stays pressed."""
-    box = page.locator("#scene").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for part in range(1, 16):
-        page.mouse.move(x, y + pixels * part / 15)
-        time.sleep(0.05)
 
 
 def test_a_guided_wire_is_led_into_the_bone_under_its_scenes_title(chromium: Any, tmp_path: Path) -> None:

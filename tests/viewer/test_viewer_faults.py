@@ -7,23 +7,25 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from live_server import client, served, until
+from live_server import Live, client, served, until
 from rendered_session import Session
 from session_heads import head_of
 
 from tissueid.cli.view_command import telling_stop
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.shared_hand import SharedHand
-from tissueid.haptics.simulated_layout import POINTER
+from tissueid.haptics.shared_hand import POINTER, SharedHand
 from tissueid.store.session_log import read_session_log
-from tissueid.viewer import serving, stage
+from tissueid.viewer import server, serving
 from tissueid.viewer.hello import hello
+from tissueid.viewer.server import HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
-from tissueid.viewer.stage import HandPointer
 
 REST_M = [0.0, 0.0, 0.15]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
@@ -65,10 +67,16 @@ class Led:
         self.ring.close()
 
 
+@pytest.fixture
+def led() -> Iterator[Led]:
+    made = Led()
+    yield made
+    made.close()
+
+
 def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
-    capsys: pytest.CaptureFixture[str],
+    led: Led, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    led = Led()
     shown = telling_stop(led.viewer, None, lambda _record, _summary: None)
 
     def kill() -> None:
@@ -76,19 +84,22 @@ def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
         assert led.height_m == 0.1
         led.viewer._process.kill()
         led.viewer.wait()
+        assert not led.viewer.runs
+        for _ in range(2):
+            led.viewer.tell(recording_stopped="nobody hears it")
         shown(None, None)
         assert led.height_m == REST_M[2]
         shown(None, None)
 
     led.meanwhile = kill  # type: ignore[method-assign]
     led.press()
-    led.close()
     assert capsys.readouterr().err.count("goes on unseen") == 1
 
 
-def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(
+    led: Led, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(serving, "SILENCE_S", 0.5)
-    led = Led()
     seen = []
 
     def hang() -> None:
@@ -106,46 +117,43 @@ def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(monkeypatch: pytes
     assert seen == [0.1, REST_M[2]]
     led.meanwhile = lambda: None  # type: ignore[method-assign]
     led.press()
-    led.close()
 
 
-def test_a_page_that_is_closed_while_it_presses_lets_go() -> None:
-    led = Led()
+def test_a_page_that_is_closed_while_it_presses_lets_go(led: Led) -> None:
     led.press()
     until(lambda: led.height_m == REST_M[2])
-    assert led.height_m == REST_M[2]
-    led.close()
 
 
-def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage, "SILENCE_S", 0.2)
+@contextmanager
+def pressed() -> Iterator[tuple[Live, Any, SharedHand]]:
+    """A hand that a page presses through a server in this process."""
     hand = SharedHand.create()
     pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
     with served(pointer=pointer) as live, client(live.ws) as page:
         page.recv()
         page.send(PRESS)
-        until(lambda: hand.parameters[POINTER + 2] == 0.1)
-        # its connection stays, and nothing comes
-        until(lambda: hand.parameters[POINTER + 2] == REST_M[2])
-        assert len(live.stage.clients) == 1
+        until(lambda: live.stage.leader is not None and hand.parameters[POINTER + 2] == 0.1)
+        yield live, page, hand
     hand.close()
 
 
+def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "SILENCE_S", 0.2)
+    with pressed() as (live, _, hand):
+        # its connection stays, and nothing comes
+        until(lambda: hand.parameters[POINTER + 2] == REST_M[2])
+        assert len(live.stage.clients) == 1
+
+
 def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage, "SILENCE_S", 3600.0)
-    hand = SharedHand.create()
-    pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
-    with served(pointer=pointer) as live, client(live.ws) as page:
-        page.recv()
-        page.send(PRESS)
-        until(lambda: live.stage.leader is not None)
+    monkeypatch.setattr(server, "SILENCE_S", 3600.0)
+    with pressed() as (live, page, hand):
         heard_s = live.stage.leader_heard_s
         live.write(1)
         assert isinstance(page.recv(20), bytes)
         page.send('{"v": 1, "answer": 1}')
         until(lambda: live.stage.leader_heard_s > heard_s)
         assert hand.parameters[POINTER + 2] == 0.1
-    hand.close()
 
 
 def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(

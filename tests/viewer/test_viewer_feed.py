@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 from live_server import client, frame_of, record, served, until
 
 from tissueid.haptics.ring import RECORD, Ring
-from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed
-from tissueid.viewer.frames import read_frame, samples_of
-from tissueid.viewer.playback import Playback
+from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed, Playback
+from tissueid.viewer.frames import Frame, read_frame, samples_of
 from tissueid.viewer.protocols import Play
-
-
-@pytest.fixture
-def ring() -> Ring:
-    return Ring.create(capacity=8192)
 
 
 def fill(ring: Ring, count: int, first: int = 0) -> None:
     for number in range(first, first + count):
         ring.append(record(number))
+
+
+def shown(one: Client) -> Frame:
+    """The frame that is to be sent now."""
+    data = one.next_frame()
+    assert data is not None
+    return read_frame(data)
 
 
 def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
@@ -33,9 +35,7 @@ def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
     for turn in range(20):
         fill(ring, 13, 13 * turn)
         feed.pump()
-        data = one.next_frame()
-        assert data is not None
-        frame = read_frame(data)
+        frame = shown(one)
         assert frame.first == len(seen)
         seen += frame.samples["tick"].tolist()
         assert one.answer(turn + 1)
@@ -47,8 +47,7 @@ def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
 def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring: Ring) -> None:
     feed = LiveFeed(ring)
     hung, awake = Client(feed, "hung"), Client(feed, "awake")
-    received = 0
-    sent = 0
+    received = sent = 0
     while (data := hung.next_frame()) is not None or sent < MOST_UNANSWERED:
         sent += 1
         fill(ring, 10, 10 * (sent - 1))
@@ -60,14 +59,11 @@ def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(rin
         fill(ring, 1000, 10 * sent + 1000 * turn)
         feed.pump()
         assert hung.next_frame() is None
-        frame = awake.next_frame()
-        assert frame is not None
+        shown(awake)
         assert awake.answer(awake.sent)
     total = feed.published
     assert hung.answer(hung.sent)
-    data = hung.next_frame()
-    assert data is not None
-    frame = read_frame(data)
+    frame = shown(hung)
     assert frame.samples.size == MOST_SAMPLES
     assert frame.samples["tick"][-1] == total - 1
     assert frame.dropped == total - MOST_SAMPLES - received
@@ -81,8 +77,7 @@ def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers() -> None:
     fill(ring, 200)
     feed.pump()
     assert feed.published == 200
-    data = one.next_frame()
-    assert data is not None
+    shown(one)
     # only what the ring still held is known; its number is its tick
     assert feed.between(199, 200)["tick"].tolist() == [199]
     assert feed.between(140, 200)["tick"].tolist() == list(range(140, 200))
@@ -114,18 +109,15 @@ def test_the_end_is_said_once(ring: Ring) -> None:
     one = Client(feed, "one")
     fill(ring, 3)
     feed.end()
-    data = one.next_frame()
-    assert data is not None
-    frame = read_frame(data)
+    frame = shown(one)
     assert (frame.samples.size, frame.ended) == (3, True)
     assert one.next_frame() is None
 
 
 def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
-    with served() as live, client(live.ws) as hung:
+    with served() as live, client(live.ws) as hung, ExitStack() as others:
         hung.recv()
-        others = [client(live.ws) for _ in range(4)]
-        opened = [one.__enter__() for one in others]
+        opened = [others.enter_context(client(live.ws)) for _ in range(4)]
         for one in opened:
             one.recv()
         seen: list[list[int]] = [[] for _ in opened]
@@ -144,22 +136,17 @@ def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
                 ticks += frame_of(one).samples["tick"].tolist()
                 live_answer(one)
             assert ticks == list(range(written))
-        for one in others:
-            one.__exit__(None, None, None)
+        others.close()
         until(lambda: len(live.stage.clients) == 1)
         # the hung one got what it may have unanswered and no more
-        waiting = 0
-        while waiting < MOST_UNANSWERED:
+        for _ in range(MOST_UNANSWERED):
             frame_of(hung)
-            waiting += 1
         with pytest.raises(TimeoutError):
             hung.recv(0.2)
-        hung.send(json.dumps({"v": 1, "answer": waiting}))
+        hung.send(json.dumps({"v": 1, "answer": MOST_UNANSWERED}))
         live.write(1, written)
-        newest = frame_of(hung)
-        while newest.samples["tick"][-1] != written:
-            newest = frame_of(hung)
-        assert newest.samples["tick"][-1] == written
+        while frame_of(hung).samples["tick"][-1] != written:
+            pass
 
 
 def live_answer(one: object) -> None:
@@ -197,6 +184,4 @@ class TestPlayback:
         assert one.next_frame() is not None
         play.play(Play(0.0, paused=True))
         one.rewind()
-        data = one.next_frame()
-        assert data is not None
-        assert read_frame(data).samples["tick"].tolist() == [0]
+        assert shown(one).samples["tick"].tolist() == [0]

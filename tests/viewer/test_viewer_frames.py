@@ -1,4 +1,4 @@
-"""Frames: what a servo recorded arrives as it was, to the digits that the layout states."""
+"""Frames, to the digits that the layout states, and the hello: what is drawn lies where it is felt."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from session_heads import head_of
 
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import Lamp
+from tissueid.rendering.funnel import funnel_touch
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_block
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.scene import load_scene
 from tissueid.viewer.frames import HEAD, SAMPLE, layout, read_frame, samples_of, write_frame
-from tissueid.viewer.hello import hello
+from tissueid.viewer.hello import guided_objects, hello
 
 
 def some_records(count: int, seed: int = 1) -> np.ndarray:
@@ -63,18 +68,16 @@ def test_records_of_another_layout_keep_what_they_have() -> None:
     assert not samples["force_N"].any()
 
 
-@pytest.mark.parametrize("cut", [0, 5, 31, 33, -1])
-def test_a_frame_that_is_not_whole_is_refused(cut: int) -> None:
-    data = write_frame(samples_of(some_records(2)), first=0, now_s=0.0)
-    with pytest.raises(ValueError, match="frame"):
-        read_frame(data[:cut])
-
-
-def test_a_frame_of_another_version_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("cut", "version", "why"), [*((cut, 1, "frame") for cut in (0, 5, 31, 33, -1)), (None, 9, "version 1")]
+)
+def test_a_frame_that_is_not_whole_or_of_another_version_is_refused(
+    cut: int | None, version: int, why: str
+) -> None:
     data = bytearray(write_frame(samples_of(some_records(2)), first=0, now_s=0.0))
-    data[2] = 9
-    with pytest.raises(ValueError, match="version 1"):
-        read_frame(bytes(data))
+    data[2] = version
+    with pytest.raises(ValueError, match=why):
+        read_frame(bytes(data[:cut]))
 
 
 def test_the_hello_says_what_is_drawn_and_which_lamp_is_which() -> None:
@@ -108,3 +111,42 @@ def test_a_blind_session_tells_no_tissue_and_no_band() -> None:
     words = hello(head_of(blind=True))
     assert words["session"]["title"] == "blind comparison"
     assert words["band"] is None
+
+
+@pytest.mark.parametrize("kind", ["hyperboloid", "cone"])
+def test_the_drawn_funnel_is_the_one_that_is_felt(kind: str) -> None:
+    funnel = Funnel(kind=kind)  # type: ignore[arg-type]
+    plan = Guidance((0.01, 0.0, 0.12), (0.0, 0.6, 0.8), funnel=funnel)
+    axis, drawn, bone = guided_objects(guidance_block(plan).tolist())
+    json.dumps([axis, drawn, bone])
+    assert [one["kind"] for one in (axis, drawn, bone)] == ["axis", "funnel", "bone"]
+    np.testing.assert_allclose(drawn["entry_m"], plan.entry_m)
+    np.testing.assert_allclose(drawn["axis"], [0.0, 0.6, 0.8])
+    for r, z in drawn["profile_m"]:
+        assert abs(funnel_touch(funnel.numbers(), 0, r, z, np.zeros(2), 0)) < 1e-9
+    assert axis["from_m"] == -plan.bone.drill_depth_m
+    assert bone["radius_m"] == plan.bone.radius_m
+
+
+def test_where_there_is_no_bone_none_is_drawn() -> None:
+    plan = Guidance((0.0, 0.0, 0.13), bone=Bone(radius_m=0.0))
+    assert [one["kind"] for one in guided_objects(guidance_block(plan))] == ["axis", "funnel"]
+
+
+def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue() -> None:
+    scene = load_scene("hip-resurfacing")
+    words = hello(plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene)).head)
+    assert words["session"]["title"] == scene.name
+    assert "bone" in words["hint"]
+    assert not {"rupture", "outside"} & {lamp["id"] for lamp in words["lamps"]}
+    (tool,) = [one for one in words["scene"]["objects"] if one["kind"] == "tool"]
+    assert tool["shape"] == "wire"
+    np.testing.assert_allclose(tool["axis"], scene.guidance.unit_axis())
+
+
+def test_a_tissue_of_a_scene_has_its_title_and_all_lamps() -> None:
+    scene = load_scene("orbital-floor")
+    asked = RenderOptions(device="sim", seconds=1.0, scene=scene, **{"surface": "plane", **scene.tissue})
+    words = hello(plan_session(asked).head)
+    assert words["session"]["title"] == scene.name
+    assert {"rupture", "outside"} <= {lamp["id"] for lamp in words["lamps"]}

@@ -37,6 +37,9 @@ class Asked:
         return "done"
 
 
+SHOWN = Asked()
+
+
 @contextmanager
 def running(asked: Asked) -> Iterator[PageServer]:
     with PageServer(asked, None) as server:
@@ -51,10 +54,9 @@ def running(asked: Asked) -> Iterator[PageServer]:
 
 
 @pytest.fixture(scope="module")
-def served() -> Iterator[tuple[Asked, PageServer]]:
-    asked = Asked()
-    with running(asked) as server:
-        yield asked, server
+def served() -> Iterator[PageServer]:
+    with running(SHOWN) as server:
+        yield server
 
 
 def request(
@@ -73,10 +75,9 @@ def origin(server: PageServer) -> str:
     return f"http://127.0.0.1:{server.access.port}"
 
 
-def test_the_address_that_is_printed_shows_the_page(served: tuple[Asked, PageServer]) -> None:
-    _, server = served
-    assert server.url.startswith("http://127.0.0.1:")
-    status, text, headers = request(server, "GET", server.url.removeprefix(origin(server)))
+def test_the_address_that_is_printed_shows_the_page(served: PageServer) -> None:
+    assert served.url.startswith("http://127.0.0.1:")
+    status, text, headers = request(served, "GET", served.url.removeprefix(origin(served)))
     assert (status, text) == (200, "<p>the page</p>")
     assert "connect-src 'self'" in headers["content-security-policy"]
     assert headers["referrer-policy"] == "no-referrer"
@@ -94,15 +95,14 @@ def test_the_address_that_is_printed_shows_the_page(served: tuple[Asked, PageSer
     ],
 )
 def test_strangers_are_refused_before_anything_is_done(
-    served: tuple[Asked, PageServer], method: str, path: str, headers: dict[str, str], why: str
+    served: PageServer, method: str, path: str, headers: dict[str, str], why: str
 ) -> None:
-    asked, server = served
-    before = len(asked.words)
-    path = path.format(token=server.access.token)
-    status, text, _ = request(server, method, path, b'{"key": "exclude"}', **headers)
+    before = len(SHOWN.words)
+    path = path.format(token=served.access.token)
+    status, text, _ = request(served, method, path, b'{"key": "exclude"}', **headers)
     assert status == 403
     assert why in text
-    assert len(asked.words) == before
+    assert len(SHOWN.words) == before
 
 
 @pytest.mark.parametrize(
@@ -117,28 +117,25 @@ def test_strangers_are_refused_before_anything_is_done(
     ],
 )
 def test_a_decision_is_answered_in_one_sentence(
-    served: tuple[Asked, PageServer], body: bytes, status: int, said: str
+    served: PageServer, body: bytes, status: int, said: str
 ) -> None:
-    _, server = served
-    path = f"/decide?token={server.access.token}"
-    found, text, _ = request(server, "POST", path, body, Origin=origin(server))
+    path = f"/decide?token={served.access.token}"
+    found, text, _ = request(served, "POST", path, body, Origin=origin(served))
     assert (found, json.loads(text)) == (status, {"said": said})
 
 
-def test_a_page_that_cant_be_made_says_why(served: tuple[Asked, PageServer]) -> None:
-    asked, server = served
-    asked.broken = True
-    status, text, _ = request(server, "GET", f"/?token={server.access.token}")
-    asked.broken = False
+def test_a_page_that_cant_be_made_says_why(served: PageServer) -> None:
+    SHOWN.broken = True
+    status, text, _ = request(served, "GET", f"/?token={served.access.token}")
+    SHOWN.broken = False
     assert status == 422
     assert "line 3" in text
 
 
 def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(
-    served: tuple[Asked, PageServer],
+    served: PageServer,
 ) -> None:
-    _, server = served
     with PageServer(Asked()) as other:
-        assert other.access.port != server.access.port
+        assert other.access.port != served.access.port
     with pytest.raises(UsageError, match="--viewer-port"):
-        PageServer(Asked(), server.access.port)
+        PageServer(Asked(), served.access.port)

@@ -29,10 +29,9 @@ from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import write_bundle
 from tissueid.store.session_log import SessionLog
 from tissueid.viewer import server_process, serving
-from tissueid.viewer.hello import hello
+from tissueid.viewer.hello import band_of, check_log, hello, recording_beside, show_log, show_session
 from tissueid.viewer.security import LOOPBACK
 from tissueid.viewer.serving import ServedViewer, ViewerOptions, reach
-from tissueid.viewer.showing import band_of, check_log, recording_beside, show_log, show_session
 
 REST_M = [0.0, 0.0, 0.155]
 WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
@@ -52,8 +51,7 @@ def ws(viewer: ServedViewer) -> str:
     )
 
 
-def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it() -> None:
-    ring, hand = Ring.create(), SharedHand.create()
+def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it(ring: Ring, hand: SharedHand) -> None:
     reading = ring.read_only()
     with ServedViewer(ViewerOptions(port=None)) as viewer:
         viewer.show_live(
@@ -78,8 +76,6 @@ def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it() -> None:
             assert frame_of(one).ended
     assert not viewer.runs
     viewer.close()
-    hand.close()
-    ring.close()
 
 
 def test_a_process_plays_a_log(tmp_path: Path) -> None:
@@ -131,11 +127,10 @@ def test_a_recording_is_laid_beside_a_log_from_contact_on(tmp_path: Path) -> Non
         recording_beside(log, air)
 
 
-def test_the_process_hears_its_owner_line_by_line(tmp_path: Path) -> None:
+def test_the_process_hears_its_owner_line_by_line(ring: Ring, hand: SharedHand) -> None:
     ours, theirs = socket.socketpair()
     listening = socket.create_server((LOOPBACK, 0))
     port = listening.getsockname()[1]
-    ring, hand = Ring.create(), SharedHand.create()
     thread = threading.Thread(target=lambda: asyncio.run(server_process._serve(theirs, listening)))
     live = {"hello": hello(head_of()), "rest_m": REST_M, "workspace_m": WORKSPACE_M}
     access = {"host": LOOPBACK, "port": port, "token": None, "tls": False}
@@ -158,8 +153,6 @@ def test_the_process_hears_its_owner_line_by_line(tmp_path: Path) -> None:
     assert not thread.is_alive()
     listening.close()
     theirs.close()
-    hand.close()
-    ring.close()
 
 
 def test_the_process_loads_no_compiler() -> None:
@@ -184,15 +177,6 @@ def test_an_owner_that_never_said_a_word_serves_nothing() -> None:
         with pytest.raises(TimeoutError):
             unheard.recv(1)
     listening.close()
-
-
-def test_a_server_that_died_takes_nothing_else_away() -> None:
-    with ServedViewer(ViewerOptions()) as viewer:
-        viewer._process.kill()
-        viewer.wait()
-        assert not viewer.runs
-        viewer.tell(recording_stopped="nobody hears it")
-        viewer.tell(recording_stopped="nor this")
 
 
 def test_a_port_that_is_taken_is_refused_where_it_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,11 +242,9 @@ class TestShowing:
         assert curve["low_N"] == pytest.approx(0.81 * force, rel=1e-9)
         assert curve["high_N"] == pytest.approx(1.19 * force, rel=1e-9)
         assert curve["force_N"] == pytest.approx(force, rel=1e-12)
-
-    def test_without_draws_there_is_no_band(self) -> None:
-        band = band_of(PAPER_A, None)
-        assert band["draws"] == 0
-        assert all("low_N" not in curve for curve in band["curves"])
+        without = band_of(PAPER_A, None)
+        assert without["draws"] == 0
+        assert all("low_N" not in curve for curve in without["curves"])
 
     def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path: Path) -> None:
         draws = np.array([PAPER_A.theta, 1.1 * PAPER_A.theta])

@@ -263,7 +263,7 @@ class _TestFlags(DeviceFlags):
 )
 def test(flags: _TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
-    from tissueid.haptics.measure.link import measure_link
+    from tissueid.haptics.measure import measure_link
 
     made = made_device(flags)
     if flags.save and not made.keeps(asked_device(flags).calibration):
@@ -303,7 +303,7 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     The device holds the grip, first alone, then with the mass hung on it. 50 to 150 g suit a device that was
     never calibrated. The result goes into the calibration file.
     """
-    from tissueid.haptics.measure.weighing import weigh
+    from tissueid.haptics.measure import weigh
 
     with homed_for_calibration(flags) as device:
         found = weigh(device, flags.mass * GRAM, hang_mass(flags.mass, quiet=flags.quiet))
@@ -331,8 +331,7 @@ def calibrate_damping(flags: MovedFlags) -> int:
 
     Calibrate the force first: damping is as wrong as the newton it is measured with.
     """
-    from tissueid.haptics.measure.motion import TICK_S
-    from tissueid.haptics.measure.ring_down import ring_down
+    from tissueid.haptics.measure import TICK_S, ring_down
 
     with homed_for_calibration(flags) as device:
         found = ring_down(device, device.capabilities.delay_ticks * TICK_S)
@@ -357,7 +356,7 @@ def calibrate_weight(flags: MovedFlags) -> int:
     A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
     it is measured with.
     """
-    from tissueid.haptics.measure.gravity import weigh_poses
+    from tissueid.haptics.measure import weigh_poses
 
     with homed_for_calibration(flags) as device:
         found = weigh_poses(device)

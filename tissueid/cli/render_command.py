@@ -253,7 +253,7 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
 def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
     """Show a servo on the viewer, where there is one."""
     if viewer is not None:
-        from tissueid.viewer.showing import show_session
+        from tissueid.viewer.hello import show_session
 
         show_session(viewer, plan, servo, bundle)
 

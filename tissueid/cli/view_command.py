@@ -73,7 +73,7 @@ def _is_address(text: str) -> bool:
 
 def _play(flags: _ViewFlags, path: Path) -> int:
     """Serve a log until Ctrl-C."""
-    from tissueid.viewer.showing import check_log, recording_beside, show_log
+    from tissueid.viewer.hello import check_log, recording_beside, show_log
 
     log = check_log(path)
     beside = None if flags.beside is None else recording_beside(log, flags.beside)

@@ -5,49 +5,20 @@
     m dv/dt = F_motor + F_hand - b v - f,      f = fc v/|v| while it slides, |f| <= fc while it sticks
     F_hand  = -g k (x - x_t) - g c (v - v_t)   x_t(t): where the hand wants to be, g(t): its grip, 0 to 1
 
-One step of ``h`` is the Moreau-Jean scheme with theta = 1/2 (Acary & Brogliato 2008,
-doi 10.1007/978-3-540-75392-6, section 10.1): smooth forces at the midpoint, friction by the velocity at the
-end.  Mass, damping and stiffness are the same along x, y and z, so that the inclusion for friction has a
-closed solution: the velocity without friction is shortened by ``h fc / A``, to zero where it is shorter than
-that.  A resting arm stays at rest exactly, without chatter, and the energies below close to rounding::
-
-    m |v|^2 / 2  =  work of the motor + work of the hand - loss to damping - loss to friction
-
-SI units: metres, newtons, seconds.  Parameters and memory are flat float64 blocks, so that compiled loops of
-other modules can carry them; the indices of the memory are the constants below.
+Steps are Moreau-Jean with theta = 1/2 (Acary & Brogliato 2008, doi 10.1007/978-3-540-75392-6, section 10.1):
+a resting arm stays at rest exactly, and the energies close to rounding.  SI units.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.simulated_layout import (
-    ARM_PARAMETERS,
-    DAMPING,
-    FIRST_KNOT,
-    FRICTION,
-    HAND_DAMPING,
-    HAND_STIFFNESS,
-    KNOT_COLUMNS,
-    KNOTS,
-    MASS,
-    MAX_KNOTS,
-    POINTER,
-    POINTER_ON,
-    RIGID,
-    SUBSTEP,
-    TREMOR,
-    TREMOR_AXIS,
-    TREMOR_HZ,
-    TREMOR_PHASE,
-)
-
-__all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
+from tissueid.haptics import shared_hand as layout
 
 # --- memory
 TIME, POSITION, VELOCITY = 0, 1, 4
@@ -89,13 +60,8 @@ class Arm:
 
     def block(self) -> FloatArray:
         """Parameters of an arm that no hand holds, shape (ARM_PARAMETERS,); a hand writes itself into it."""
-        block = np.zeros(ARM_PARAMETERS)
-        block[[MASS, DAMPING, FRICTION, SUBSTEP]] = (
-            self.mass_kg,
-            self.damping_N_s_per_m,
-            self.friction_N,
-            self.substep_s,
-        )
+        block = np.zeros(layout.ARM_PARAMETERS)
+        block[[layout.MASS, layout.DAMPING, layout.FRICTION, layout.SUBSTEP]] = astuple(self)
         return block
 
 
@@ -109,7 +75,7 @@ def new_arm(position_m: FloatArray) -> FloatArray:
 
 @tick_kernel
 def port_energy(memory: FloatArray) -> float:
-    """Energy [J] that went through the grip into what is rendered, and into the arm's damping and friction.
+    """Energy [J] that went through the grip into what is rendered, and into damping and friction.
 
     Counted on the true position, without the kinetic energy: a rendering is passive where this is never
     negative, whatever the hand does (Colgate & Schenkel, doi 10.1002/rob.4620140110).
@@ -120,11 +86,11 @@ def port_energy(memory: FloatArray) -> float:
 @tick_kernel
 def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> float:
     """Coordinate of the script at a time on the stretch that begins with ``knot``."""
-    at = FIRST_KNOT + KNOT_COLUMNS * knot
+    at = layout.FIRST_KNOT + layout.KNOT_COLUMNS * knot
     value = parameters[at + 1 + axis]
-    if knot + 1 >= int(parameters[KNOTS]):
+    if knot + 1 >= int(parameters[layout.KNOTS]):
         return float(value)
-    after = at + KNOT_COLUMNS
+    after = at + layout.KNOT_COLUMNS
     length = parameters[after] - parameters[at]
     if time <= parameters[at] or length <= 0.0:
         return float(value)
@@ -135,22 +101,24 @@ def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> floa
 def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
     """Move the hand's target on by ``h`` and return its grip over that step."""
     time = memory[TIME] + h
-    count = int(parameters[KNOTS])
+    count = int(parameters[layout.KNOTS])
     knot = int(memory[CURSOR])
     grip = 1.0
     if count > 0:
-        while knot + 1 < count and parameters[FIRST_KNOT + KNOT_COLUMNS * (knot + 1)] <= time:
+        while knot + 1 < count and parameters[layout.FIRST_KNOT + layout.KNOT_COLUMNS * (knot + 1)] <= time:
             knot += 1
         memory[CURSOR] = knot
-        grip = parameters[FIRST_KNOT + KNOT_COLUMNS * knot + 4]
+        grip = parameters[layout.FIRST_KNOT + layout.KNOT_COLUMNS * knot + 4]
     shake = 0.0
-    if parameters[TREMOR] != 0.0:
-        shake = parameters[TREMOR] * min(time / TREMOR_RISE_S, 1.0)
-        shake *= math.sin(2.0 * math.pi * parameters[TREMOR_HZ] * time + parameters[TREMOR_PHASE])
-    follow = -math.expm1(-h / POINTER_TIME_S) if parameters[POINTER_ON] > 0.0 else 0.0
+    if parameters[layout.TREMOR] != 0.0:
+        shake = parameters[layout.TREMOR] * min(time / TREMOR_RISE_S, 1.0)
+        shake *= math.sin(
+            2.0 * math.pi * parameters[layout.TREMOR_HZ] * time + parameters[layout.TREMOR_PHASE]
+        )
+    follow = -math.expm1(-h / POINTER_TIME_S) if parameters[layout.POINTER_ON] > 0.0 else 0.0
     for i in range(3):
-        if parameters[POINTER_ON] > 0.0:
-            step = follow * (parameters[POINTER + i] - memory[POINTED + i])
+        if parameters[layout.POINTER_ON] > 0.0:
+            step = follow * (parameters[layout.POINTER + i] - memory[POINTED + i])
             memory[POINTED + i] += min(max(step, -POINTER_SPEED * h), POINTER_SPEED * h)
             wanted = memory[POINTED + i]
         elif count > 0:
@@ -158,7 +126,7 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
             memory[POINTED + i] = wanted
         else:
             wanted = memory[POINTED + i]
-        wanted += shake * parameters[TREMOR_AXIS + i]
+        wanted += shake * parameters[layout.TREMOR_AXIS + i]
         memory[TARGET_VELOCITY + i] = (wanted - memory[TARGET + i]) / h
         memory[TARGET + i] = wanted
     return float(grip)
@@ -167,9 +135,9 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
 @tick_kernel
 def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float, grip: float) -> None:
     """One step of an arm in a hand that is a spring and a damper."""
-    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
-    stiffness = grip * parameters[HAND_STIFFNESS]
-    drag = grip * parameters[HAND_DAMPING]
+    mass, damping, friction = parameters[layout.MASS], parameters[layout.DAMPING], parameters[layout.FRICTION]
+    stiffness = grip * parameters[layout.HAND_STIFFNESS]
+    drag = grip * parameters[layout.HAND_DAMPING]
     inertia = mass + 0.5 * h * (damping + drag) + 0.25 * h * h * stiffness
     square = 0.0
     for i in range(3):
@@ -208,7 +176,7 @@ def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h:
 @tick_kernel
 def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float) -> None:
     """One step of an arm that a machine carries along the target, whatever the force."""
-    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
+    mass, damping, friction = parameters[layout.MASS], parameters[layout.DAMPING], parameters[layout.FRICTION]
     speed = 0.0
     for i in range(3):
         v = (memory[TARGET + i] - memory[POSITION + i]) / h
@@ -232,19 +200,14 @@ def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray,
 
 @tick_kernel
 def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: float) -> None:
-    """Move the arm on by ``dt`` under a constant force of its motors.
-
-    ``memory`` (ARM_MEMORY,): state; **updated in place**; ``parameters`` (ARM_PARAMETERS,): arm, hand and
-    script; ``force`` (3,): force of the motors on the grip [N]; ``dt``: time [s]; nothing happens where it is
-    not positive.
-    """
+    """Move the arm on by ``dt`` [s] under a constant force (3,) of its motors; not back in time."""
     if not dt > 0.0:
         return
-    steps = max(1, math.ceil(dt / parameters[SUBSTEP] - 1e-9))
+    steps = max(1, math.ceil(dt / parameters[layout.SUBSTEP] - 1e-9))
     h = dt / steps
     for _ in range(steps):
         grip = _move_target(memory, parameters, h)
-        if parameters[RIGID] > 0.0 and grip > 0.0:
+        if parameters[layout.RIGID] > 0.0 and grip > 0.0:
             _carried_step(memory, parameters, force, h)
         else:
             _free_step(memory, parameters, force, h, grip)

@@ -1,11 +1,8 @@
 """A device that can be felt: what a backend writes, and what it can't get round.
 
-A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``, and no
-more (``home``, ``compiled``, and what is asked of options and calibration where it has them).  ``open``,
-``close``, ``read`` and ``write_force`` are final: every force goes through
-:func:`tissueid.haptics.guard.guard`, every way out sends zero force.
-
-SI units (m, N, s).  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
+A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``; the others
+are final: every force goes through :func:`tissueid.haptics.guard.guard`, every way out sends zero force.
+SI units.  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
 """
 
 from __future__ import annotations
@@ -15,37 +12,85 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics import guard_states as machine
-from tissueid.haptics.device_facts import (
-    HANDLES_SIZE,
-    AskedDevice,
-    Capabilities,
-    CompiledIO,
-    DetectedDevice,
-    DeviceSample,
-)
-from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
+from tissueid.haptics import guard as machine
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
-from tissueid.haptics.velocity import velocity_step
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_NONE, REPLY_VALID
 
-__all__ = [
-    "HANDLES_SIZE",
-    "ZERO_COMMANDS",
-    "AskedDevice",
-    "Capabilities",
-    "CompiledIO",
-    "DetectedDevice",
-    "DeviceSample",
-    "HapticDevice",
-]
+#: Integers of :attr:`CompiledIO.handles`.
+HANDLES_SIZE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class AskedDevice:
+    """Options that a user gave on the way to a device."""
+
+    port: str | None = None  # serial port or pseudo-terminal instead of USB
+    firmware: str | None = None  # a file
+    calibration: Path | None = None  # a file instead of the user's own
+    hands_off: bool = False  # the grip moves by itself, in a measurement of the free device
+    homing_timeout_s: float | None = None
+
+    def given(self) -> tuple[str, ...]:
+        """Names of those that not every device has."""
+        named = {"port": self.port, "firmware": self.firmware, "calibration": self.calibration}
+        return tuple(name for name, value in named.items() if value is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class DetectedDevice:
+    """A device that could be opened, or the reason why not."""
+
+    name: str  # name in the registry
+    where: str  # USB node, file or "this program"
+    note: str = ""  # what stands in the way and how to remove it; empty if nothing does
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSample:
+    """One reading."""
+
+    time_s: float  # CLOCK_MONOTONIC [s], or the device's virtual time
+    position_m: FloatArray  # (3,)
+    counts: IntArray  # (3,), encoder counts; zeros where a device has none
+    buttons: int
+    homed: bool
+    valid: bool  # whether a whole reply came; without one the other fields repeat the last
+    damaged: int = 0  # damaged replies dropped since the last reading
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """Abilities of a device, and if anybody measured them."""
+
+    name: str
+    clamp_N: float  # largest force the guard lets through [nominal N]
+    calibrated: bool  # whether that newton was weighed on this unit
+    damping_N_s_per_m: float  # viscous damping of the arm
+    delay_ticks: float  # from a position to the force it causes
+    #: Least and largest x, y and z [m].
+    workspace_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    hardware: bool = True  # whether motors move something: then consent and the dead-man button are asked for
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledIO:
+    """Handles and constants by which the compiled servo reaches a device without Python."""
+
+    kind: str  # ``module:name`` of the :class:`~tissueid.haptics.device.Access` that takes them
+    #: (HANDLES_SIZE,): descriptors, addresses and identities.
+    handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
+    constants: FloatArray = field(default_factory=lambda: np.zeros(1))
+    memory: FloatArray = field(default_factory=lambda: np.zeros(1))  # changed by the loop
+
 
 #: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
 ZERO_COMMANDS = 20
@@ -53,29 +98,8 @@ ZERO_COMMANDS = 20
 _FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
 
 
-def _unheard(_sentence: str) -> None:
-    """Nobody shows what a device tells."""
-
-
-def _nothing() -> None:
-    """Nobody ends a wait."""
-
-
 class HapticDevice(ABC):
-    """Base of every device.
-
-    Parameters
-    ----------
-    limits : GuardLimits
-        What the guard lets through.
-
-    Examples
-    --------
-    >>> from tissueid.haptics.registry import open_device
-    >>> with open_device("sim") as device:  # doctest: +SKIP
-    ...     sample = device.read()
-    ...     device.write_force([0.0, 0.0, 0.0], 0.001)
-    """
+    """Base of every device; ``limits``: what the guard lets through."""
 
     #: Name in the registry.
     name: ClassVar[str] = ""
@@ -87,11 +111,11 @@ class HapticDevice(ABC):
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
         #: Told, in sentences, what the user has to do or to wait for; who can show them replaces it.
-        self.tell: Callable[[str], None] = _unheard
+        self.tell: Callable[[str], None] = lambda _sentence: None
         #: Called again and again while the device waits for its user; an exception ends the wait.
-        self.while_waiting: Callable[[], None] = _nothing
+        self.while_waiting: Callable[[], None] = lambda: None
         #: Memory of the guard: the compiled servo works on the same.
-        self.guard_memory = new_guard()
+        self.guard_memory = machine.new_guard()
         self._limits = limits.block()
         self._out = np.zeros(3)
         self._velocity = np.zeros(3)
@@ -181,33 +205,27 @@ class HapticDevice(ABC):
 
     @final
     def open(self) -> None:
-        """Open the device; it then wants homing, which :meth:`read` watches.
-
-        Raises
-        ------
-        DeviceError
-            It can't be opened, with the way out.
-        """
+        """Open the device, which then wants homing; DeviceError, with the way out, where it can't be."""
         if self.state is not State.CLOSED:
             msg = f"{self.name}: is open already"
             raise DeviceError(msg)
-        transition(self.guard_memory, self._limits, machine.OPENED)
+        machine.transition(self.guard_memory, self._limits, machine.OPENED)
         try:
             self._open()
         except BaseException:
-            transition(self.guard_memory, self._limits, machine.SHUT)
+            machine.transition(self.guard_memory, self._limits, machine.SHUT)
             raise
         atexit.register(self.close)
         self._last_s = None
-        transition(self.guard_memory, self._limits, machine.FIRMWARE_OK)
-        transition(self.guard_memory, self._limits, machine.HOME)
+        machine.transition(self.guard_memory, self._limits, machine.FIRMWARE_OK)
+        machine.transition(self.guard_memory, self._limits, machine.HOME)
 
     @final
     def close(self) -> None:
         """Send zero force :data:`ZERO_COMMANDS` times and let go; harmless on a closed device."""
         if self.state is State.CLOSED:
             return
-        transition(self.guard_memory, self._limits, machine.SHUT)
+        machine.transition(self.guard_memory, self._limits, machine.SHUT)
         atexit.unregister(self.close)
         for _ in range(ZERO_COMMANDS):
             # a device that is gone has no torque to take back, and closing must come to its end
@@ -218,83 +236,54 @@ class HapticDevice(ABC):
 
     @final
     def sample(self) -> DeviceSample:
-        """Read the device without its watchdogs: for a loop that has its own.
+        """Read the device without its watchdogs, for a loop that has its own.
 
-        Raises
-        ------
-        DeviceError
-            The device is closed or gone; the guard is then in FAULT.
+        Raises DeviceError: the device is closed or gone; the guard is then in FAULT.
         """
         self._must_be_open()
         try:
             return self._read()
         except (OSError, DeviceError) as error:
-            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
-            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
-            raise DeviceError(msg) from error
+            raise self._lost(error) from error
 
     @final
     def read(self) -> DeviceSample:
-        """Read the device and let the watchdogs see it.
-
-        Raises
-        ------
-        DeviceError
-            As :meth:`sample`.
-        """
+        """Read the device and let the watchdogs see it; DeviceError as :meth:`sample`."""
         sample = self.sample()
         if sample.valid:
-            self._watch(REPLY_VALID, sample)
+            self._watch(machine.REPLY_VALID, sample)
         else:
-            self._watch(REPLY_DAMAGED if sample.damaged else REPLY_NONE, sample)
+            self._watch(machine.REPLY_DAMAGED if sample.damaged else machine.REPLY_NONE, sample)
         return sample
 
     @final
     def write_force(self, force_N: Any, dt_s: float) -> FloatArray:
-        """Send a force, as far as the guard allows it.
+        """Send a wanted force (3,) [N] as far as the guard allows it; what was sent (3,).
 
-        Parameters
-        ----------
-        force_N : array_like, shape (3,)
-            Wanted force on the grip [N].
-        dt_s : float
-            Measured time since the last call [s].
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            What was sent [N].
-
-        Raises
-        ------
-        DeviceError
-            The device is closed or gone.
-        ValueError
-            Not three components.
+        ``dt_s``: measured time since the last call.  Raises DeviceError: the device is closed or gone;
+        ValueError: not three components.
         """
         self._must_be_open()
         force = np.asarray(force_N, np.float64)
         if force.shape != (3,):
             msg = f"force_N must have shape (3,), has {force.shape}"
             raise ValueError(msg)
-        guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
+        machine.guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
         try:
             self._write(self._out)
         except (OSError, DeviceError) as error:
-            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
-            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
-            raise DeviceError(msg) from error
+            raise self._lost(error) from error
         return self._out.copy()
 
     @final
     def engage(self) -> None:
         """Ask for force; it comes once the device is homed, the tool free and the button held."""
-        transition(self.guard_memory, self._limits, machine.ENGAGE)
+        machine.transition(self.guard_memory, self._limits, machine.ENGAGE)
 
     @final
     def disengage(self) -> None:
         """Take the force away over the dead-man ramp."""
-        transition(self.guard_memory, self._limits, machine.DISENGAGE)
+        machine.transition(self.guard_memory, self._limits, machine.DISENGAGE)
 
     def __enter__(self) -> Self:
         self.open()
@@ -302,6 +291,11 @@ class HapticDevice(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _lost(self, error: Exception) -> DeviceError:
+        """FAULT of a device that is gone, in words."""
+        machine.transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
+        return DeviceError(f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})")
 
     def _must_be_open(self) -> None:
         if self.state is State.CLOSED:
@@ -311,8 +305,8 @@ class HapticDevice(ABC):
     def _watch(self, reply: int, sample: DeviceSample) -> None:
         """Watchdogs of one reading; the depth of the tool is not known here."""
         now = sample.time_s
-        dt = 0.0 if self._last_s is None else now - self._last_s
         first = self._last_s is None
+        dt = 0.0 if self._last_s is None else now - self._last_s
         moved = np.zeros(3, np.int64)
         self._last_s = now
         homed, buttons = False, 0
@@ -324,9 +318,9 @@ class HapticDevice(ABC):
                 self._velocity[:] = 0.0
             else:
                 moved = sample.counts - self._counts
-            velocity_step(self._velocity, sample.position_m, self._position, dt)
+            machine.velocity_step(self._velocity, sample.position_m, self._position, dt)
             self._counts[:] = sample.counts
-        observe(
+        machine.observe(
             self.guard_memory, self._limits, reply, homed, buttons, moved, self._velocity, float("nan"), dt
         )
 
@@ -344,10 +338,8 @@ def wait_with_zero_force(
 ) -> None:
     """Read and send zero force until something is reached.
 
-    ``device``: open; ``reached``: asked before each reading; ``timeout_s``: of waiting: a reading that took
-    longer than ``MOST_A_READING_S`` counts as that long; ``why_not``: the message of the error after the
-    time-out.  Raises DeviceError: after the time-out, on a fault, or when the device is lost; and what
-    ``device.while_waiting`` raises.
+    Raises DeviceError: after the time-out, of which one reading takes ``MOST_A_READING_S`` at most, on a
+    fault, or when the device is lost; and what ``device.while_waiting`` raises.
     """
     waited_s, before = 0.0, time.monotonic()
     zero = np.zeros(3)
@@ -370,3 +362,49 @@ def await_homed(
 ) -> None:
     """Wait until the guard has seen enough homed replies (ARMED); as :func:`wait_with_zero_force`."""
     wait_with_zero_force(device, lambda: device.state is State.ARMED, timeout_s, why_not)
+
+
+#: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands
+#: without an answer where each is answered.
+REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3
+WORDS_SIZE = 4
+#: Modules that may register a device.
+OURS = "tissueid.haptics."
+
+
+class Access(NamedTuple):
+    """Ways to one kind of device."""
+
+    io: type  # named tuple that stands for a device in a loop
+    made: Callable[[CompiledIO], Any]  # :class:`~tissueid.haptics.device.CompiledIO` -> such a tuple
+    sense: Callable[..., None]  # compiled: of io, dt, position, counts and words; never waits
+    command: Callable[..., None]  # compiled: of io, guard memory, limits and a force that passed the guard
+
+
+_REGISTERED: dict[type, Access] = {}
+
+
+def register(access: Access) -> Access:
+    """Let loops find a kind of device by the type of its tuple."""
+    _REGISTERED[access.io] = access
+    return access
+
+
+def access_of(io: type) -> Access:
+    """Ways to the devices that tuples of this type stand for."""
+    return _REGISTERED[io]
+
+
+def compiled_io(given: CompiledIO) -> Any:
+    """The tuple for what a device says of itself.
+
+    Raises DeviceError: its kind is none of this package: compiled loops are kept by a hash of its sources
+    alone, and would not notice a change of another's.
+    """
+    module, _, name = given.kind.partition(":")
+    # a name of this package that is none is a bug of ours, and an error of its import
+    if not module.startswith(OURS):
+        msg = f"the compiled servo knows no device of kind {given.kind!r}; return None from compiled()"
+        raise DeviceError(msg)
+    access: Access = getattr(import_module(module), name)
+    return access.made(given)

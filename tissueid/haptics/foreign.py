@@ -1,8 +1,6 @@
-"""C functions that compiled loops call: libc by name, drivers by their address.
+"""Beyond compiled Python: C functions by name or address, and words that other processes see in order.
 
-By name a function is resolved when the loop is loaded, which only libc, there on every Linux, may need.  A
-driver's function is called by an address that is an argument: the loop is cached on disk and runs where the
-driver is absent.  Without compilation both are called by ctypes.
+A loop is cached on disk and runs where a driver is absent.  Without compilation both are called by ctypes.
 """
 
 from __future__ import annotations
@@ -15,6 +13,10 @@ from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
+from tissueid.arrays import IntArray
+from tissueid.compiled import kernel
+
+_UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))
 _CTYPES: dict[Any, Any] = {
     types.int8: ctypes.c_int8,
     types.int32: ctypes.c_int32,
@@ -26,11 +28,8 @@ _CTYPES: dict[Any, Any] = {
 
 
 def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
-    """A function of libc for compiled code.
-
-    ``result``, ``*arguments``: pointers are int64, ``array.ctypes.data``.
-    """
-    if not getattr(config, "DISABLE_JIT", False):
+    """A function of libc for compiled code; pointers are int64, ``array.ctypes.data``."""
+    if not _UNCOMPILED:
         return types.ExternalFunction(name, result(*arguments))
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
     function.restype = _CTYPES[result]
@@ -39,11 +38,8 @@ def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]
 
 
 def by_address(result: Any, *arguments: Any) -> Callable[..., Any]:
-    """A caller ``call(address, (arguments, ...))`` of C functions of one signature.
-
-    ``result``, ``*arguments``: as in :func:`libc_function`; arguments are converted to these.
-    """
-    if getattr(config, "DISABLE_JIT", False):
+    """A caller ``call(address, (arguments, ...))`` of C functions of one signature."""
+    if _UNCOMPILED:
         prototype = ctypes.CFUNCTYPE(_CTYPES[result], *(_CTYPES[argument] for argument in arguments))
         return lambda address, values: prototype(address)(*values)
 
@@ -67,3 +63,65 @@ def by_address(result: Any, *arguments: Any) -> Callable[..., Any]:
         return result(types.int64, values), emit
 
     return call
+
+
+_WORD_BYTES = 8
+
+
+def _address(context: Any, builder: Any, array_type: Any, array: Any) -> Any:
+    """Pointer to the first word of an array."""
+    return context.make_array(array_type)(context, builder, array).data
+
+
+@intrinsic
+def _store(typing_context, cell, value):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """Atomic release store into ``cell[0]``, and a release fence."""
+    if not (isinstance(cell, types.Array) and cell.dtype == types.int64 and value == types.int64):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = _address(context, builder, signature.args[0], arguments[0])
+        builder.store_atomic(arguments[1], pointer, ordering="release", align=_WORD_BYTES)
+        builder.fence("release")
+        return context.get_dummy_value()
+
+    return types.void(cell, value), emit
+
+
+@intrinsic
+def _load(typing_context, cell):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """Atomic acquire load of ``cell[0]``, after an acquire fence."""
+    if not (isinstance(cell, types.Array) and cell.dtype == types.int64):
+        return None
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = _address(context, builder, signature.args[0], arguments[0])
+        builder.fence("acquire")
+        return builder.load_atomic(pointer, ordering="acquire", align=_WORD_BYTES)
+
+    return types.int64(cell), emit
+
+
+@kernel(error_model="python")
+def _store_release(cell: IntArray, value: int) -> None:
+    _store(cell, value)  # type: ignore[call-arg] # the typing context is not the caller's
+
+
+@kernel(error_model="python")
+def _load_acquire(cell: IntArray) -> int:
+    return _load(cell)  # type: ignore[call-arg]
+
+
+def _plain_store(cell: IntArray, value: int) -> None:
+    """Without compilation: one aligned word, written at once on every machine numpy runs on."""
+    cell[0] = value
+
+
+def _plain_load(cell: IntArray) -> int:
+    return int(cell[0])
+
+
+#: ``store_release(cell, value)``: set ``cell[0]``, int64, after everything written before.
+store_release = _plain_store if _UNCOMPILED else _store_release
+#: ``load_acquire(cell)``: ``cell[0]``, before everything read after.
+load_acquire = _plain_load if _UNCOMPILED else _load_acquire

@@ -1,12 +1,7 @@
 """Hands that hold a simulated arm, and scripts that move it like a test machine.
 
-A hand is a spring and a damper (50 to 1000 N/m is what fingers and wrists do) around a target that moves
-along straight stretches between knots.  A script is a machine: it moves the grip exactly, whatever the force,
-in **tissue** units that the motion scale turns into travel of the device::
-
-    indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min
-
-Positions [m] are the device's; ``inward`` is the unit vector that points into the tissue.
+A hand is a spring and a damper (50 to 1000 N/m is what fingers and wrists do) around a target.  A script
+carries the grip exactly, in **tissue** units: ``indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min``.
 """
 
 from __future__ import annotations
@@ -19,19 +14,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.simulated_layout import (
-    FIRST_KNOT,
-    HAND_DAMPING,
-    HAND_STIFFNESS,
-    KNOT_COLUMNS,
-    KNOTS,
-    MAX_KNOTS,
-    RIGID,
-    TREMOR,
-    TREMOR_AXIS,
-    TREMOR_HZ,
-    TREMOR_PHASE,
-)
+from tissueid.haptics import shared_hand as layout
 
 #: Names of :func:`preset`.
 PRESETS = ("step", "slow press", "tap", "release", "tremor", "hold")
@@ -72,8 +55,8 @@ class Hand:
     tremor_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.times_s) <= MAX_KNOTS:
-            msg = f"a hand has 1 to {MAX_KNOTS} knots, this one {len(self.times_s)}"
+        if not 1 <= len(self.times_s) <= layout.MAX_KNOTS:
+            msg = f"a hand has 1 to {layout.MAX_KNOTS} knots, this one {len(self.times_s)}"
             raise ValueError(msg)
         if not len(self.times_s) == len(self.positions_m) == len(self.grips):
             msg = "a hand needs a time, a position and a grip at each knot"
@@ -99,12 +82,16 @@ class Hand:
     def write(self, block: FloatArray) -> FloatArray:
         """Write the hand into an arm's block of parameters, and return that."""
         knots = self.knots()
-        block[KNOTS] = len(knots)
-        block[FIRST_KNOT : FIRST_KNOT + KNOT_COLUMNS * len(knots)] = knots.ravel()
-        block[[HAND_STIFFNESS, HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
-        block[RIGID] = float(self.rigid)
-        block[[TREMOR, TREMOR_HZ, TREMOR_PHASE]] = self.tremor_m, self.tremor_hz, self.tremor_phase
-        block[TREMOR_AXIS : TREMOR_AXIS + 3] = self.tremor_axis
+        block[layout.KNOTS] = len(knots)
+        block[layout.FIRST_KNOT : layout.FIRST_KNOT + layout.KNOT_COLUMNS * len(knots)] = knots.ravel()
+        block[[layout.HAND_STIFFNESS, layout.HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
+        block[layout.RIGID] = float(self.rigid)
+        block[[layout.TREMOR, layout.TREMOR_HZ, layout.TREMOR_PHASE]] = (
+            self.tremor_m,
+            self.tremor_hz,
+            self.tremor_phase,
+        )
+        block[layout.TREMOR_AXIS : layout.TREMOR_AXIS + 3] = self.tremor_axis
         return block
 
 
@@ -141,16 +128,10 @@ def preset(
     rest_s: float = REST_S,
     stay_s: float = 1.0,
 ) -> Hand:
-    """One of :data:`PRESETS`.
+    """One of :data:`PRESETS` about a point of the surface [m], ``inward`` a unit vector into the tissue.
 
-    ``name``: ``step``: to the depth in 30 ms; ``slow press``: at ``speed_m_per_s`` (0.3 to 2 mm/s is slow);
-    ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles; ``hold``;
-    ``surface_m``, ``inward`` (3,): a point of the tissue's surface [m] and the unit vector into the tissue;
-    ``depth_m``: depth of the target below the surface [m]; the grip stays above it by force over stiffness;
-    ``speed_m_per_s``: of presses and approaches [m/s]; ``stiffness_N_per_m``, ``damping_N_s_per_m``: of the
-    hand; half the critical damping of 0.25 kg where none is given; ``tremor_m``, ``tremor_hz``,
-    ``tremor_phase``: of ``tremor``; ``rest_s``, ``stay_s``: rest before the motion and stay after it [s].
-    Raises UsageError: there is no preset of that name.
+    ``depth_m``: of the target, which the grip stays above by force over stiffness; ``damping_N_s_per_m``:
+    half the critical one of 0.25 kg where none is given.  Raises UsageError: there is no preset of that name.
     """
     if name not in PRESETS:
         msg = f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}"
@@ -184,7 +165,7 @@ def _targets(
         for beat in range(max(1, math.ceil(4.0 * stay_s))):
             times += [rest_s + 0.25 * beat + part for part in (0.06, 0.10, 0.16, 0.249)]
             depths += [depth_m, depth_m, clear, clear]
-        times, depths = times[:MAX_KNOTS], depths[:MAX_KNOTS]
+        times, depths = times[: layout.MAX_KNOTS], depths[: layout.MAX_KNOTS]
         grips = [1.0] * len(times)
     elif name == "release":
         times.append(arrival + 0.5 * stay_s)
@@ -218,11 +199,9 @@ def _speed(value: str, per: str, line: str) -> float:
 
 
 def parse_script(text: str) -> tuple[Stroke, ...]:
-    """Read a script of strokes, separated by semicolons.
+    """Read strokes, separated by semicolons; a retract without a depth leaves the tissue.
 
-    ``text``: ``indent D mm at V mm/min``, ``hold T s``, ``retract [to D mm] at V mm/min`` (``mm/s`` as well),
-    in tissue units; depths are below the surface, and a retract without a depth leaves the tissue.  Raises
-    UsageError: naming the part that is no stroke, or leads nowhere.
+    Raises UsageError: naming the part that is no stroke, or leads nowhere.
     """
     strokes: list[Stroke] = []
     depth = -SCRIPT_CLEARANCE_MM
@@ -252,8 +231,8 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
             )
             raise UsageError(msg)
         depth = strokes[-1].depth_mm
-    if not 1 <= len(strokes) <= MAX_KNOTS - 2:
-        msg = f"a script has 1 to {MAX_KNOTS - 2} strokes, this one {len(strokes)}"
+    if not 1 <= len(strokes) <= layout.MAX_KNOTS - 2:
+        msg = f"a script has 1 to {layout.MAX_KNOTS - 2} strokes, this one {len(strokes)}"
         raise UsageError(msg)
     return tuple(strokes)
 
@@ -266,13 +245,7 @@ def scripted_hand(
     inward: FloatArray,
     rest_s: float = REST_S,
 ) -> Hand:
-    """Machine that carries the grip through a script.
-
-    ``text``: as :func:`parse_script`; ``motion_scale``: s_x, travel of the device over depth in the tissue;
-    ``surface_m``, ``inward`` (3,): a point of the surface [m] and the unit vector into the tissue;
-    ``rest_s``: rest above the tissue before the first stroke [s], for the start-up ramp.  Returns rigid; its
-    last knot is the end of the script.
-    """
+    """Machine that carries the grip through a script, ``motion_scale`` times the depth in the tissue."""
     time, depth = rest_s, -SCRIPT_CLEARANCE_MM
     times, depths = [0.0, time], [depth, depth]
     for stroke in parse_script(text):

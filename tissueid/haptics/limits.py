@@ -1,7 +1,4 @@
-"""Limits of the guard: what a device may do to a hand, as a dataclass and as the block the kernels read.
-
-SI units.  Every default has its reason beside it; what is known of devices is in docs/devices.md.
-"""
+"""Limits of the guard: what a device may do to a hand, each with its reason (docs/devices.md).  SI units."""
 
 from __future__ import annotations
 
@@ -41,7 +38,6 @@ from numpy.typing import NDArray
     PAUSE_RAMP_S,
     DELAY_TICKS,
 ) = range(27)
-LIMITS_SIZE = 27
 
 #: A fault takes the force away within this time [s]; no limit may be slower.
 LONGEST_FAULT_RAMP_S = 0.020
@@ -61,10 +57,8 @@ def uncalibrated_clamp_N(units_per_Nm: float) -> float:
     """Clamp [nominal N] of a device whose force was never weighed.
 
     Nominal newtons times ``units_per_Nm`` are motor units, whatever the true constant.  This clamp is the
-    largest force whose motor units would be :data:`UNCALIBRATED_N` if the true constant were the worst one.
-
-    ``units_per_Nm``: nominal motor units for one newton metre of arm torque.  Returns 2.6 N for the usual
-    6600, never more than :data:`UNCALIBRATED_N`.  Raises ValueError: the constant is not positive.
+    largest force whose motor units would be :data:`UNCALIBRATED_N` if the true constant were the worst one:
+    2.6 N for the usual 6600.  Raises ValueError: the constant is not positive.
     """
     if not units_per_Nm > 0.0:
         msg = f"units_per_Nm must be positive, is {units_per_Nm}"
@@ -123,12 +117,18 @@ class GuardLimits:
             if not (value >= 0.0 if free else value > 0.0) or math.isinf(value):
                 msg = f"{entry.name} must be {'zero or more' if free else 'positive'} and finite, is {value}"
                 raise ValueError(msg)
-        _at_most("fault_ramp_s", self.fault_ramp_s, LONGEST_FAULT_RAMP_S)
-        _at_most("pause_s + pause_ramp_s", self.pause_s + self.pause_ramp_s, LONGEST_FAULT_RAMP_S)
-        _at_most("clamp_N", self.clamp_N, LARGEST_CLAMP_N)
-        _at_most("motor_clamp", self.motor_clamp, 4095.0)
-        _at_most("slew_N_per_tick", self.slew_N_per_tick, 0.5)
-        _at_most("engage_below_N", self.engage_below_N, 0.2)
+        # no limit is looser than the bar it must keep
+        for name, value, largest in (
+            ("fault_ramp_s", self.fault_ramp_s, LONGEST_FAULT_RAMP_S),
+            ("pause_s + pause_ramp_s", self.pause_s + self.pause_ramp_s, LONGEST_FAULT_RAMP_S),
+            ("clamp_N", self.clamp_N, LARGEST_CLAMP_N),
+            ("motor_clamp", self.motor_clamp, 4095.0),
+            ("slew_N_per_tick", self.slew_N_per_tick, 0.5),
+            ("engage_below_N", self.engage_below_N, 0.2),
+        ):
+            if value > largest:
+                msg = f"{name} must be at most {largest}, is {value}"
+                raise ValueError(msg)
         if self.ramp_s < SHORTEST_RAMP_S:
             msg = f"ramp_s must be at least {SHORTEST_RAMP_S} s, is {self.ramp_s}"
             raise ValueError(msg)
@@ -139,12 +139,5 @@ class GuardLimits:
         return cls(clamp_N=5.0, rms_limit_N=5.0, dead_man=False)
 
     def block(self) -> NDArray[np.float64]:
-        """The limits for the kernels, float64, shape (LIMITS_SIZE,)."""
+        """The limits for the kernels, float64, shape (27,)."""
         return np.array([float(getattr(self, entry.name)) for entry in fields(self)])
-
-
-def _at_most(name: str, value: float, largest: float) -> None:
-    """Refuse a limit looser than the bar it must keep."""
-    if value > largest:
-        msg = f"{name} must be at most {largest}, is {value}"
-        raise ValueError(msg)

@@ -1,12 +1,9 @@
 """The way down to the servo: parameters and a heartbeat, never forces.
 
-Two copies of the parameters lie in shared memory.  The owner writes the one that is not in use, then
-publishes a new version with a release store; the servo copies it at a moment of its choosing (no tissue
-touched), looks whether the version is still the same, and says which version it took.  The owner writes the
-next only then, so that no copy is ever read while it is written.
-
-Layout, int64 words: magic, size, version published, version taken, heartbeat, command, then 2 x ``size``
-float64 words.
+The owner writes the copy that is not in use, then publishes its version; the servo copies it when no tissue
+is touched, and says which it took.  The next is written only then, so that no copy is read while it is
+written. Layout, int64 words: magic, size, version published, version taken, heartbeat, command; 2 x ``size``
+float64.
 """
 
 from __future__ import annotations
@@ -20,8 +17,8 @@ import numpy as np
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.atomic import load_acquire, store_release
-from tissueid.haptics.shared_memory import read_ordered, shared_memory, write_ordered
+from tissueid.haptics.foreign import load_acquire, store_release
+from tissueid.haptics.ring import read_ordered, shared_memory, write_ordered
 
 HEAD_WORDS = 8
 #: "tissparm" as a little-endian integer.
@@ -52,11 +49,7 @@ def waiting(head: IntArray) -> bool:
 
 @tick_kernel
 def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
-    """Copy the newest parameters.
-
-    ``head`` (8,); ``values`` (2, size); ``out`` (size,): **Written**.  Returns version taken, counted from 1;
-    0 while none was published.
-    """
+    """Copy the newest parameters to ``out`` (size,); their version, counted from 1, 0 while there is none."""
     version = load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1])
     source = values[version % 2]
     for i in range(out.size):
@@ -75,10 +68,7 @@ class ParameterBlock:
 
     @classmethod
     def create(cls, size: int) -> ParameterBlock:
-        """A new block for ``size`` parameters.
-
-        Raises DeviceError: the system has no such memory.
-        """
+        """A new block for ``size`` parameters; DeviceError where the system has no such memory."""
         descriptor = shared_memory("parameters", 8 * (HEAD_WORDS + 2 * size))
         block = cls._mapped(descriptor, size)
         block.head[_SIZE_AT] = size
@@ -87,10 +77,7 @@ class ParameterBlock:
 
     @classmethod
     def attach(cls, descriptor: int) -> ParameterBlock:
-        """The block behind an inherited descriptor.
-
-        Raises DeviceError: it is none.
-        """
+        """The block behind an inherited descriptor; DeviceError where it is none."""
         total = os.fstat(descriptor).st_size
         if total >= 8 * HEAD_WORDS:
             head = np.frombuffer(os.pread(descriptor, 8 * HEAD_WORDS, 0), np.int64)
@@ -120,10 +107,10 @@ class ParameterBlock:
         return read_ordered(self.head, _TAKEN_AT)
 
     def write(self, parameters: FloatArray) -> int:
-        """Publish parameters; the servo takes them when nothing is touched.
+        """Publish parameters (size,), which the servo takes when nothing is touched; their version.
 
-        ``parameters`` (size,).  Returns their version.  Raises ValueError: another size, or a number that is
-        not finite; DeviceError: the last ones are not taken yet.
+        Raises ValueError: another size, or a number that is not finite; DeviceError: the last are not taken
+        yet.
         """
         if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
             msg = f"parameters must be {self.values.shape[1]} finite numbers"

@@ -37,7 +37,9 @@ DEVICES = {
         hardware=True,
         reported_as="Novint Falcon, uncalibrated",
     ),
-    "forcedimension": Registered("tissueid.haptics.forcedimension:ForceDimensionDevice", hardware=True),
+    "forcedimension": Registered(
+        "tissueid.haptics.forcedimension.device:ForceDimensionDevice", hardware=True
+    ),
     "emulator": Registered("tissueid.haptics.falcon.emulator.device:EmulatorDevice"),
     "replay": Registered("tissueid.haptics.replay:ReplayDevice"),
     "sim": Registered("tissueid.haptics.sim:SimulatedDevice", reported_as="Simulated device"),
@@ -83,11 +85,7 @@ def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
 
 
 def device_class(name: str) -> type[HapticDevice]:
-    """The class behind a name.
-
-    Raises UsageError: no such device; the message lists those there are; DeviceError: a plug-in can't be
-    imported, or is no device.
-    """
+    """The class behind a name; UsageError if there is none, DeviceError for a plug-in that fails."""
     if name in DEVICES:
         module, _, attribute = DEVICES[name].place.partition(":")
         found = getattr(importlib.import_module(module), attribute)
@@ -110,10 +108,7 @@ def owners_of(option: str) -> list[str]:
 
 
 def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
-    """Arguments of a device's class for what was asked on the command line.
-
-    Raises UsageError: an option of another device.
-    """
+    """Arguments of a device's class for what was asked; UsageError for an option of another device."""
     taken = () if name == AUTO else device_class(name).takes
     for strange in (one for one in asked.given() if one not in taken):
         owners = owners_of(strange)
@@ -129,10 +124,7 @@ def reported_devices() -> dict[str, Capabilities]:
 
 
 def environment_law(name: str) -> Callable[..., Any]:
-    """The force law that another distribution registered under a name.
-
-    Raises UsageError: no such law; DeviceError: it can't be imported, or can't be called.
-    """
+    """The force law that another distribution registered; UsageError, or DeviceError where it fails."""
     for entry in entry_points(group=ENVIRONMENT_GROUP):
         if entry.name == name:
             law = _loaded("force law", name, entry.load)
@@ -161,11 +153,7 @@ def detect_all() -> Iterator[DetectedDevice]:
 
 
 def choose_device(name: str = AUTO) -> Choice:
-    """Choose the device a name stands for.
-
-    Returns the name itself; for ``auto`` the first hardware with nothing in its way, else ``sim``.  Raises
-    UsageError, DeviceError: as :func:`device_class`.
-    """
+    """The device a name stands for; of ``auto`` the first hardware with nothing in its way, else ``sim``."""
     if name != AUTO:
         device_class(name)
         return Choice(name, f"device {name}: asked for by name")
@@ -179,10 +167,7 @@ def choose_device(name: str = AUTO) -> Choice:
 
 
 def check_present(name: str, port: object = None) -> None:
-    """Refuse hardware that is not there, or has something in its way, before anybody is asked anything.
-
-    ``port``: path of its port, where one was named.  Raises DeviceError: with the way out.
-    """
+    """Refuse, with the way out, hardware that is missing or hindered, before anybody is asked anything."""
     if port is not None:
         if isinstance(port, str) and port.startswith("/") and not Path(port).exists():
             msg = f"{port}: there is no such device; is it plugged in, or the emulator running?"
@@ -199,8 +184,5 @@ def check_present(name: str, port: object = None) -> None:
 
 
 def open_device(name: str = AUTO, **options: Any) -> HapticDevice:
-    """Make the device that a name stands for; it is opened with ``with`` or ``open()``.
-
-    ``name``: as :func:`choose_device`; ``**options``: handed to the device's class.
-    """
+    """Make the device that a name stands for; it is opened with ``with`` or ``open()``."""
     return device_class(choose_device(name).name)(**options)

@@ -1,15 +1,7 @@
 """A device that moves as a recorded session did: ``tissueid render --replay LOG``.
 
-Guarantees
-    * At a time of the log it is where the log says, and between two records on the line between them.
-    * The same log and the same times give the same samples, bit for bit; no force changes the motion.
-    * Before the first record and after the last it rests there.
-
-Limits
-    * What is felt is not fed back: the hand of the log felt its own force, not the one rendered now.
-    * Positions are those the log has, already rounded to encoder counts.
-
-SI units; frame: x right, y up, z out toward the user.
+At a time of the log it is where the log says, between two records on their line, outside them at rest; no
+force changes the motion: the hand of the log felt its own force, not the one rendered now.  SI units.
 """
 
 from __future__ import annotations
@@ -25,16 +17,13 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, WORKING_RADIUS_M, carried
+from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, carried, computed
 
 
 class ReplayDevice(HapticDevice):
-    """The motion of a log.
+    """The motion of a log, in real time or one period a force written.
 
-    ``limits``: 5 N and no dead-man button where none are given; ``log``: log of a session, raw or HDF5;
-    needed before ``open``; ``real_time``: move with ``clock``; else one period a force written; ``period_s``:
-    period of the loop that drives it in virtual time [s]; ``clock``: seconds, never falling.  Raises
-    BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
+    Raises BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
     """
 
     name = "replay"
@@ -69,26 +58,12 @@ class ReplayDevice(HapticDevice):
     @property
     def capabilities(self) -> Capabilities:
         """Of a motion that no force changes: nothing to hurt, nothing to damp."""
-        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
-        return Capabilities(
-            name=self.name,
-            clamp_N=self.limits.clamp_N,
-            calibrated=True,
-            damping_N_s_per_m=np.inf,
-            delay_ticks=0.0,
-            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
-            hardware=False,
-        )
+        return computed(self, damping_N_s_per_m=np.inf, delay_ticks=0.0)
 
     @property
     def duration_s(self) -> float:
         """Time from the first to the last record [s]."""
         return float(self._time_s[-1])
-
-    @property
-    def longest_gap_s(self) -> float:
-        """Longest time between two records [s]."""
-        return float(np.diff(self._time_s).max(initial=0.0))
 
     @property
     def ended(self) -> bool:

@@ -1,17 +1,15 @@
-"""The ring: records of the servo in shared memory, one writer, any number of readers.
+"""The ring: records of the servo in shared memory, one writer that never waits, any number of readers.
 
-The memory is a ``memfd`` whose descriptor the servo's process is sent.  The writer never waits: it fills the
-slot after the newest and then publishes the number of records so far with a release store.  A reader copies
-what is new and then looks at that number again; records that may have been overwritten meanwhile are left
-out and counted, so that it knows by how much it was too slow.
-
-Layout: 64 bytes of head (magic, capacity, published), then ``capacity`` records of 128 bytes.
+The writer fills the slot after the newest, then publishes the number of records.  A reader copies what is
+new, looks at that number again, and leaves out and counts what may have been overwritten.  The memory is a
+``memfd``: 64 bytes of head (magic, capacity, published), then ``capacity`` records of 128 bytes.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
+import platform
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +18,44 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.shared_memory import read_ordered, shared_memory, write_ordered
+
+
+def shared_memory(name: str, size: int) -> int:
+    """Descriptor of new memory, all zero, which another process gets only where it is handed over.
+
+    Raises DeviceError: the system has no such memory.
+    """
+    try:
+        descriptor = os.memfd_create(f"tissueid-{name}", 0)
+        os.ftruncate(descriptor, size)
+    except (AttributeError, OSError) as error:
+        msg = f"no shared memory for the servo's {name} ({error}); rendering needs Linux with memfd"
+        raise DeviceError(msg) from error
+    os.set_inheritable(descriptor, False)
+    return descriptor
+
+
+_KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
+
+
+def read_ordered(words: IntArray, at: int) -> int:
+    """``words[at]`` of shared words, before everything read after."""
+    if _KEEPS_ORDER:
+        return int(words[at])
+    from tissueid.haptics.foreign import load_acquire
+
+    return int(load_acquire(words[at : at + 1]))
+
+
+def write_ordered(words: IntArray, at: int, value: int) -> None:
+    """Set ``words[at]`` of shared words, after everything written before."""
+    if _KEEPS_ORDER:
+        words[at] = value
+        return
+    from tissueid.haptics.foreign import store_release
+
+    store_release(words[at : at + 1], value)
+
 
 #: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard
 #: let through; ``depth_mm``, ``tissue_force_N`` and ``speed_mm_per_s`` are the tissue's; ``energy_J`` the
@@ -68,10 +103,7 @@ class Ring:
 
     @classmethod
     def create(cls, capacity: int = CAPACITY) -> Ring:
-        """A new ring of ``capacity`` records in anonymous memory.
-
-        Raises DeviceError: the system has no such memory.
-        """
+        """A new ring in anonymous memory; DeviceError where the system has no such memory."""
         descriptor = shared_memory("records", HEAD_BYTES + capacity * RECORD.itemsize)
         ring = cls._mapped(descriptor, capacity)
         ring.head[_CAPACITY_AT] = capacity
@@ -80,10 +112,7 @@ class Ring:
 
     @classmethod
     def attach(cls, descriptor: int) -> Ring:
-        """The ring behind an inherited descriptor; one that can only be read is mapped for reading.
-
-        Raises DeviceError: it is none.
-        """
+        """The ring behind a descriptor, read-only where that is; DeviceError if it is none."""
         size = os.fstat(descriptor).st_size
         if size >= HEAD_BYTES:
             head = np.frombuffer(os.pread(descriptor, HEAD_BYTES, 0), np.int64)
@@ -132,10 +161,7 @@ class Ring:
 
 
 class RingReader:
-    """Reader of records that are new since the last look.
-
-    ``position``: number of the first record to read.
-    """
+    """Reader of records that are new since the last look, from the number ``position`` on."""
 
     def __init__(self, ring: Ring, position: int) -> None:
         self._ring = ring
@@ -143,11 +169,7 @@ class RingReader:
         self.position = position
 
     def read_new(self) -> tuple[NDArray[Any], int]:
-        """Copy what was published since the last call.
-
-        Returns ``records`` (n,): whole records in order; none of them was overwritten while it was copied;
-        ``overrun``: records that were lost because this reader came too late.
-        """
+        """Whole records published since the last call, in order, and how many were lost before them."""
         records = self._ring.records
         capacity = records.size
         # the slot after the newest may be half written: capacity - 1 records are safe at any moment

@@ -1,9 +1,7 @@
 """The hand of a simulated device in shared memory, so that a pointer in another process can lead it.
 
-The memory holds the parameters of :mod:`tissueid.haptics.simulated_layout`, which the simulated device reads
-at every tick.  A target is three float64 words, each written whole; a tick that meets the new x with the old
-y sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other
-device has such a memory: what has motors can't be led.
+It loads no compiler.  A target is three float64 words, each written whole; a tick that meets the new x with
+the old y sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).
 """
 
 from __future__ import annotations
@@ -18,8 +16,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.shared_memory import shared_memory
-from tissueid.haptics.simulated_layout import LED_AT, POINTER, POINTER_ON, SIM_PARAMETERS
+from tissueid.haptics.ring import shared_memory
+
+# --- the arm's
+MASS, DAMPING, FRICTION, SUBSTEP = 0, 1, 2, 3
+HAND_STIFFNESS, HAND_DAMPING, RIGID = 4, 5, 6
+TREMOR, TREMOR_HZ, TREMOR_PHASE, TREMOR_AXIS = 7, 8, 9, 10  # axis: 10, 11, 12
+POINTER_ON, POINTER = 13, 14  # pointer: 14, 15, 16
+KNOTS = 17
+LED_AT = 18  # monotonic time [s] at which whoever leads the hand was last there; no kernel reads it
+FIRST_KNOT = 20
+#: Columns of a knot of the hand's script: time, x, y, z, grip from here on.
+KNOT_COLUMNS = 5
+MAX_KNOTS = 64
+ARM_PARAMETERS = FIRST_KNOT + KNOT_COLUMNS * MAX_KNOTS
+
+# --- behind them
+QUANTUM, PHASE = ARM_PARAMETERS, ARM_PARAMETERS + 1  # phase: 3 values, in counts
+DELAY, BUTTONS = ARM_PARAMETERS + 4, ARM_PARAMETERS + 5
+#: A scripted fault: its kind and the time [s] it begins at.
+FAULT_KIND, FAULT_AT, FAULT_SIZE = ARM_PARAMETERS + 6, ARM_PARAMETERS + 7, ARM_PARAMETERS + 8
+SIM_PARAMETERS = ARM_PARAMETERS + 12
+
 
 BYTES = 8 * SIM_PARAMETERS
 
@@ -33,18 +51,12 @@ class SharedHand:
 
     @classmethod
     def create(cls) -> SharedHand:
-        """New memory; a simulated device fills it when it takes it.
-
-        Raises DeviceError: the system has no such memory.
-        """
+        """New memory, which a simulated device fills; DeviceError where the system has none."""
         return cls._mapped(shared_memory("hand", BYTES))
 
     @classmethod
     def attach(cls, descriptor: int) -> SharedHand:
-        """The memory behind a descriptor.
-
-        Raises DeviceError: it has another size.
-        """
+        """The memory behind a descriptor; DeviceError if it has another size."""
         if os.fstat(descriptor).st_size != BYTES:
             msg = f"descriptor {descriptor} is no hand of a simulated device"
             raise DeviceError(msg)
@@ -55,10 +67,7 @@ class SharedHand:
         return cls(descriptor, np.frombuffer(mmap.mmap(descriptor, BYTES), np.float64))
 
     def point_at(self, position_m: Sequence[float]) -> None:
-        """Lead the hand to a point.
-
-        ``position_m``: device frame [m].  Raises ValueError: not three finite numbers.
-        """
+        """Lead the hand to a point of the device's frame [m]; ValueError: not three finite numbers."""
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             msg = f"a pointer needs three finite coordinates, not {position_m!r}"

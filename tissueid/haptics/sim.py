@@ -1,73 +1,158 @@
 """A device that is computed: an arm in a hand, behind encoders that round and a wire that delays.
 
-Guarantees
-    * Two devices with equal settings and equal forces give equal samples, bit for bit, on one machine.
-    * In virtual time nothing reads a clock: a sample depends on the settings and on the forces written, and
-      each ``write_force`` lets one period pass, however long it really took.
-    * A force written at a tick is felt ``delay_ticks`` periods later (fractions change it within a tick), and
-      until the next one arrives.
-    * The true position, the force felt and the energies of :mod:`tissueid.haptics.arm` can be read exactly.
-    * Nothing moves, needs no rights and can't hurt.
-
-Limits
-    * The arm has one mass in all directions, no gravity, no stops, no play and no flexible parts.
-    * Position is rounded along x, y and z, not at the legs' encoders; use the emulator for those.
-    * No bytes are exchanged: no packet is lost, damaged or late.
-    * In real time the arm moves only when it is read, so that it sees the loop's jitter, and two runs differ.
-    * It shows nothing about a real device that its assumed mass, damping and friction do not hold.
-
-SI units; frame: x right, y up, z out toward the user.
+Equal settings and forces give equal samples, bit for bit.  In virtual time no clock is read: each
+``write_force`` lets one period pass.  A force is felt ``delay_ticks`` periods after its tick, until the next
+one arrives.  It has one mass in all directions, no gravity and no stops; position is rounded along x, y and
+z, not at the legs, and no bytes are exchanged (the emulator has both).  SI units; frame: x right, y up, z to
+the user.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, IntArray
+from tissueid.compiled import tick_kernel, tick_part
+from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import (
+    ARM_MEMORY,
     HAND_FORCE,
     POINTED,
     POSITION,
     TIME,
     Arm,
+    arm_step,
     new_arm,
-    port_energy,
 )
+from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import (
+    PRESSED,
+    REPLY,
+    Access,
     Capabilities,
     CompiledIO,
     DetectedDevice,
     DeviceSample,
     HapticDevice,
+    register,
 )
+from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
-from tissueid.haptics.shared_hand import SharedHand
-from tissueid.haptics.sim_kernels import (
-    FELT,
-    HOMED,
-    QUEUE_LENGTH,
-    VALID,
-    new_simulated,
-    simulated_advance,
-    simulated_command,
-    simulated_sample,
+from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, SharedHand
+
+#: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
+#: by FAULT_SIZE counts; it is no longer homed.
+FAULT_NONE, FAULT_GONE, FAULT_SILENT, FAULT_FROZEN, FAULT_JUMP, FAULT_UNHOMED = 0, 1, 2, 3, 4, 5
+
+# --- memory behind the arm's
+FELT = ARM_MEMORY  # force at the grip now: 3
+HELD = ARM_MEMORY + 3  # counts last read: 3
+HEAD, PENDING, LOST = ARM_MEMORY + 6, ARM_MEMORY + 7, ARM_MEMORY + 8
+#: Forces under way: time of arrival and three components each.
+QUEUE = ARM_MEMORY + 10
+QUEUE_COLUMNS = 4
+#: A delay of more ticks than this loses forces; :class:`~tissueid.haptics.sim.SimulatedDevice` refuses it.
+QUEUE_LENGTH = 32
+SIM_MEMORY = QUEUE + QUEUE_COLUMNS * QUEUE_LENGTH
+
+#: Bits of what :func:`simulated_sample` returns; 0 is "no answer", negative "the device is gone".
+VALID, HOMED = 1, 2
+
+
+@tick_part
+def simulated_sample(
+    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
+) -> int:
+    """Write counts (3,) and their position (3,) [m]; bits VALID and HOMED, 0 without answer, -1 if gone."""
+    kind = int(parameters[FAULT_KIND])
+    if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
+        kind = FAULT_NONE
+    if kind == FAULT_GONE:
+        return -1
+    if kind == FAULT_SILENT:
+        return 0
+    quantum = parameters[layout.QUANTUM]
+    for i in range(3):
+        if kind != FAULT_FROZEN:
+            memory[HELD + i] = math.floor(memory[POSITION + i] / quantum + parameters[layout.PHASE + i])
+        said = memory[HELD + i]
+        if kind == FAULT_JUMP and i == 0:
+            said += parameters[FAULT_SIZE]
+        counts[i] = int(said)
+        # the middle of the count, so that rounding has no mean
+        position[i] = (said + 0.5 - parameters[layout.PHASE + i]) * quantum
+    return VALID if kind == FAULT_UNHOMED else VALID | HOMED
+
+
+@tick_part
+def simulated_command(memory: FloatArray, parameters: FloatArray, force: FloatArray) -> None:
+    """Send a force [N]; it is felt ``delay_s`` later."""
+    pending = int(memory[PENDING])
+    if pending >= QUEUE_LENGTH:
+        memory[LOST] += 1.0
+        return
+    at = QUEUE + QUEUE_COLUMNS * ((int(memory[HEAD]) + pending) % QUEUE_LENGTH)
+    memory[at] = memory[TIME] + parameters[layout.DELAY]
+    for i in range(3):
+        memory[at + 1 + i] = force[i]
+    memory[PENDING] = pending + 1
+
+
+@tick_kernel
+def simulated_advance(memory: FloatArray, parameters: FloatArray, dt: float) -> None:
+    """Let ``dt`` seconds pass: forces arrive, the arm moves."""
+    end = memory[TIME] + dt
+    felt = memory[FELT : FELT + 3]
+    while memory[PENDING] > 0.0:
+        head = int(memory[HEAD])
+        at = QUEUE + QUEUE_COLUMNS * head
+        arrival = memory[at]
+        if arrival > end:
+            break
+        arm_step(memory, parameters, felt, arrival - memory[TIME])
+        for i in range(3):
+            felt[i] = memory[at + 1 + i]
+        memory[HEAD] = (head + 1) % QUEUE_LENGTH
+        memory[PENDING] -= 1.0
+    arm_step(memory, parameters, felt, end - memory[TIME])
+
+
+class SimulatedIO(NamedTuple):
+    """Blocks of :mod:`tissueid.haptics.sim`."""
+
+    parameters: FloatArray
+    memory: FloatArray
+
+
+@tick_kernel
+def _sense(io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+    """Let the arm move for ``dt`` and read its encoders."""
+    simulated_advance(io.memory, io.parameters, dt)
+    said = simulated_sample(io.memory, io.parameters, position, counts)
+    words[REPLY] = REPLY_LOST if said < 0 else (REPLY_VALID if said > 0 else REPLY_NONE)
+    words[IS_HOMED] = 1 if said > 0 and (said & HOMED) != 0 else 0
+    words[PRESSED] = int(io.parameters[layout.BUTTONS])
+
+
+@tick_kernel
+def _command(io: SimulatedIO, _guard: FloatArray, _limits: FloatArray, force: FloatArray) -> None:
+    """Put the force on its way."""
+    simulated_command(io.memory, io.parameters, force)
+
+
+#: The simulated device.
+SIMULATED = register(
+    Access(SimulatedIO, lambda given: SimulatedIO(given.constants, given.memory), _sense, _command)
 )
-from tissueid.haptics.simulated_layout import (
-    BUTTONS,
-    DELAY,
-    PHASE,
-    POINTER,
-    POINTER_ON,
-    QUANTUM,
-    RIGID,
-    SIM_PARAMETERS,
-)
+
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip.
 DEFAULT_QUANTUM_M = 45e-6
@@ -84,15 +169,25 @@ def carried(limits: GuardLimits) -> GuardLimits:
     return replace(limits, frozen_change_N=NO_CHANGE_N)
 
 
-class SimulatedDevice(HapticDevice):
-    """Simulated device; the module says what it guarantees and what it does not.
+def computed(device: HapticDevice, *, damping_N_s_per_m: float, delay_ticks: float) -> Capabilities:
+    """Abilities of a device that is computed: its newtons are exact, and nothing moves."""
+    (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
+    return Capabilities(
+        name=device.name,
+        clamp_N=device.limits.clamp_N,
+        calibrated=True,
+        damping_N_s_per_m=damping_N_s_per_m,
+        delay_ticks=delay_ticks,
+        workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
+        hardware=False,
+    )
 
-    ``limits``: 5 N and no dead-man button where none are given; ``arm``: mass, damping and friction;
-    ``hand``: what holds the grip; a resting hand at the centre of the workspace where none is given;
-    ``real_time``: move with ``clock`` instead of with the forces written; ``quantum_m``: resolution of the
-    position [m]; ``delay_ticks``: delay from sample to felt force, in periods; ``period_s``: period of the
-    loop that will drive it [s]; ``seed``: of where the counts lie relative to the workspace; ``clock``:
-    seconds, never falling; for ``real_time``.
+
+class SimulatedDevice(HapticDevice):
+    """Simulated device: 5 N and no dead-man button, and a hand that rests at the centre, by default.
+
+    ``real_time``: move with ``clock`` instead of with the forces written; ``quantum_m``: resolution [m];
+    ``delay_ticks``: from sample to felt force; ``seed``: of where the counts lie relative to the workspace.
     """
 
     name = "sim"
@@ -123,14 +218,15 @@ class SimulatedDevice(HapticDevice):
         self.period_s = period_s
         self.delay_ticks = delay_ticks
         self.real_time = real_time
-        #: Flat blocks of :mod:`tissueid.haptics.sim_kernels`; the compiled servo works on the same.
-        self.parameters = np.zeros(SIM_PARAMETERS)
+        #: Flat blocks of :mod:`tissueid.haptics.sim`; the compiled servo works on the same.
+        self.parameters = np.zeros(layout.SIM_PARAMETERS)
         block = self.hand.write(self.arm.block())
         self.parameters[: block.size] = block
-        self.parameters[QUANTUM] = quantum_m
-        self.parameters[PHASE : PHASE + 3] = np.random.default_rng(seed).random(3)
-        self.parameters[DELAY] = delay_ticks * period_s
-        self.memory = new_simulated(new_arm(self.hand.start_m))
+        self.parameters[layout.QUANTUM] = quantum_m
+        self.parameters[layout.PHASE : layout.PHASE + 3] = np.random.default_rng(seed).random(3)
+        self.parameters[layout.DELAY] = delay_ticks * period_s
+        self.memory = np.zeros(SIM_MEMORY)
+        self.memory[:ARM_MEMORY] = new_arm(self.hand.start_m)
         self._clock = clock
         self._clock_s: float | None = None
         self._place = np.zeros(3)
@@ -144,16 +240,7 @@ class SimulatedDevice(HapticDevice):
     @property
     def capabilities(self) -> Capabilities:
         """Of the arm as it is computed: newtons are exact here."""
-        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
-        return Capabilities(
-            name=self.name,
-            clamp_N=self.limits.clamp_N,
-            calibrated=True,
-            damping_N_s_per_m=self.arm.damping_N_s_per_m,
-            delay_ticks=self.delay_ticks,
-            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
-            hardware=False,
-        )
+        return computed(self, damping_N_s_per_m=self.arm.damping_N_s_per_m, delay_ticks=self.delay_ticks)
 
     @property
     def time_s(self) -> float:
@@ -166,51 +253,37 @@ class SimulatedDevice(HapticDevice):
         return self.memory[POSITION : POSITION + 3].copy()
 
     @property
-    def felt_force_N(self) -> FloatArray:
-        """Force at the grip now, after the delay [N], shape (3,)."""
-        return self.memory[FELT : FELT + 3].copy()
-
-    @property
     def sensed_force_N(self) -> FloatArray:
         """Force of the hand on the grip now [N], shape (3,): an ideal sensor, which a Falcon has not."""
         return self.memory[HAND_FORCE : HAND_FORCE + 3].copy()
 
-    @property
-    def port_energy_J(self) -> float:
-        """Energy that went through the true port [J]; see :func:`tissueid.haptics.arm.port_energy`."""
-        return float(port_energy(self.memory))
-
     def set_pointer(self, position_m: ArrayLike | None) -> None:
-        """Let the hand follow a point, as a pointer on a screen says it; None gives it back to its script.
+        """Let the hand follow a point (3,) [m], or, with None, its script again.
 
-        ``position_m`` (3,): where the hand should go [m].  Raises ValueError: not three finite numbers.
+        Raises ValueError: not three finite numbers.
         """
         if position_m is None:
-            self.parameters[POINTER_ON] = 0.0
+            self.parameters[layout.POINTER_ON] = 0.0
             return
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             msg = f"a pointer needs three finite coordinates, not {position_m!r}"
             raise ValueError(msg)
-        if self.parameters[POINTER_ON] == 0.0:
+        if self.parameters[layout.POINTER_ON] == 0.0:
             # from where the hand is, not from where its script began
             self.memory[POINTED : POINTED + 3] = self.memory[POSITION : POSITION + 3]
-        self.parameters[POINTER : POINTER + 3] = point
-        self.parameters[POINTER_ON] = 1.0
-        self.parameters[RIGID] = 0.0
+        self.parameters[layout.POINTER : layout.POINTER + 3] = point
+        self.parameters[layout.POINTER_ON] = 1.0
+        self.parameters[layout.RIGID] = 0.0
 
     def share(self, hand: SharedHand) -> None:
         """Work on parameters in shared memory from now on, so that another process can lead the hand."""
         hand.parameters[:] = self.parameters
         self.parameters = hand.parameters
 
-    def press(self, buttons: int) -> None:
-        """Hold these buttons from now on."""
-        self.parameters[BUTTONS] = buttons
-
     def compiled(self) -> CompiledIO:
         """The blocks of this device, for a compiled loop."""
-        return CompiledIO("tissueid.haptics.sim_io:SIMULATED", constants=self.parameters, memory=self.memory)
+        return CompiledIO("tissueid.haptics.sim:SIMULATED", constants=self.parameters, memory=self.memory)
 
     def _open(self) -> None:
         self._clock_s = None
@@ -232,7 +305,7 @@ class SimulatedDevice(HapticDevice):
             time_s=self.time_s,
             position_m=self._place.copy(),
             counts=self._said.copy(),
-            buttons=int(self.parameters[BUTTONS]),
+            buttons=int(self.parameters[layout.BUTTONS]),
             homed=bool(said & HOMED),
             valid=bool(said & VALID),
         )

@@ -1,10 +1,6 @@
 """States of a device, reasons of a fault, and their numbers: the words that guard, servo and log share.
 
-::
-
-    CLOSED -> OPEN -> FIRMWARE -> HOMING -> ARMED -> ENGAGED
-                 any of them -> FAULT -> CLOSED
-
+CLOSED, OPEN, FIRMWARE, HOMING, ARMED, ENGAGED in this order; from any of them to FAULT, and to CLOSED.
 Force is other than zero in ENGAGED alone, and in FAULT while it is taken back to zero.
 """
 

@@ -81,9 +81,9 @@ def _await(compiling: subprocess.Popen[bytes], tell: Callable[[str], None]) -> N
 
 def compile_loop() -> None:
     """Compile the servo's loop for the simulated device, or take it from the disk."""
+    from tissueid.haptics.device import compiled_io
     from tissueid.haptics.parameter_block import ParameterBlock
     from tissueid.haptics.ring import Ring
-    from tissueid.haptics.servo_access import compiled_io
     from tissueid.haptics.sim import SimulatedDevice
     from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch
     from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo

@@ -11,7 +11,7 @@ import numpy as np
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.gravity import MIDDLE_M
+from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.sim import carried
 from tissueid.rendering.blind import check_pseudonym
 from tissueid.rendering.guidance_block import Guidance, guidance_block

@@ -24,7 +24,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
-from tissueid.haptics.velocity import velocity_step
+from tissueid.haptics.guard import velocity_step
 
 # -- parameters -----------------------------------------------------------------------------------
 CONTROL_SIZE = 6

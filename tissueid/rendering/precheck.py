@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device_facts import Capabilities
+from tissueid.haptics.device import Capabilities
 from tissueid.model.channels import loading_force
 from tissueid.model.passivity import (
     DEFAULT_MOTION_SCALE,

@@ -13,12 +13,11 @@ import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
+from tissueid.haptics.device import compiled_io
 from tissueid.haptics.guard import guard
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
-from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_io import SimulatedIO
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, SimulatedIO
 from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits

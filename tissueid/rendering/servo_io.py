@@ -17,9 +17,8 @@ from numba.extending import overload
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, access_of
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, HapticDevice, access_of
+from tissueid.haptics.guard import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
 
 class PythonIO(NamedTuple):

@@ -18,14 +18,12 @@ import numpy as np
 
 from tissueid.compiled import without_scipy
 from tissueid.errors import DeviceError, TissueidError
-from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.guard import new_guard, transition
-from tissueid.haptics.guard_states import SHUT
+from tissueid.haptics.device import HapticDevice, compiled_io
+from tissueid.haptics.guard import SHUT, new_guard, transition
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.registry import device_class, environment_law
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault

@@ -19,17 +19,28 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.atomic import store_release
-from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.guard import guard, observe, observe_wire, transition
-from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE, HapticDevice
+from tissueid.haptics.foreign import store_release
+from tissueid.haptics.guard import (
+    DISENGAGE,
+    ENGAGE,
+    FAULT,
+    HOMING,
+    LAMPS,
+    REPLY_VALID,
+    STATE,
+    SWAP,
+    WANTED,
+    guard,
+    observe,
+    observe_wire,
+    transition,
+    velocity_step,
+)
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import PUBLISHED_AT, Ring
-from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE
 from tissueid.haptics.states import Lamp
-from tissueid.haptics.velocity import velocity_step
-from tissueid.haptics.watchdogs import REPLY_VALID
 from tissueid.rendering.environment import (
     ENVIRONMENT_SIZE,
     INFO_DEPTH_MM,

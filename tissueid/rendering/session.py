@@ -221,10 +221,10 @@ class Session:
 
     def _virtual(self) -> Outcome:
         """The same loop without a clock: ticks are computed as fast as they go."""
+        from tissueid.haptics.device import compiled_io
         from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
         from tissueid.haptics.registry import device_class
         from tissueid.haptics.ring import Ring
-        from tissueid.haptics.servo_access import compiled_io
         from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
         from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
 

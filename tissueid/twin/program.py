@@ -9,7 +9,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.hand import Hand
-from tissueid.haptics.simulated_layout import MAX_KNOTS
+from tissueid.haptics.shared_hand import MAX_KNOTS
 from tissueid.rendering.session_plan import Script
 from tissueid.segment import segment
 from tissueid.trial import Trial, contact_frame

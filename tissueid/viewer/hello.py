@@ -1,42 +1,38 @@
 """The first message to a page: what the session holds, so that the page draws no more and no less.
 
-One JSON object, ``{"type": "hello", "v": 1, ...}``:
-
-``session``
-    title, device, scale, tissues, whether it is hardware, blind, a replay, and may be led by a pointer.
-``scene``
-    ``objects``, each with a ``kind`` the page knows how to draw (``surface``, ``tool``, ``workspace``), in
-    metres of the device's frame; a page leaves out kinds it does not know.
-``strips``
-    what is drawn over time, or over another field: an id, a title, a unit, and ``traces``.
-``hint``
-    what a hand on the mouse does.
-``digits``
-    what the second and the third of the big numbers are.
-``lamps``
-    an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
-``band``, ``beside``
-    :mod:`tissueid.viewer.showing`.
-``sample``
-    layout of a sample (:mod:`tissueid.viewer.frames`).
-
-Another scene is another list of objects, strips and lamps.
+One JSON object: ``session``; ``scene`` with ``objects``, each of a ``kind`` the page knows how to draw, in
+metres of the device's frame; ``strips`` over time or another field; ``lamps`` and the bits that light them;
+``digits``, ``hint``, ``band`` and ``beside``; ``sample``, the layout of :mod:`tissueid.viewer.frames`.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
+from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
+from tissueid.model.channels import loading_force
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
 from tissueid.rendering.funnel import CONE, PRINTED_ONE_M
+from tissueid.rendering.session_plan import SessionPlan
+from tissueid.rendering.tissue_block import Tissue
+from tissueid.store.bundle import load_bundle
+from tissueid.store.session_log import SessionLog, read_session_log
 from tissueid.trial import TipShape
 from tissueid.viewer.frames import SAMPLE, layout
+from tissueid.viewer.serving import ServedViewer
+
+if TYPE_CHECKING:
+    from tissueid.rendering.servo import ServoProcess
 
 #: Height above the entry point up to which axis and funnel are drawn [m].
 DRAWN_M = 0.04
@@ -45,12 +41,7 @@ POINTS = 40
 
 
 def guided_objects(block: Sequence[float]) -> list[dict[str, Any]]:
-    """Objects of a scene, in metres of the device's frame.
-
-    ``block``: of the log's head: an environment that is a guided axis.  Returns ``axis`` (from the end of the
-    drilling outward), ``funnel`` (points (r, z) of its profile about the axis) and, where there is one,
-    ``bone``.
-    """
+    """Axis, funnel and, where there is one, bone of a guided axis' block, in metres of the device's frame."""
     numbers = np.asarray(block, dtype=np.float64)[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
     entry, axis = numbers[gd.ORIGIN : gd.ORIGIN + 3], numbers[gd.AXIS : gd.AXIS + 3]
     drilled_m = float(numbers[gd.DRILL_END])
@@ -112,44 +103,41 @@ GUIDED_HINT = "Drag the wire down to the bone, and drill"
 #: What the second and the third of the big numbers are.
 DIGITS = {"tissue": "N of tissue", "depth": "mm deep"}
 GUIDED_DIGITS = {"tissue": "N of the bone", "depth": "mm below the entry"}
+
+
+def _strip(name: str, title: str, unit: str, *traces: dict[str, Any]) -> dict[str, Any]:
+    return {"id": name, "title": title, "unit": unit, "traces": list(traces)}
+
+
 #: Traces: a sample's ``field`` (of a vector its length), less the period where ``minus_period`` is set, times
 #: ``factor``; ``over`` another field instead of the time; ``axis`` right where the unit is another.
-STRIPS: tuple[dict[str, Any], ...] = (
-    {
-        "id": "force",
-        "title": "Force",
-        "unit": "N",
-        "traces": [
-            {"id": "device_N", "label": "device", "field": "force_N"},
-            {"id": "tissue_N", "label": "tissue", "field": "tissue_force_N", "axis": "right"},
-        ],
-    },
-    {
-        "id": "depth",
-        "title": "Depth in tissue",
-        "unit": "mm",
-        "traces": [{"id": "depth_mm", "label": "depth", "field": "depth_mm"}],
-    },
-    {
-        "id": "loop",
-        "title": "Tissue force over depth",
-        "unit": "N over mm",
-        "traces": [{"id": "loop_N", "label": "felt", "field": "tissue_force_N", "over": "depth_mm"}],
-    },
-    {
-        "id": "energy",
-        "title": "Energy taken from the hand",
-        "unit": "mJ",
-        "traces": [{"id": "energy_mJ", "label": "energy", "field": "energy_J", "factor": 1e3}],
-    },
-    {
-        "id": "period",
-        "title": "Error of the servo's period",
-        "unit": "\u00b5s",
-        "traces": [
-            {"id": "period_us", "label": "error", "field": "dt_s", "factor": 1e6, "minus_period": True}
-        ],
-    },
+STRIPS = (
+    _strip(
+        "force",
+        "Force",
+        "N",
+        {"id": "device_N", "label": "device", "field": "force_N"},
+        {"id": "tissue_N", "label": "tissue", "field": "tissue_force_N", "axis": "right"},
+    ),
+    _strip("depth", "Depth in tissue", "mm", {"id": "depth_mm", "label": "depth", "field": "depth_mm"}),
+    _strip(
+        "loop",
+        "Tissue force over depth",
+        "N over mm",
+        {"id": "loop_N", "label": "felt", "field": "tissue_force_N", "over": "depth_mm"},
+    ),
+    _strip(
+        "energy",
+        "Energy taken from the hand",
+        "mJ",
+        {"id": "energy_mJ", "label": "energy", "field": "energy_J", "factor": 1e3},
+    ),
+    _strip(
+        "period",
+        "Error of the servo's period",
+        "\u00b5s",
+        {"id": "period_us", "label": "error", "field": "dt_s", "factor": 1e6, "minus_period": True},
+    ),
 )
 
 
@@ -162,12 +150,10 @@ def hello(
     replay_s: float | None = None,
     beside: Mapping[str, list[float]] | None = None,
 ) -> dict[str, Any]:
-    """The hello of a session.
+    """The hello of a session, by the head of its log (``schemas/session.schema.json``).
 
-    ``head``: of its log, ``schemas/session.schema.json``; ``workspace_m``: range along x, y and z; a Falcon's
-    where a log does not say; ``pointer``: whether a page may lead the hand; ``replay_s``: length of a log
-    that is replayed [s]; ``beside``: a recording that is drawn beside it: ``time_s``, in the log's time,
-    ``depth_mm``, ``force_N``.
+    ``workspace_m``: range along x, y and z; a Falcon's where a log does not say; ``replay_s``: length of a
+    log that is replayed; ``beside``: a recording drawn beside it: ``time_s``, ``depth_mm``, ``force_N``.
     """
     if workspace_m is None:
         workspace_m = [(middle - WORKING_RADIUS_M, middle + WORKING_RADIUS_M) for middle in CENTRE_M]
@@ -270,3 +256,100 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
         }
     )
     return objects
+
+
+#: Depths of a curve.
+CURVE_POINTS = 41
+LOW, HIGH = 0.025, 0.975
+#: Draws the band is made of: the 2.5 % quantile of 400 has a standard error of 0.8 % of them.
+MOST_DRAWS = 400
+#: Samples of a recording that is drawn beside a log.
+MOST_BESIDE = 4_000
+
+
+def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
+    """Force over depth at the slowest and the fastest identified speed, with quantiles of draws (m, p).
+
+    Pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that speed
+    (:func:`~tissueid.model.channels.loading_force`).
+    """
+    depth = np.linspace(0.0, tissue.model.depth_mm, CURVE_POINTS)
+    used = np.zeros((0, tissue.theta.size)) if draws is None else draws[:: max(1, len(draws) // MOST_DRAWS)]
+    curves = []
+    for speed in sorted(set(tissue.speeds_mm_s)):
+        curve = {
+            "speed_mm_s": float(speed),
+            "depth_mm": depth.tolist(),
+            "force_N": loading_force(tissue.model, tissue.theta, depth, speed_mm_s=speed).tolist(),
+        }
+        if len(used):
+            forces = [loading_force(tissue.model, draw, depth, speed_mm_s=speed) for draw in used]
+            low, high = np.quantile(forces, [LOW, HIGH], axis=0)
+            curve |= {"low_N": low.tolist(), "high_N": high.tolist()}
+        curves.append(curve)
+    return {"draws": len(used), "curves": curves}
+
+
+def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
+    """Show what a servo renders, with its hand where a pointer may lead it, and the bundle's band."""
+    band = None
+    if plan.picked and plan.order is None:
+        band = band_of(plan.picked[0].tissue, None if bundle is None else load_bundle(bundle).draws)
+    workspace_m = [[float(low), float(high)] for low, high in plan.capabilities.workspace_m]
+    words = hello(plan.head, workspace_m=plan.capabilities.workspace_m, pointer=plan.led, band=band)
+    reading = servo.ring.read_only()
+    try:
+        descriptors, rest_m = [reading], None
+        if servo.hand is not None:
+            descriptors.append(servo.hand.descriptor)
+            rest_m = [float(value) for value in plan.device_options["hand"].start_m]
+            viewer.let_go = partial(servo.hand.point_at, rest_m)
+            viewer.silent_s = servo.hand.silent_s
+        viewer.show_live(words, descriptors, rest_m=rest_m, workspace_m=workspace_m)
+    finally:
+        os.close(reading)
+
+
+def check_log(path: Path) -> SessionLog:
+    """A log with something in it; BundleError: it can't be read, or holds no two ticks."""
+    log = read_session_log(path)
+    if log.records.size < 2:
+        msg = f"{path}: the log holds {log.records.size} ticks, there is nothing to see"
+        raise BundleError(msg)
+    return log
+
+
+def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
+    """A recording to be drawn beside a log, in its time: both cross the surface at the same time.
+
+    Raises UsageError: one of them never touches tissue.
+    """
+    # what the first picture of a session need not wait for
+    from tissueid.ingest import read_trials
+    from tissueid.segment import segment
+    from tissueid.trial import contact_frame
+
+    trial = read_trials(path)[0]
+    found = segment(trial)
+    inside = np.flatnonzero(log.records["depth_mm"] > 0.0)
+    if found.contact is None or not inside.size:
+        whose = path if found.contact is None else "the log"
+        msg = f"{whose}: there is no contact in it, by which the two could be laid beside each other"
+        raise UsageError(msg)
+    depth, force = contact_frame(trial, found)
+    met_s = float(log.records["time_s"][inside[0]])
+    time_s = trial.time_s - trial.time_s[found.contact.index] + met_s
+    every = max(1, time_s.size // MOST_BESIDE)
+    return {
+        "time_s": time_s[::every].tolist(),
+        "depth_mm": depth[::every].tolist(),
+        "force_N": force[::every].tolist(),
+    }
+
+
+def show_log(
+    viewer: ServedViewer, log: SessionLog, path: Path, beside: Mapping[str, list[float]] | None = None
+) -> None:
+    """Play a log of :func:`check_log`, which the server reads again, ``beside`` a recording."""
+    times = log.records["time_s"]
+    viewer.show_log(hello(log.head, replay_s=float(times[-1] - times[0]), beside=beside), path)

@@ -1,7 +1,6 @@
 """One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it.
 
 Both ask for the token that the terminal shows; what is decided must come from the page itself (``Origin``).
-The page is made in a thread: a large recording doesn't keep a second tab waiting for its refusal.
 """
 
 from __future__ import annotations
@@ -20,9 +19,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from tissueid.errors import TissueidError
-from tissueid.viewer.protocols import PunctualHttp
 from tissueid.viewer.security import LOOPBACK, Access, RefusalLog, new_token
-from tissueid.viewer.server import Guarded
+from tissueid.viewer.server import Guarded, config
 from tissueid.viewer.serving import ViewerOptions, listening_socket
 
 #: A decision is a number and a sentence.
@@ -88,27 +86,17 @@ async def _words(request: Request) -> dict[str, Any] | Response:
 
 
 class PageServer:
-    """The server, in this process: it listens from its making on.
-
-    ``port``: 8765, or one that is free, where it is left out.  Raises UsageError: the port is taken.
-    """
+    """The server, in this process, which listens from its making on; UsageError: the port is taken."""
 
     def __init__(self, shown: DecidedPage, port: int | None = None) -> None:
         self._listening = listening_socket(ViewerOptions(LOOPBACK, port))
         self.access = Access(LOOPBACK, self._listening.getsockname()[1], new_token())
         self.server = uvicorn.Server(
-            uvicorn.Config(
+            config(
                 page_app(shown, self.access),
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                http=PunctualHttp,
-                loop="asyncio",
                 ws="none",
                 lifespan="off",
                 limit_concurrency=MOST_CONNECTIONS,
-                timeout_graceful_shutdown=1,
             )
         )
 

@@ -1,10 +1,5 @@
 """HTTP and websockets that no client can hold open for nothing, and the few messages a page may send.
 
-A connection whose request does not arrive keeps a place that another page needs.  It is cut off after
-:data:`REQUEST_S`, and where too many of them wait, the one that has waited longest is.
-
-Messages of a page: four short ones of JSON, each checked before anything is done with it.
-
 ::
 
     {"v": 1, "answer": 42}                     42 frames have arrived
@@ -47,11 +42,13 @@ class PunctualHttp(H11Protocol):
         """Give the first request its time, at the cost of whoever has waited longest."""
         super().connection_made(transport)
         self._wait()
-        others = [
-            one for one in self.connections if isinstance(one, PunctualHttp) and one.waiting is not None
-        ]
-        if len(others) > MOST_WAITING:
-            min(others, key=_due).cut_off()
+        due = {
+            one: one.waiting.when()
+            for one in self.connections
+            if isinstance(one, PunctualHttp) and one.waiting is not None
+        }
+        if len(due) > MOST_WAITING:
+            min(due, key=due.__getitem__).cut_off()
 
     def data_received(self, data: bytes) -> None:
         """Give what is left of a request its time, until it is whole."""
@@ -83,10 +80,6 @@ class PunctualHttp(H11Protocol):
         if self.waiting is not None:
             self.waiting.cancel()
             self.waiting = None
-
-
-def _due(one: PunctualHttp) -> float:
-    return float("inf") if one.waiting is None else one.waiting.when()
 
 
 class SparingWebSocket(WebSocketsSansIOProtocol):
@@ -153,10 +146,7 @@ Message = Answer | Pointer | Play
 
 
 def parse_message(text: str) -> Message | None:
-    """Read a message; None for whatever is none.
-
-    ``text``: at most :data:`LARGEST_MESSAGE` characters, or it is none.
-    """
+    """Read a message of at most :data:`LARGEST_MESSAGE` characters; None for whatever is none."""
     if len(text) > LARGEST_MESSAGE:
         return None
     try:

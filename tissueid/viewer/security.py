@@ -1,12 +1,7 @@
 """Who may see a session: this machine by default; another one with a secret that the terminal shows.
 
-* A server listens on loopback unless it is told an address, and then asks for a token of 192 random bits,
-  which stands in the address that is printed.
-* The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
-  this machine (DNS rebinding) is none.  The ``Origin`` of a websocket, which every browser sends, must be the
-  page's own.
-* What is refused is refused before a connection is accepted, and counted; the log tells the first
-  :data:`MOST_TOLD` of each kind.
+The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
+this machine (DNS rebinding) is none.  The ``Origin`` of a websocket must be the page's own.
 """
 
 from __future__ import annotations
@@ -33,12 +28,15 @@ MOST_QUOTED = 120
 
 def is_loopback(host: str) -> bool:
     """True where an address is reached from this machine alone."""
-    if host == "localhost":
-        return True
+    address = _address(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return ipaddress.ip_address(host)
     except ValueError:
-        return False
+        return None
 
 
 def new_token() -> str:
@@ -63,8 +61,8 @@ class Access:
     def refusal(self, headers: Mapping[str, str], token: str | None, *, websocket: bool) -> str | None:
         """Why a request is refused, in words for the log; None where it is welcome.
 
-        ``headers``: names in small letters; ``token``: from the address of the request; ``websocket``: it
-        carries data, and an ``Origin``; so does a request that changes something.
+        ``headers``: names in small letters; ``websocket``: it carries data, and an ``Origin``; so does a
+        request that changes something.
         """
         host = headers.get("host", "")
         if not self.names(host):
@@ -89,19 +87,10 @@ class Access:
             return name in LOCAL_NAMES or name == self.host
         if name == self.host.lower():
             return True
-        try:
-            address = ipaddress.ip_address(name)
-        except ValueError:
-            # any other name could have been turned to this machine by somebody else's DNS
-            return False
-        return self.host in {"0.0.0.0", "::"} or address == _address(self.host)  # noqa: S104
-
-
-def _address(host: str) -> object:
-    try:
-        return ipaddress.ip_address(host)
-    except ValueError:
-        return None
+        # any other name could have been turned to this machine by somebody else's DNS
+        address = _address(name)
+        every = self.host in {"0.0.0.0", "::"}  # noqa: S104
+        return address is not None and (every or address == _address(self.host))
 
 
 def _split(host: str) -> tuple[str, int | None]:
@@ -124,10 +113,7 @@ class RefusalLog:
         self.counts: Counter[str] = Counter()
 
     def note(self, client: str, why: str) -> None:
-        """Note a refusal.
-
-        ``client``: address of the client; ``why``: what was wrong with it; its first two words are its kind.
-        """
+        """Note why a client is refused; the first two words are the kind."""
         kind = " ".join(why.split()[:2])
         self.counts[kind] += 1
         if self.counts[kind] <= MOST_TOLD:

@@ -8,14 +8,17 @@ and is logged: 1003 binary, 1007 no message, 1008 not allowed or too many, 1009 
 from __future__ import annotations
 
 import asyncio
+import json
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import uvicorn
+from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
@@ -23,7 +26,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.viewer.bundling import BUNDLE, MISSING_BUNDLE
 from tissueid.viewer.protocols import (
     LARGEST_MESSAGE,
     Answer,
@@ -34,10 +38,109 @@ from tissueid.viewer.protocols import (
     parse_message,
 )
 from tissueid.viewer.security import Access, RefusalLog
-from tissueid.viewer.stage import Stage
 
 if TYPE_CHECKING:
-    from tissueid.viewer.feed import Client
+    from tissueid.viewer.feed import Client, LiveFeed, Source
+
+#: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
+TURN_S = 0.01
+#: A page that leads the hand answers a hundred frames a second; one that hangs, or whose machine is gone,
+#: is heard of no more, and its connection may last for minutes [s].
+SILENCE_S = 4.0
+
+
+class Stage:
+    """One session, for all clients, and the clock that says when there is something new to send."""
+
+    def __init__(self) -> None:
+        self.hello: str | None = None
+        self.pointer: HandPointer | None = None
+        self.log = RefusalLog()
+        self.clients: set[object] = set()
+        #: Who leads the hand, and when anything was heard of it last [s].
+        self.leader: object = None
+        self.leader_heard_s = 0.0
+        self._source: Callable[[], Source] | None = None
+        self._feed: LiveFeed | None = None
+        self._known = asyncio.Event()
+        self._news = asyncio.Event()
+        self.statuses: list[str] = []
+
+    def show_live(self, hello: Mapping[str, Any], feed: LiveFeed, pointer: HandPointer | None = None) -> None:
+        """Show a running servo."""
+        self._feed, self.pointer = feed, pointer
+        self.show_log(hello, lambda: feed)
+
+    def show_log(self, hello: Mapping[str, Any], source: Callable[[], Source]) -> None:
+        """Show a log: a source of its own for each client."""
+        self.hello, self._source = json.dumps(hello, allow_nan=False), source
+        self._known.set()
+
+    def end(self) -> None:
+        """The servo has ended."""
+        if self._feed is not None:
+            self._feed.end()
+
+    def tell(self, words: Mapping[str, Any]) -> None:
+        """A status for all clients, now and later."""
+        self.statuses.append(json.dumps({"type": "status", **words}, allow_nan=False))
+        self._wake()
+
+    async def source(self) -> Source:
+        """A source for a new client, as soon as there is a session."""
+        await self._known.wait()
+        assert self._source is not None  # noqa: S101 -- set before the event
+        if self._feed is not None:
+            self._feed.pump()
+        return self._source()
+
+    async def news(self) -> None:
+        """Wait until there may be something to send."""
+        await self._news.wait()
+
+    def let_go(self) -> None:
+        """A hand that nobody leads any more leaves the tissue."""
+        if self.leader is not None and self.pointer is not None:
+            self.pointer.lead(None)
+        self.leader = None
+
+    async def run(self) -> None:
+        """Look for what is new, for ever; without a client nothing is looked for."""
+        while True:
+            await asyncio.sleep(TURN_S)
+            if self.leader is not None and time.monotonic() - self.leader_heard_s > SILENCE_S:
+                self.let_go()
+            if self.pointer is not None:
+                self.pointer.hand.stay()
+            if self.clients:
+                if self._feed is not None:
+                    self._feed.pump()
+                self._wake()
+
+    def _wake(self) -> None:
+        waiting, self._news = self._news, asyncio.Event()
+        waiting.set()
+
+
+#: How far beyond the workspace a hand may be led [m]: 6 N of a 300 N/m hand.
+BEYOND_M = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandPointer:
+    """Leads a hand within its workspace."""
+
+    hand: SharedHand
+    rest_m: NDArray[np.float64]  # (3,), where it goes when it is let go [m]
+    #: (3,): corners of the workspace [m].
+    low_m: NDArray[np.float64]
+    high_m: NDArray[np.float64]  # (3,)
+
+    def lead(self, position_m: Sequence[float] | None) -> None:
+        """Lead the hand to a point [m], cut to the workspace and 20 mm around it, or back to its rest."""
+        wanted = self.rest_m if position_m is None else np.asarray(position_m, dtype=np.float64)
+        self.hand.point_at(np.clip(wanted, self.low_m - BEYOND_M, self.high_m + BEYOND_M).tolist())
+
 
 MOST_CLIENTS = 16
 #: Messages a client may send in a second: answers at 100 frames/s, and a pointer at twice a screen's rate.
@@ -59,19 +162,8 @@ HEADERS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class TlsFiles:
-    """Files of a certificate and its key."""
-
-    certificate: Path
-    key: Path
-
-
 class Guarded:
-    """Refuses what :class:`Access` refuses, before anything else sees it.
-
-    ``full``: whether one more websocket is too many; ``policy``: what the pages may load.
-    """
+    """Refuses what :class:`Access` refuses, or one websocket too many, before anything else sees it."""
 
     def __init__(
         self,
@@ -141,15 +233,12 @@ def _name(scope: Scope) -> str:
 
 
 def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
-    """The application.
-
-    ``stage``: what is shown; ``access``: to whom; ``bundle``: folder of the page.
-    """
+    """The application: what a stage shows, to whom ``access`` lets in."""
 
     async def page(_request: object) -> Response:
         file = bundle / "index.html"
         if not file.is_file():
-            return HTMLResponse(missing_bundle_words(), status_code=503)
+            return HTMLResponse(MISSING_BUNDLE, status_code=503)
         return FileResponse(file)
 
     async def samples(websocket: WebSocket) -> None:
@@ -203,7 +292,7 @@ async def _send(websocket: WebSocket, stage: Stage) -> None:
         assert stage.hello is not None  # noqa: S101 -- known with its source
         await websocket.send_text(stage.hello)
         while True:
-            for status in stage.statuses(told):
+            for status in stage.statuses[told:]:
                 told += 1
                 await websocket.send_text(status)
             frame = client.next_frame()
@@ -250,7 +339,7 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
         stage.pointer.lead(asked.position_m)
         return 0, ""
     if isinstance(asked, Play) and client is not None:
-        from tissueid.viewer.playback import Playback
+        from tissueid.viewer.feed import Playback
 
         if not isinstance(client.source, Playback):
             return NOT_ALLOWED, "play refused: this is no log"
@@ -260,26 +349,35 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
     return NO_MESSAGE, "malformed message"
 
 
+def config(app: ASGIApp, **more: Any) -> uvicorn.Config:
+    """Settings of every server here: silent about itself, and in no client's hand."""
+    return uvicorn.Config(
+        app,
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        http=PunctualHttp,
+        loop="asyncio",
+        timeout_graceful_shutdown=1,
+        **more,
+    )
+
+
 class ViewerServer(uvicorn.Server):
     """The server of one session; signals belong to whoever runs it."""
 
-    def __init__(self, stage: Stage, access: Access, tls: TlsFiles | None = None) -> None:
+    def __init__(self, stage: Stage, access: Access, tls: tuple[str, str] | None = None) -> None:
+        certificate, key = tls or (None, None)
         super().__init__(
-            uvicorn.Config(
+            config(
                 viewer_app(stage, access),
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                http=PunctualHttp,
-                loop="asyncio",
                 ws=SparingWebSocket,
                 ws_max_size=LARGEST_MESSAGE,
                 ws_per_message_deflate=False,
                 limit_concurrency=MOST_CONNECTIONS,
-                timeout_graceful_shutdown=1,
-                ssl_certfile=None if tls is None else str(tls.certificate),
-                ssl_keyfile=None if tls is None else str(tls.key),
+                ssl_certfile=certificate,
+                ssl_keyfile=key,
             )
         )
 

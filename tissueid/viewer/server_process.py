@@ -1,16 +1,11 @@
 """The server in a process of its own: what strangers send is read where no device and no recording is.
 
-It loads no compiler, so that a page is answered while the servo still starts.
-
-It is sent the listening socket, a ring that it can only read and, in a simulation, the hand; it lives as long
-as the socket to its owner.  Its priority is lower than the servo's, as soon as there is one.  Lines of JSON
-from the owner::
+It loads no compiler.  It is sent the listening socket, a ring that it can only read and, in a simulation, the
+hand; it lives as long as the socket to its owner.  Lines of JSON from the owner::
 
     {"access": {"host": ..., "port": ..., "token": ...}, "tls": [certificate, key] or null}
     {"live": {"hello": {...}, "rest_m": [...] or null, "workspace_m": [...]}}    with the descriptors
-    {"log": {"hello": {...}, "path": ...}}
-    {"status": {...}}
-    {"end": true}
+    {"log": {"hello": {...}, "path": ...}}    {"status": {...}}    {"end": true}
 """
 
 from __future__ import annotations
@@ -24,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage
 
 #: Below the servo and its owner, above nothing of the user's that waits.
 NICENESS = 5
@@ -62,16 +57,13 @@ class Owner:
 
 
 def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
-    """Do what a line of the owner says.
-
-    ``words``: a line; ``descriptors``: that came with it.
-    """
+    """Do what a line of the owner says, with the descriptors that came with it."""
     if "live" in words:
         _show_live(stage, words["live"], descriptors)
     elif "log" in words:
         from tissueid.store.session_log import read_session_log
+        from tissueid.viewer.feed import Playback
         from tissueid.viewer.frames import samples_of
-        from tissueid.viewer.playback import Playback
 
         samples = samples_of(read_session_log(Path(words["log"]["path"])).records)
         stage.show_log(words["log"]["hello"], lambda: Playback(samples))
@@ -87,7 +79,7 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
     from tissueid.haptics.ring import Ring
     from tissueid.haptics.shared_hand import SharedHand
     from tissueid.viewer.feed import LiveFeed
-    from tissueid.viewer.stage import HandPointer
+    from tissueid.viewer.server import HandPointer
 
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     pointer = None
@@ -99,16 +91,14 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
 
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
     from tissueid.viewer.security import Access
-    from tissueid.viewer.server import TlsFiles, ViewerServer
-    from tissueid.viewer.stage import Stage
+    from tissueid.viewer.server import Stage, ViewerServer
 
     owner = Owner(link)
     first = owner.read()
     if not first:
         return
-    tls = None if first[0]["tls"] is None else TlsFiles(*map(Path, first[0]["tls"]))
     stage = Stage()
-    server = ViewerServer(stage, Access(**first[0]["access"]), tls)
+    server = ViewerServer(stage, Access(**first[0]["access"]), first[0]["tls"])
 
     def heard() -> None:
         lines = owner.read()

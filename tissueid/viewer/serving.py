@@ -80,7 +80,7 @@ class ServedViewer:
             tls=options.certificate is not None,
         )
         #: Called where the server dies or hangs: what it led is led by nobody.
-        self.let_go: Callable[[], None] = _nothing
+        self.let_go: Callable[[], None] = lambda: None
         #: How long nothing was heard of a server that leads a hand [s].
         self.silent_s: Callable[[], float] = lambda: 0.0
         self._lost = False
@@ -181,10 +181,6 @@ class ServedViewer:
         self.close()
 
 
-def _nothing() -> None:
-    """Let go of nothing."""
-
-
 def _no_password() -> str:
     """A key that asks for one can't be used by a process that nobody answers."""
     msg = "the key has a password"
@@ -194,7 +190,7 @@ def _no_password() -> str:
 def listening_socket(options: ViewerOptions) -> socket.socket:
     """A socket that listens, on the port wanted or on a free one."""
     wanted = [options.port] if options.port is not None else [DEFAULT_PORT, 0]
-    for last, port in zip([False] * (len(wanted) - 1) + [True], wanted, strict=True):
+    for port in wanted:
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(
                 options.host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -209,7 +205,7 @@ def listening_socket(options: ViewerOptions) -> socket.socket:
             listening.listen()
         except (OSError, OverflowError) as error:
             listening.close()
-            if last:
+            if port == wanted[-1]:
                 msg = (
                     f"the viewer can't listen on {printable(options.host)}, port {port} "
                     f"({getattr(error, 'strerror', error)}); choose another with --viewer-port or --host"
@@ -235,10 +231,9 @@ TIMEOUT_S = 5.0
 
 
 def reach(what: str, token: str | None) -> str:
-    """Address of a page that answers.
+    """Address of a page that answers at ``HOST:PORT``, or at an address with or without its token.
 
-    ``what``: ``HOST:PORT``, or the address as the other terminal shows it; ``token``: added where the address
-    has none.  Raises UsageError: it is no address, nothing answers there, or the token is missing or wrong.
+    Raises UsageError: it is no address, nothing answers there, or the token is missing or wrong.
     """
     url = what if "//" in what else f"http://{what}/"
     parts = urllib.parse.urlsplit(url)

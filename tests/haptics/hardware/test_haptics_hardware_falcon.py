@@ -12,8 +12,7 @@ import pytest
 
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.packets import BUTTON_NAMES, LED_BLUE, LED_GREEN, LED_RED, encode_command
-from tissueid.haptics.measure.link import measure_link
-from tissueid.haptics.measure.motion import engage, record
+from tissueid.haptics.measure import engage, measure_link, record
 from tissueid.haptics.states import State
 
 Ask = Callable[..., str]

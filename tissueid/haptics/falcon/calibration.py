@@ -1,22 +1,7 @@
 """Measurements of a user's own Falcon, in one small file of the user's configuration directory.
 
-::
-
-    geometry = "stamper"            # legs: "stamper" or "martin-hillier"
-    zero_angle_deg = 35.0           # leg angle at count zero
-    units_per_Nm = 6600.0           # motor units for one N m of arm torque
-    force_calibrated = false        # whether units_per_Nm was weighed
-    damping_N_s_per_m = 0.5         # of the device itself
-    damping_measured = false
-    delay_ticks = 1.5               # from a command to its effect on the next position
-    delay_measured = false
-    weight_N = [0.0, 0.0, 0.0]      # force that holds the grip in the middle of the workspace
-    weight_slope_N_per_m = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]    # its change, row by row
-    weight_measured = false
-    confirmed = false               # whether the hardware checklist was passed on this machine
-
-What the file leaves out has the values above.  They are from the literature or assumed, no unit has confirmed
-them, and :attr:`Calibration.clamp_N` is small until a force was weighed.
+What the file leaves out has the values of :class:`Calibration`.  They are from the literature or assumed, no
+unit has confirmed them, and the clamp is small until a force was weighed.
 """
 
 from __future__ import annotations
@@ -30,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.falcon.constants import GEOMETRIES, Geometry
-from tissueid.haptics.falcon.packet_kernels import MOTOR_LIMIT
+from tissueid.haptics.falcon.kinematics import GEOMETRIES, Geometry
+from tissueid.haptics.falcon.packets import MOTOR_LIMIT
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM, uncalibrated_clamp_N
 
 #: Motor units per N m: this reproduces the vendor's "more than 8.9 N"; reports range from 3460 to 10 000.
@@ -63,7 +48,7 @@ HEADER = (
 class Calibration:
     """Numbers of one Falcon; the defaults are assumptions."""
 
-    geometry: str = "stamper"  # key of :data:`~tissueid.haptics.falcon.constants.GEOMETRIES`
+    geometry: str = "stamper"  # key of :data:`~tissueid.haptics.falcon.kinematics.GEOMETRIES`
     zero_angle_deg: float = 35.0  # leg angle at count zero
     units_per_Nm: float = UNITS_PER_NM  # motor units for one N m of arm torque
     force_calibrated: bool = False  # whether ``units_per_Nm`` was weighed on this device
@@ -80,10 +65,7 @@ class Calibration:
 
     @property
     def clamp_N(self) -> float:
-        """Largest force the guard lets pass, in newton as computed with :attr:`units_per_Nm`.
-
-        Uncalibrated it is so small that the worst constant known makes at most 5 N of it.
-        """
+        """Largest force the guard lets pass, as computed with :attr:`units_per_Nm` [nominal N]."""
         clamp = CALIBRATED_CLAMP_N if self.force_calibrated else uncalibrated_clamp_N(self.units_per_Nm)
         return clamp if self.confirmed else min(UNCONFIRMED_CLAMP_N, clamp)
 
@@ -116,8 +98,8 @@ def calibration_path() -> Path:
 def load_calibration(path: Path | None = None) -> Calibration:
     """The calibration of this user, or the assumptions where there is no file.
 
-    Raises DeviceError: for a file that can't be read, an unknown key, a wrong type or a number out of range:
-    it is never replaced by the assumptions, since forces depend on it.
+    Raises DeviceError: a file that can't be read or is wrong: it is never replaced by the assumptions, since
+    forces depend on it.
     """
     path = calibration_path() if path is None else path
     try:
@@ -139,25 +121,26 @@ def load_calibration(path: Path | None = None) -> Calibration:
 
 
 def save_calibration(calibration: Calibration, path: Path | None = None) -> Path:
-    """Write the file whole or not at all.
+    """Write the file whole or not at all; where it is.
 
-    Returns where it is.  Raises DeviceError: if it can't be written, or holds what :func:`load_calibration`
-    would refuse.
+    Raises DeviceError: it can't be written, or holds what :func:`load_calibration` would refuse.
     """
+    import tomlkit
+
     from tissueid.store.files import write_file
 
     path = calibration_path() if path is None else path
+    kept: dict[str, Any] = {}
     for key, value in asdict(calibration).items():
         try:
-            _checked(path, key, value, getattr(Calibration, key))
+            kept[key] = _checked(path, key, value, getattr(Calibration, key))
         except DeviceError as error:
             low, high = RANGES.get(key, (None, None))
             msg = f"not kept: {key} = {value!r} is not from {low} to {high}; measure again"
             raise DeviceError(msg) from error
-    lines = [f"{key} = {_toml(value)}\n" for key, value in asdict(calibration).items()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, (HEADER + "".join(lines)).encode("utf-8"))
+        write_file(path, (HEADER + tomlkit.dumps(kept)).encode("utf-8"))
     except OSError as error:
         msg = f"{path}: the calibration can't be written ({error.strerror}); set XDG_CONFIG_HOME to a folder"
         raise DeviceError(msg) from error
@@ -186,14 +169,6 @@ def _number(path: Path, key: str, value: object, low: float, high: float) -> flo
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise _refusal(path, f"has {key} = {value!r}, which is no number from {low:g} to {high:g}")
     return float(value)
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml, value))}]"
-    return f'"{value}"' if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
 
 
 def _refusal(path: Path, what: str) -> DeviceError:

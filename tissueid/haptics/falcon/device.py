@@ -1,7 +1,4 @@
-"""The Falcon as a device: transport, firmware, homing, positions and motors behind one guard.
-
-Everything here follows what others reported of the device; no unit has confirmed it.
-"""
+"""The Falcon as a device, as others reported of it: no unit has confirmed it."""
 
 from __future__ import annotations
 
@@ -30,14 +27,19 @@ from tissueid.haptics.device import (
 )
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
-from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.kinematics import GUESS_M
-from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, UsbTransport
-from tissueid.haptics.falcon.packet_kernels import leds_of_state
-from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command
-from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
+from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command, leds_of_state
+from tissueid.haptics.falcon.transport import (
+    BULK_IN,
+    BULK_OUT,
+    FileTransport,
+    LibUsb,
+    Transport,
+    UsbNode,
+    UsbTransport,
+)
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure.link import UNSEEN_TICKS
+from tissueid.haptics.measure import UNSEEN_TICKS
 
 Tell = Callable[[str], None]
 
@@ -63,12 +65,9 @@ AT_STOP_S = 5.0
 class FalconDevice(HapticDevice):
     """A Novint Falcon over USB, a serial port, or the emulator's descriptor.
 
-    ``limits``: by default those of the calibration: at most 2 N until the hardware checklist was passed, with
-    the dead-man button; ``port``: path of a serial port or pseudo-terminal, or a descriptor of which a copy
-    is used; USB by default; ``firmware``: firmware file; by default the environment names it, and only where
-    the device has none; ``calibration``: by default the user's file; ``tell``: told what happens during a
-    long opening, and what the user has to do: ``tell(sentence)``; ``homing_timeout_s``: for each of the two
-    movements of homing.
+    ``limits``, ``calibration``: by default the user's; ``port``: path of a terminal, or a descriptor of which
+    a copy is used; USB by default; ``firmware``: a file; by default the environment names it; ``tell``: told
+    what the user has to do; ``homing_timeout_s``: for each of the two movements of homing.
     """
 
     name = "falcon"
@@ -92,7 +91,7 @@ class FalconDevice(HapticDevice):
             self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._geometry = self.calibration.legs().block()
-        self._transport: ByteTransport | None = None
+        self._transport: Transport | None = None
         self._usb: LibUsb | None = None
         self._parser = PacketParser()
         self._invalid = 0
@@ -162,10 +161,7 @@ class FalconDevice(HapticDevice):
         )
 
     def home(self) -> None:
-        """Wait for the user to home the device and to pull the grip out, with zero force.
-
-        Tells what to do.  Afterwards the guard is in ARMED.  To be called between ``open`` and the first
-        force; a device that is homed already needs the pulling out only.
+        """Wait with zero force for the user to home the device, then to pull the grip out.
 
         Raises DeviceError: after the time-out, or when the device is lost.
         """
@@ -192,21 +188,6 @@ class FalconDevice(HapticDevice):
             return None
         constants = np.concatenate([[self.calibration.units_per_Nm], self._geometry])
         return CompiledIO(f"tissueid.haptics.falcon.servo_io:{name}", handles, constants)
-
-    @property
-    def packets(self) -> int:
-        """Whole replies since it was opened."""
-        return self._parser.packets
-
-    @property
-    def damaged_replies(self) -> int:
-        """Replies that began and were none, since it was opened."""
-        return self._parser.invalid
-
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes that belong to no reply, since it was opened."""
-        return self._parser.dropped
 
     def _open(self) -> None:
         self._parser = PacketParser()
@@ -273,13 +254,13 @@ class FalconDevice(HapticDevice):
         """Send the motor values with the light of the state; homing mode stays, or homing is lost."""
         self._opened().write(encode_command(self._motor, leds=leds_of_state(int(self.state)), homing=True))
 
-    def _opened(self) -> ByteTransport:
+    def _opened(self) -> Transport:
         if self._transport is None:
             msg = "the Falcon is closed"
             raise DeviceError(msg)
         return self._transport
 
-    def _open_transport(self) -> ByteTransport:
+    def _open_transport(self) -> Transport:
         if self._port is None:
             if self._usb is None:
                 self._usb = LibUsb()

@@ -1,9 +1,7 @@
-"""Firmware of a Falcon: is it running, and if not, load the user's file into the device.
+"""Firmware of a Falcon: is it running, and if not, load the user's file into the device's RAM.
 
-The firmware lives in the device's RAM and is lost with its power.  None is shipped or downloaded: the
-vendor's licence does not allow it, so the user names a file.  The order of baud rates, lines and bytes is
-that of open drivers; uploads are known to fail at the first try, so they are tried again on a newly opened
-transport, a bounded number of times.
+None is shipped or downloaded: the vendor's licence does not allow it.  The order of rates, lines and bytes is
+that of open drivers; uploads are known to fail at the first try, and are tried again on a new transport.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from tissueid.haptics.falcon.transport import (
     BAUD_UPLOAD,
     LATENCY_RUN_MS,
     LATENCY_UPLOAD_MS,
-    ByteTransport,
+    Transport,
 )
 
 Progress = Callable[[str, int, int], None]
@@ -84,11 +82,7 @@ class Firmware:
 
 
 def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
-    """The file the user named, by option or environment.
-
-    ``path``: takes precedence over the environment variable :data:`VARIABLE`.  Raises DeviceError: if none is
-    named, or it is missing, empty, unreadable or too long.
-    """
+    """The file that was named here or by :data:`VARIABLE`; DeviceError if none is, or it can't be one."""
     named = os.fspath(path) if path is not None else os.environ.get(VARIABLE)
     if not named:
         msg = (
@@ -118,13 +112,8 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
     return Firmware(file, content, known)
 
 
-def is_running(transport: ByteTransport) -> bool:
-    """True where the device answers commands, which only its firmware does.
-
-    Sends zero torque in homing mode: a device that was homed stays so.
-
-    Raises TransportLost.
-    """
+def is_running(transport: Transport) -> bool:
+    """Ask with zero torque in homing mode, which a homed device stays in, whether commands are answered."""
     parser = PacketParser()
     command = encode_command((0, 0, 0), leds=0, homing=True)
     transport.purge()
@@ -137,19 +126,18 @@ def is_running(transport: ByteTransport) -> bool:
     return False
 
 
-def upload(transport: ByteTransport, content: bytes, progress: Progress | None = None) -> None:
-    """One try to load firmware.
+def upload(transport: Transport, content: bytes, progress: Progress | None = None) -> None:
+    """One try to load firmware; ``progress(message, bytes done, bytes in all)`` is told.
 
-    ``transport``: without modem lines (an emulator on a pseudo-terminal) the line and latency steps are left
-    out; ``progress``: ``progress(message, bytes done, bytes in all)``.  Raises UploadError: no answer, or an
-    echo that differs; the device must be opened anew; TransportLost.
+    Raises UploadError: no answer, or an echo that differs; the device must be opened anew; TransportLost.
     """
     _say_hello(transport)
     _get_ready(transport)
     for start in range(0, len(content), CHUNK):
         chunk = content[start : start + CHUNK]
         transport.write(chunk)
-        if _read_exactly(transport, len(chunk), ECHO_WAIT_S) != chunk:
+        # called at once, while the chunk is this one
+        if _read_until(transport, lambda got: len(got) >= len(chunk), ECHO_WAIT_S) != chunk:  # noqa: B023
             msg = (
                 f"the echo of bytes {start} to {start + len(chunk) - 1} of the firmware is missing or differs"
             )
@@ -163,19 +151,15 @@ def upload(transport: ByteTransport, content: bytes, progress: Progress | None =
 
 
 def ensure_running(
-    open_transport: Callable[[], ByteTransport],
+    open_transport: Callable[[], Transport],
     firmware: Callable[[], Firmware],
     *,
     progress: Progress | None = None,
-    tries: int = TRIES,
-) -> ByteTransport:
-    """A transport to a device whose firmware runs, loaded where it did not.
+) -> Transport:
+    """A transport, which the caller closes, to a device whose firmware runs, loaded where it did not.
 
-    ``open_transport``: opens the device; called anew after each failed upload; ``firmware``: finds the file;
-    called only where one is needed; ``progress``: as of :func:`upload`; told of every failed try; ``tries``:
-    fewer where the device stays silent for :data:`SILENT_S`.  Returns the caller closes it.  Raises
-    DeviceError: after ``tries`` failed uploads, with the reason of the last, after silence, or what opening
-    raised.
+    ``open_transport``: called anew after each failed upload; ``firmware``: called only where one is needed.
+    Raises DeviceError: after so many tries or :data:`SILENT_S` of silence, or what opening raised.
     """
     transport = open_transport()
     try:
@@ -184,7 +168,7 @@ def ensure_running(
         content = firmware().content
         reason = ""
         heard_s = time.monotonic()
-        for attempt in range(1, tries + 1):
+        for attempt in range(1, TRIES + 1):
             if attempt > 1:
                 transport.close()
                 transport = open_transport()
@@ -199,7 +183,7 @@ def ensure_running(
                 reason = "the device took the firmware but does not answer"
                 heard_s = time.monotonic()
             if progress is not None:
-                progress(f"firmware, try {attempt} of {tries}: {reason}", 0, len(content))
+                progress(f"firmware, try {attempt} of {TRIES}: {reason}", 0, len(content))
             if time.monotonic() - heard_s >= SILENT_S:
                 break
     except BaseException:
@@ -213,7 +197,7 @@ def ensure_running(
     raise DeviceError(msg)
 
 
-def _say_hello(transport: ByteTransport) -> None:
+def _say_hello(transport: Transport) -> None:
     """Reset the device by its modem lines and ask for its loader."""
     transport.purge()
     modem = transport.modem
@@ -228,38 +212,33 @@ def _say_hello(transport: ByteTransport) -> None:
     received = b""
     for _ in range(HELLO_TRIES):
         transport.write(HELLO)
-        deadline = time.monotonic() + HELLO_WAIT_S
-        while (left := deadline - time.monotonic()) > 0.0:
-            received += transport.read(left)
-            # the zero that some units send first stands before it and does not matter
-            if HELLO_REPLY in received:
-                return
+        # the zero that some units send first stands before it and does not matter
+        received = _read_until(transport, lambda got: HELLO_REPLY in got, HELLO_WAIT_S, received)
+        if HELLO_REPLY in received:
+            return
         received = received[-len(HELLO_REPLY) :]
     msg = f"no answer to {HELLO_TRIES} calls of the loader"
     raise NoLoaderError(msg)
 
 
-def _get_ready(transport: ByteTransport) -> None:
+def _get_ready(transport: Transport) -> None:
     """Go to the speed of the upload."""
     if transport.modem is not None:
         transport.modem.set_dtr(on=False)
     transport.set_baud(BAUD_UPLOAD)
     transport.write(READY)
-    deadline = time.monotonic() + ECHO_WAIT_S
-    received = b""
-    while (left := deadline - time.monotonic()) > 0.0:
-        received += transport.read(left)
-        # a late answer to an earlier call may stand before it, and has no such byte
-        if received.endswith(READY):
-            return
-    msg = f"the loader answered {received!r} to {READY!r}"
-    raise UploadError(msg)
+    # a late answer to an earlier call may stand before it, and has no such byte
+    received = _read_until(transport, lambda got: got.endswith(READY), ECHO_WAIT_S)
+    if not received.endswith(READY):
+        msg = f"the loader answered {received!r} to {READY!r}"
+        raise UploadError(msg)
 
 
-def _read_exactly(transport: ByteTransport, count: int, wait_s: float) -> bytes:
-    """``count`` bytes, or what came in time."""
+def _read_until(
+    transport: Transport, done: Callable[[bytes], bool], wait_s: float, received: bytes = b""
+) -> bytes:
+    """Bytes up to those that were waited for, or what came in time."""
     deadline = time.monotonic() + wait_s
-    received = b""
-    while len(received) < count and (left := deadline - time.monotonic()) > 0.0:
+    while not done(received) and (left := deadline - time.monotonic()) > 0.0:
         received += transport.read(left)
     return received

@@ -1,6 +1,14 @@
-"""Packets of the Falcon for Python: commands to bytes, bytes to replies.
+"""The Falcon's 16-byte packets: one encoder and one automaton that reads byte by byte.
 
-The servo uses the same compiled functions (:mod:`tissueid.haptics.falcon.packet_kernels`).
+Both directions have one shape (falcon firmware, as observed by others; no unit confirmed it here)::
+
+    byte      0     1-4, 5-8, 9-12               13                       14        15
+    host     '<'    motor 1, 2, 3                'A' + (LEDs | homing)    'A'       '>'
+    device   '<'    encoder 1, 2, 3              'A' + (homed | buttons)  anything  '>'
+
+A number is a signed 16-bit integer in four nibbles, least significant first, each plus 'A'.  No byte after
+the first of a valid reply may be ``<``: replies never overlap, and ``<`` always starts a new one, so that
+the automaton finds every intact reply in any garbage without a second look at a byte.
 """
 
 from __future__ import annotations
@@ -12,33 +20,132 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.haptics.falcon.packet_kernels import (
-    DROPPED,
-    INVALID,
-    LED_BLUE,
-    LED_GREEN,
-    LED_RED,
-    MOTOR_LIMIT,
-    PACKET_BYTES,
-    PACKETS,
-    PARSER_SIZE,
-    REPLY_FIELDS,
-    encode_into,
-    parse_bytes,
-)
+from tissueid.arrays import ByteArray, IntArray
+from tissueid.compiled import tick_kernel
+from tissueid.haptics.states import State
 
-__all__ = [
-    "ALL_HOMED",
-    "BUTTON_NAMES",
-    "LED_BLUE",
-    "LED_GREEN",
-    "LED_RED",
-    "MOTOR_LIMIT",
-    "PACKET_BYTES",
-    "PacketParser",
-    "Reply",
-    "encode_command",
-]
+PACKET_BYTES = 16
+#: Largest motor command [motor units].
+MOTOR_LIMIT = 4095
+
+#: LED bits of the wire.  Which colour is which has been read, not seen: no unit confirmed it here.
+LED_GREEN, LED_BLUE, LED_RED = 0x02, 0x04, 0x08
+
+START = 0x3C  # '<'
+END = 0x3E  # '>'
+OFFSET = 0x41  # 'A': what is added to every value
+LAST_NIBBLE = 0x50  # 'P'
+#: Largest status byte: four buttons and three homed flags, all set.
+LAST_STATUS = 0xC0
+HOMING_BIT = 0x01
+SIGN = 0x8000
+RANGE = 0x10000
+STATUS_AT, UNKNOWN_AT, END_AT = 13, 14, 15
+
+_ARMED, _ENGAGED = int(State.ARMED), int(State.ENGAGED)
+
+#: Memory of the automaton, int64: bytes taken of the present candidate, the bytes themselves (by position),
+#: then the fields of the last whole reply and the counters since the memory was made.
+FILLED, ENCODERS, HOMED, BUTTONS = 0, 16, 19, 20
+#: Whole replies, candidates that broke, bytes that belong to no reply.
+PACKETS, INVALID, DROPPED, PARSER_SIZE = 21, 22, 23, 24
+#: Fields of a reply in a row: three encoders, homed flags, buttons.
+REPLY_FIELDS = 5
+
+
+@tick_kernel
+def leds_of_state(state: int) -> int:
+    """LED bits of a device's state: red until it is homed and after a fault, then green, blue with force."""
+    if state == _ENGAGED:
+        return LED_GREEN | LED_BLUE
+    return LED_GREEN if state == _ARMED else LED_RED
+
+
+@tick_kernel
+def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> None:
+    """Write one command (16,).
+
+    A motor value outside +-4095 is the caller's bug, which must not become a force: then all three are sent
+    as zero.  The device leaves homing mode with the first command without it.
+    """
+    inside = True
+    for i in range(3):
+        if motor[i] < -MOTOR_LIMIT or motor[i] > MOTOR_LIMIT:
+            inside = False
+    out[0] = START
+    for i in range(3):
+        value = motor[i] % RANGE if inside else 0
+        for nibble in range(4):
+            out[1 + 4 * i + nibble] = OFFSET + ((value >> (4 * nibble)) & 0xF)
+    out[STATUS_AT] = OFFSET + (leds & (LED_GREEN | LED_BLUE | LED_RED)) + (HOMING_BIT if homing else 0)
+    out[UNKNOWN_AT] = OFFSET
+    out[END_AT] = END
+
+
+@tick_kernel
+def _fits(position: int, byte: int) -> bool:
+    """True where a byte may stand at a position 1 to 15 of a reply."""
+    if position < STATUS_AT:
+        return OFFSET <= byte <= LAST_NIBBLE
+    if position == STATUS_AT:
+        return OFFSET <= byte <= LAST_STATUS
+    if position == UNKNOWN_AT:
+        return byte not in (START, END)
+    return byte == END
+
+
+@tick_kernel
+def _decode(memory: IntArray) -> None:
+    """Fields of a whole reply, from its bytes."""
+    for i in range(3):
+        value = 0
+        for nibble in range(4):
+            value += (memory[1 + 4 * i + nibble] - OFFSET) << (4 * nibble)
+        memory[ENCODERS + i] = value - RANGE if value >= SIGN else value
+    status = memory[STATUS_AT] - OFFSET
+    memory[BUTTONS] = status & 0xF
+    memory[HOMED] = (status >> 4) & 0x7
+    memory[PACKETS] += 1
+
+
+@tick_kernel
+def parse_byte(memory: IntArray, byte: int) -> int:
+    """Take one byte; 1 if it completed a reply, whose fields then stand in ``memory``, else 0."""
+    filled = memory[FILLED]
+    if byte == START:
+        if filled > 0:
+            memory[INVALID] += 1
+            memory[DROPPED] += filled
+        memory[FILLED] = 1
+        return 0
+    if filled == 0:
+        memory[DROPPED] += 1
+        return 0
+    if not _fits(filled, byte):
+        memory[INVALID] += 1
+        memory[DROPPED] += filled + 1
+        memory[FILLED] = 0
+        return 0
+    if filled < END_AT:
+        memory[filled] = byte
+        memory[FILLED] = filled + 1
+        return 0
+    _decode(memory)
+    memory[FILLED] = 0
+    return 1
+
+
+@tick_kernel
+def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
+    """Take many bytes; how many replies they completed, each a row of ``replies`` (n // 16 + 1, 5)."""
+    count = 0
+    for byte in data:
+        if parse_byte(memory, int(byte)) == 1:
+            for k in range(REPLY_FIELDS):
+                replies[count, k] = memory[ENCODERS + k]
+            count += 1
+    return count
+
 
 ALL_LEDS = LED_GREEN | LED_BLUE | LED_RED
 
@@ -50,17 +157,7 @@ BUTTON_NAMES = {0x01: "plus", 0x02: "forward", 0x04: "centre", 0x08: "minus"}
 
 
 class Reply(NamedTuple):
-    """One reply of the device.
-
-    Attributes
-    ----------
-    encoders : tuple of int
-        Counts of legs 1, 2 and 3, signed 16 bit.  Without meaning until the device is homed.
-    homed : int
-        One bit a leg, 7 when all are; valid while homing mode is commanded.
-    buttons : int
-        Bits as in :data:`BUTTON_NAMES`.
-    """
+    """One reply of the device."""
 
     encoders: tuple[int, int, int]
     homed: int
@@ -68,26 +165,10 @@ class Reply(NamedTuple):
 
 
 def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int, homing: bool) -> bytes:
-    """One command packet.
+    """One command packet of motors 1, 2 and 3, within +-4095, the LED bits and homing mode.
 
-    Parameters
-    ----------
-    motor_units : sequence of 3 int
-        Motors 1, 2 and 3, within +-4095.
-    leds : int
-        Any of 0x02, 0x04 and 0x08 together, see :data:`LED_GREEN` and its neighbours.
-    homing : bool
-        Homing mode; the device forgets its homing with the first packet without it.
-
-    Returns
-    -------
-    bytes
-        16 bytes.
-
-    Raises
-    ------
-    ValueError
-        For anything else than three integers in range, other LED bits, or a homing that is no boolean.
+    Raises ValueError: anything else than three integers in range, other LED bits, or a homing that is no
+    boolean.
     """
     try:
         motor = [operator.index(value) for value in motor_units]
@@ -112,26 +193,15 @@ def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int,
 class PacketParser:
     """Replies out of a byte stream that may begin anywhere, lose, gain or change bytes.
 
-    A reply is 16 bytes: ``<``, twelve of ``A`` to ``P``, a status byte 0x41 to 0xC0, any byte but ``<`` and
-    ``>``, and ``>``.  Everything else is dropped and counted.  An intact reply is found whatever stands
-    before it.  The wire has no checksum: a reply whose nibble turned into another nibble is still a reply.
+    What is none is dropped and counted.  The wire has no checksum: a reply whose nibble turned into
+    another nibble is still a reply.
     """
 
     def __init__(self) -> None:
         self._memory = np.zeros(PARSER_SIZE, dtype=np.int64)
 
     def feed(self, data: bytes) -> list[Reply]:
-        """Take the next bytes of the stream, in pieces of any length.
-
-        Parameters
-        ----------
-        data : bytes
-
-        Returns
-        -------
-        list of Reply
-            The replies that these bytes completed, in order.
-        """
+        """Take the next bytes, in pieces of any length; the replies that they completed, in order."""
         fields = np.empty((len(data) // PACKET_BYTES + 1, REPLY_FIELDS), dtype=np.int64)
         count = parse_bytes(self._memory, np.frombuffer(data, dtype=np.uint8), fields)
         return [

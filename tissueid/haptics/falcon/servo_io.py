@@ -1,7 +1,4 @@
-"""A Falcon in the compiled loop: whatever arrived is parsed, one command is sent, nobody waits.
-
-The device answers each command, so the answer to the last tick's command is what a tick reads.
-"""
+"""A Falcon in the compiled loop: the answer to the last tick's command is parsed, nobody waits."""
 
 from __future__ import annotations
 
@@ -12,9 +9,12 @@ from numba import types
 
 from tissueid.arrays import ByteArray, FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device_facts import CompiledIO
-from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
-from tissueid.haptics.falcon.packet_kernels import (
+from tissueid.haptics.device import HOMED as IS_HOMED
+from tissueid.haptics.device import PRESSED, REPLY, Access, CompiledIO, register
+from tissueid.haptics.device import UNANSWERED as WITHOUT_ANSWER
+from tissueid.haptics.falcon.kinematics import angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.packets import (
+    ALL_HOMED,
     BUTTONS,
     ENCODERS,
     HOMED,
@@ -25,34 +25,27 @@ from tissueid.haptics.falcon.packet_kernels import (
     leds_of_state,
     parse_byte,
 )
+from tissueid.haptics.falcon.transport import ERROR_TIMEOUT, READ_BYTES, STATUS_BYTES, USB_PACKET_BYTES
 from tissueid.haptics.foreign import by_address, libc_function
-from tissueid.haptics.guard_states import LAMPS, STATE
-from tissueid.haptics.limits import MOTOR_CLAMP
-from tissueid.haptics.servo_access import HOMED as IS_HOMED
-from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
-from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
-from tissueid.haptics.states import Lamp
-from tissueid.haptics.watchdogs import (
+from tissueid.haptics.guard import (
+    LAMPS,
     LATE_COMMANDS,
     REPLY_APART,
     REPLY_DAMAGED,
     REPLY_LOST,
     REPLY_NONE,
     REPLY_VALID,
+    STATE,
 )
+from tissueid.haptics.limits import MOTOR_CLAMP
+from tissueid.haptics.states import Lamp
 
 #: Constants: motor units for one newton metre, then the geometry block.
 UNITS_PER_NM, GEOMETRY = 0, 1
-READ_BYTES = 512
-ALL_HOMED = 0x7
 CLIPPED = int(Lamp.CLIPPED)
-#: Every USB packet of the serial chip begins with this many bytes of modem status.
-USB_PACKET_BYTES, STATUS_BYTES = 64, 2
 #: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
 POLL_IN, POLL_OUT, POLL_BROKEN = 0x1, 0x4, 0x8 | 0x10 | 0x20
 EVENTS_SHIFT, RETURNED_SHIFT = 32, 48
-#: libusb: nothing came in time; the control word of a transfer that failed otherwise.
-LIBUSB_TIMEOUT = -7
 #: Flags of a tuple: the transport is gone; damaged replies already reported; commands without an answer;
 #: ticks since one of them was given up, and since an answer came.
 LOST, REPORTED, UNANSWERED, WAITED, SILENT = 0, 1, 2, 3, 4
@@ -127,11 +120,6 @@ def _parts(given: CompiledIO) -> FalconParts:
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
-
-
-def _descriptor_io(given: CompiledIO) -> DescriptorIO:
-    """The tuple of a descriptor."""
-    return DescriptorIO(int(given.handles[0]), _parts(given))
 
 
 def _usb_io(given: CompiledIO) -> UsbIO:
@@ -263,7 +251,7 @@ def _sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, wor
     parts.word[0] = 0
     where, length_at = parts.incoming.ctypes.data, parts.word.ctypes.data
     result = _bulk_transfer(io.address, (io.handle, io.bulk_in, where, READ_BYTES, length_at, io.timeout_ms))
-    if result not in (0, LIBUSB_TIMEOUT):
+    if result not in (0, ERROR_TIMEOUT):
         parts.flags[LOST] = 1
     for i in range(parts.word[0] & 0xFFFFFFFF):
         if i % USB_PACKET_BYTES >= STATUS_BYTES:
@@ -281,10 +269,17 @@ def _command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force:
     result = _bulk_transfer(
         io.address, (io.handle, io.bulk_out, where, PACKET_BYTES, length_at, io.timeout_ms)
     )
-    if result not in (0, LIBUSB_TIMEOUT):
+    if result not in (0, ERROR_TIMEOUT):
         parts.flags[LOST] = 1
 
 
 #: A Falcon behind a file descriptor, and one behind libusb.
-DESCRIPTOR = register(Access(DescriptorIO, _descriptor_io, _sense_descriptor, _command_descriptor))
+DESCRIPTOR = register(
+    Access(
+        DescriptorIO,
+        lambda given: DescriptorIO(int(given.handles[0]), _parts(given)),
+        _sense_descriptor,
+        _command_descriptor,
+    )
+)
 USB = register(Access(UsbIO, _usb_io, _sense_usb, _command_usb))

@@ -1,17 +1,19 @@
-"""A Falcon driven by the Force Dimension SDK.
+"""A Falcon by the Force Dimension SDK, which is closed and neither shipped nor downloaded, by ctypes.
 
-The SDK homes the device, computes its kinematics and carries its firmware.  Its frame is mapped to ours here
-and nowhere else; the mapping is from documentation, and no unit has confirmed it.
-
-One bit means one button in every limit, log and message: 0x01 plus, 0x02 forward, 0x04 centre, 0x08 minus, so
-that the dead-man button is the centre whoever drives the device.  The SDK numbers them centre 0, left 1,
-up 2, right 3; from documentation, no unit has confirmed it.
+It homes the device, computes its kinematics and carries its firmware.  Frame and buttons are mapped to ours
+here and nowhere else, from documentation; no unit has confirmed them.  It is looked for by
+``TISSUEID_FORCEDIM``, below ``FDSDK`` and ``FORCEDIM_SDK``, and where the loader looks.
 """
 
 from __future__ import annotations
 
+import ctypes
+import os
+import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from ctypes import POINTER, byref, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint, c_void_p
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,8 +32,153 @@ from tissueid.haptics.device import (
     HapticDevice,
     await_homed,
 )
-from tissueid.haptics.forcedimension.sdk import Sdk
 from tissueid.haptics.limits import GuardLimits
+
+LIBRARY_VARIABLE = "TISSUEID_FORCEDIM"
+SDK_VARIABLES = ("FDSDK", "FORCEDIM_SDK")
+LIBRARY_NAMES = ("libdrd.so", "libdhd.so")
+#: Oldest release whose functions have these prototypes.
+OLDEST = (3, 16)
+#: The SDK's number of a Falcon.
+FALCON_TYPE = 60
+#: Entries of its status array, and the one that says "homed".
+STATUS_ENTRIES = 16
+STATUS_RESET = 3
+#: Answers to a call: done; done, but faster than the device is read; done, but cut by the motors' limit.
+DONE, TIME_GUARD, SATURATED = 0, 1, 2
+
+_PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
+    "dhdGetSDKVersion": (None, [POINTER(c_int)] * 4),
+    "dhdOpenType": (c_int, [c_int]),
+    "dhdGetSystemType": (c_int, [c_byte]),
+    "dhdGetStatus": (c_int, [POINTER(c_int), c_byte]),
+    "dhdGetPosition": (c_int, [POINTER(c_double)] * 3 + [c_byte]),
+    "dhdSetForce": (c_int, [c_double] * 3 + [c_byte]),
+    "dhdGetButtonMask": (c_uint, [c_byte]),
+    "dhdEnableForce": (c_int, [c_ubyte, c_byte]),
+    "dhdSetGravityCompensation": (c_int, [c_int, c_byte]),
+    "dhdSetMaxForce": (c_int, [c_double, c_byte]),
+    "dhdStop": (c_int, [c_byte]),
+    "dhdClose": (c_int, [c_byte]),
+    "dhdErrorGetLastStr": (c_char_p, []),
+}
+
+
+class Sdk:
+    """The loaded SDK with one open device.
+
+    Raises DeviceError: none is found, it lacks a function, or is older than :data:`OLDEST`.
+    """
+
+    def __init__(self) -> None:
+        self.path, self.library = _load()
+        for function, (result, arguments) in _PROTOTYPES.items():
+            try:
+                symbol = getattr(self.library, function)
+            except AttributeError as error:
+                msg = f"{self.path} is no Force Dimension SDK of use: it has no {function}"
+                raise DeviceError(msg) from error
+            symbol.restype, symbol.argtypes = result, arguments
+        if self.version()[:2] < OLDEST:
+            msg = (
+                f"the Force Dimension SDK at {self.path} is {'.'.join(map(str, self.version()))}; "
+                f"{'.'.join(map(str, OLDEST))} or newer is needed"
+            )
+            raise DeviceError(msg)
+        self.identity = -1
+
+    def version(self) -> tuple[int, ...]:
+        """Major, minor, release, revision."""
+        numbers = [c_int() for _ in range(4)]
+        self.library.dhdGetSDKVersion(*map(byref, numbers))
+        return tuple(number.value for number in numbers)
+
+    def open_falcon(self) -> None:
+        """Open the first Falcon; DeviceError with what the SDK says."""
+        identity = self.library.dhdOpenType(FALCON_TYPE)
+        if identity < 0:
+            msg = f"the Force Dimension SDK opened no Falcon: {self.last_error()}"
+            raise DeviceError(msg)
+        self.identity = identity
+
+    def close(self) -> None:
+        """Stop the device and let go of it; calling twice does no harm."""
+        identity, self.identity = self.identity, -1
+        if identity >= 0:
+            self.library.dhdStop(identity)
+            self.library.dhdClose(identity)
+
+    def is_homed(self) -> bool:
+        """True where the device's position is known."""
+        status = (c_int * STATUS_ENTRIES)()
+        self._done("dhdGetStatus", self.library.dhdGetStatus(status, self.identity))
+        return bool(status[STATUS_RESET])
+
+    def position(self) -> tuple[float, float, float]:
+        """Position in the SDK's frame [m]."""
+        x, y, z = c_double(), c_double(), c_double()
+        code = self.library.dhdGetPosition(byref(x), byref(y), byref(z), self.identity)
+        self._done("dhdGetPosition", code)
+        return x.value, y.value, z.value
+
+    def buttons(self) -> int:
+        """Bits of the buttons held, in the SDK's numbering."""
+        return int(self.library.dhdGetButtonMask(self.identity))
+
+    def set_force(self, x: float, y: float, z: float) -> None:
+        """Force on the hand in the SDK's frame [N]."""
+        self._done("dhdSetForce", self.library.dhdSetForce(x, y, z, self.identity))
+
+    def prepare(self, largest_N: float) -> None:
+        """No gravity compensation, no more than this force [N], and motors on."""
+        self._done("dhdSetGravityCompensation", self.library.dhdSetGravityCompensation(0, self.identity))
+        self._done("dhdSetMaxForce", self.library.dhdSetMaxForce(largest_N, self.identity))
+        self._done("dhdEnableForce", self.library.dhdEnableForce(1, self.identity))
+
+    def address(self, function: str) -> int:
+        """Address of a function, for the compiled loop."""
+        return ctypes.cast(getattr(self.library, function), c_void_p).value or 0
+
+    def last_error(self) -> str:
+        """Words of the SDK on its last error."""
+        return (self.library.dhdErrorGetLastStr() or b"unknown error").decode("utf-8", "replace")
+
+    def _done(self, function: str, code: int) -> None:
+        if code not in {DONE, TIME_GUARD, SATURATED}:
+            msg = f"{function} failed: {self.last_error()}"
+            raise DeviceError(msg)
+
+
+def candidates() -> Iterator[str]:
+    """Names under which the library is looked for, in order."""
+    named = os.environ.get(LIBRARY_VARIABLE)
+    if named:
+        # what the user names is not replaced by another
+        yield named
+        return
+    folder = f"lin-{platform.machine()}-gcc"
+    for variable in SDK_VARIABLES:
+        if root := os.environ.get(variable):
+            for name in LIBRARY_NAMES:
+                yield str(Path(root) / "lib" / "release" / folder / name)
+    for place in (Path.home() / ".local" / "lib", Path("/usr/local/lib")):
+        for name in LIBRARY_NAMES:
+            yield str(place / name)
+    yield from LIBRARY_NAMES
+
+
+def _load() -> tuple[str, Any]:
+    for name in candidates():
+        try:
+            return name, ctypes.CDLL(name)
+        except OSError:
+            continue
+    msg = (
+        "the Force Dimension SDK is not installed, or in none of the usual places: set FDSDK to its folder, "
+        f"or {LIBRARY_VARIABLE} to libdrd.so"
+    )
+    raise DeviceError(msg)
+
 
 #: Bits of the SDK's mask.
 _CENTRE, _LEFT, _UP, _RIGHT = 0x1, 0x2, 0x4, 0x8
@@ -57,11 +204,7 @@ REACH_M = 0.040
 
 
 class ForceDimensionDevice(HapticDevice):
-    """The first Falcon that the SDK opens.
-
-    ``limits``: by default at most 2 N with the dead-man button; ``library``: path of the SDK's library;
-    searched for by default; ``tell``: told what the user has to do, ``tell(sentence)``.
-    """
+    """The first Falcon that the SDK opens; by default at most 2 N with the dead-man button."""
 
     name = "forcedimension"
 
@@ -69,12 +212,10 @@ class ForceDimensionDevice(HapticDevice):
         self,
         limits: GuardLimits | None = None,
         *,
-        library: str | None = None,
         tell: Callable[[str], None] | None = None,
         homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         super().__init__(GuardLimits() if limits is None else limits)
-        self._library = library
         if tell is not None:
             self.tell = tell
         self._homing_timeout_s = homing_timeout_s
@@ -113,10 +254,7 @@ class ForceDimensionDevice(HapticDevice):
         )
 
     def home(self) -> None:
-        """Wait, with zero force, until the SDK knows the position.
-
-        Raises DeviceError: after the time-out.
-        """
+        """Wait, with zero force, until the SDK knows the position; DeviceError after the time-out."""
         self.tell("Homing: pull the grip all the way out, then push it all the way in.")
         await_homed(self, self._homing_timeout_s)
 
@@ -135,7 +273,7 @@ class ForceDimensionDevice(HapticDevice):
         return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 
     def _open(self) -> None:
-        sdk = Sdk(self._library)
+        sdk = Sdk()
         sdk.open_falcon()
         self._sdk = sdk
         try:

@@ -1,7 +1,6 @@
 """A device of the Force Dimension driver in the compiled loop, by the addresses of its functions.
 
-The driver has no encoder counts for us: they are given in steps of its usual resolution, so that the
-watchdogs for jumps and frozen encoders work as for any device.
+Counts are given in steps of its usual resolution, so that the watchdogs for jumps and frozen encoders work.
 """
 
 from __future__ import annotations
@@ -14,11 +13,10 @@ from numba import types
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device_facts import CompiledIO
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, Access, CompiledIO, register
 from tissueid.haptics.forcedimension.device import wire_buttons
 from tissueid.haptics.foreign import by_address
-from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
-from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
+from tissueid.haptics.guard import REPLY_LOST, REPLY_VALID
 
 #: Step that stands for one encoder count [m].
 COUNT_M = 45e-6

@@ -16,12 +16,12 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
+from tissueid.haptics.guard import velocity_step
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import choose_device, device_class
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
-from tissueid.haptics.velocity import velocity_step
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.rendering.control.law import adapt, command
 from tissueid.rendering.control.mechanics import Mechanics

@@ -12,9 +12,8 @@ import threading
 import numpy as np
 
 from tissueid.errors import TissueidError
-from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
-from tissueid.haptics.falcon.emulator.machine import PULLED_M, EmulatorSettings
+from tissueid.haptics.falcon.emulator.machine import FAULT_KINDS, PULLED_M, EmulatorSettings, parse_fault
 from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
@@ -104,19 +103,15 @@ def main(given: list[str] | None = None) -> int:
         signal.signal(sign, lambda _number, _frame: stop.set())
     if options.until_eof:
         threading.Thread(target=_wait_for_eof, args=(stop,), daemon=True).start()
-    _be_punctual()
+    # a real device is not starved by a busy computer: this runs before other programs where that is allowed
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     with link:
         sys.stdout.write(f"{READY_LINE}{link.path}\n")
         sys.stdout.flush()
         while not stop.wait(0.1) and not link.falcon.gone:
             pass
     return 0
-
-
-def _be_punctual() -> None:
-    """Run before other programs where that is allowed: a real device is not starved by a busy computer."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _wait_for_eof(stop: threading.Event) -> None:

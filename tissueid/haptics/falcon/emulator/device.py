@@ -1,8 +1,4 @@
-"""The driver of a Falcon, on an emulated one: ``--device emulator``.
-
-The emulator runs in a process of its own and is reached by a pseudo-terminal, so that everything between
-the force law and the bytes is what a real Falcon would be driven with.
-"""
+"""The driver of a Falcon, on an emulated one in a process of its own: ``--device emulator``."""
 
 from __future__ import annotations
 
@@ -21,13 +17,9 @@ from tissueid.haptics.limits import GuardLimits
 
 
 class EmulatorDevice(FalconDevice):
-    """A Falcon driver with its own emulated Falcon.
+    """A Falcon driver with its own emulated Falcon; the user's calibration is not read.
 
-    ``limits``, ``firmware``, ``calibration``, ``tell``: as
-    :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration, of a real one, is not read;
-    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that
-    moves through the workspace where none are given.  Raises UsageError: a port was named: an emulator that
-    runs already is a ``falcon`` at that port.
+    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``.  Raises UsageError: a port was named.
     """
 
     name = "emulator"

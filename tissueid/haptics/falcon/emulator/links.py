@@ -1,8 +1,7 @@
 """Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process.
 
-A pseudo-terminal has a path and a baud rate, and no modem lines; a socket pair has neither, and is what
-timing is tested on.  An unplugged device closes its end, so that a host sees what it would see: an error on
-a terminal, the end of the stream on a socket.
+An unplugged device closes its end, so that a host sees what it would see: an error on a terminal, the end
+of the stream on a socket.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import subprocess
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Self
 
 from tissueid.errors import DeviceError
@@ -49,11 +47,7 @@ def _asked_baud(descriptor: int) -> int | None:
 
 
 def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> None:
-    """Exchange bytes until the host leaves, the device is unplugged or ``stop`` is set.
-
-    ``descriptor``: the device's end; ``falcon``: its time is the machine's, unless its settings give every
-    command a period.
-    """
+    """Exchange bytes until the host leaves, the device is unplugged or ``stop`` is set."""
     virtual = falcon.settings.period_s is not None
     last = time.monotonic()
     while not stop.is_set() and not falcon.gone:
@@ -87,15 +81,7 @@ def serve_once(descriptor: int, falcon: EmulatedFalcon) -> bool:
 
 
 class EmulatedLink:
-    """An emulated Falcon served by a thread of this process.
-
-    ``pty``: on a pseudo-terminal, which has a path; else on a socket pair.
-
-    Examples
-    --------
-    >>> with EmulatedLink(EmulatorSettings(period_s=1e-3)) as link:  # doctest: +SKIP
-    ...     os.write(link.descriptor(), b"<AAAAAAAAAAAAAA>")
-    """
+    """An emulated Falcon served by a thread of this process, on a pseudo-terminal or a socket pair."""
 
     def __init__(self, settings: EmulatorSettings, *, pty: bool = False) -> None:
         self.falcon = EmulatedFalcon(settings)
@@ -134,16 +120,11 @@ class EmulatedLink:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def step(self) -> None:
-        """Answer what has arrived, in the caller's own thread: a session without a second thread.
-
-        The link's thread ends first, where it runs.  Nothing is waited for.
-        """
+        """Answer what has arrived in the caller's own thread, in place of the link's; wait for nothing."""
         self._end_thread()
         while self._device >= 0 and select.select([self._device], [], [], 0.0)[0]:
             if not serve_once(self._device, self.falcon) or self.falcon.gone:
@@ -161,12 +142,9 @@ class EmulatedLink:
 
 
 class EmulatorProcess:
-    """An emulated Falcon in a process of its own, on a pseudo-terminal.
+    """An emulated Falcon in a process of its own that ends with its owner, on a pseudo-terminal.
 
-    The process ends with :meth:`close`, and by itself when the program that started it ends.
-
-    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``.  Raises DeviceError: it did not come up;
-    with what it said.
+    Raises DeviceError: it did not come up; with what it said.
     """
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
@@ -203,7 +181,5 @@ class EmulatorProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,37 +1,159 @@
 """The emulated Falcon itself: bytes in, bytes out, and time in between.
 
-Power-up leaves the encoders at an unknown zero.  A leg is homed once, while homing mode is commanded, the
-grip was pulled out and then pushed in; its encoder then jumps to the true angle.  Homed bits are said only
-while homing mode is commanded, and a command without it forgets the homing, which is the cautious reading of
-what is known.  The user waits for the first homing command: the hand's script and the clock of scripted
-faults begin there, with the pull and the push.
-
-Time goes by ``advance`` (a real clock), or by a fixed period at each command (virtual time), in which case a
-session depends on nothing but its settings.  SI units.
+Power-up leaves the encoders at an unknown zero; a leg is homed by a pull and a push while homing mode is
+commanded, and a command without it forgets that.  The hand's script and the clock of scripted faults begin
+with the first homing command.  Time goes by ``advance``, or by a fixed period at each command.  SI units.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
-from tissueid.haptics.arm import MAX_KNOTS, POSITION, TIME, Arm, arm_step, new_arm
-from tissueid.haptics.falcon.emulator.bootloader import BootLoader
-from tissueid.haptics.falcon.emulator.faults import ScriptedFault
-from tissueid.haptics.falcon.emulator.geometry import (
-    AZIMUTHS,
-    COUNTS_PER_RAD,
-    LENGTHS,
-    ZERO_RAD,
-    grip_force,
-    leg_angles,
-)
-from tissueid.haptics.falcon.emulator.wire import Command, CommandReader, reply_bytes
+from tissueid.compiled import kernel
+from tissueid.errors import UsageError, printable
+from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
+from tissueid.haptics.falcon.emulator.wire import BootLoader, Command, CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
+from tissueid.haptics.shared_hand import MAX_KNOTS
+
+#: Kinds, and what each does while it lasts.
+FAULT_KINDS = {
+    "unplug": "the transport closes",
+    "silence": "commands are obeyed, none is answered",
+    "bad packets": "the letters of every answer are spoilt",
+    "short": "an answer lacks its last two bytes before the end",
+    "garbled": "one byte of an answer is flipped",
+    "doubled": "an answer comes twice",
+    "frozen": "the encoders stand still",
+    "jump": "encoder 1 is off by `size` counts",
+    "creep": "encoder 1 runs away by `size` counts a second",
+    "unhomed": "leg 2 is no longer homed",
+    "stall": "the answer comes `size` milliseconds late",
+}
+#: Kinds that spoil one answer where no duration is given.
+SINGLE = frozenset({"short", "garbled", "doubled", "stall"})
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedFault:
+    """One fault."""
+
+    kind: str  # one of :data:`FAULT_KINDS`
+    at_s: float  # when it begins [s after homing was first commanded]
+    #: How long it lasts; None is for good, and one answer for "short", "garbled", "doubled" and "stall".
+    duration_s: float | None = None
+    size: float = 1000.0  # counts of a jump, counts a second of a creep, milliseconds of a stall
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            msg = f"there is no fault {printable(self.kind)!r}; faults are {', '.join(FAULT_KINDS)}"
+            raise UsageError(msg)
+
+    @property
+    def once(self) -> bool:
+        """It spoils one answer and is over."""
+        return self.duration_s is None and self.kind in SINGLE
+
+    def active(self, time_s: float) -> bool:
+        """It is on at a time of the device's clock [s]."""
+        return self.at_s <= time_s and (self.duration_s is None or time_s < self.at_s + self.duration_s)
+
+
+def parse_fault(text: str) -> ScriptedFault:
+    """Read ``KIND@SECONDS[:SIZE][/DURATION]``, e.g. ``jump@6:300`` or ``silence@5/0.5``; else UsageError."""
+    kind, _, rest = text.partition("@")
+    rest, _, duration = rest.partition("/")
+    at, _, size = rest.partition(":")
+    try:
+        numbers = float(at), float(duration) if duration else None, float(size) if size else 1000.0
+    except ValueError as error:
+        msg = (
+            f"{printable(text)!r} is no fault; write KIND@SECONDS, e.g. unplug@6, jump@6:300 or silence@5/0.5"
+        )
+        raise UsageError(msg) from error
+    return ScriptedFault(kind.strip(), numbers[0], numbers[1], numbers[2])
+
+
+#: Thigh, shin, the two pins together, wrist from the platform's centre along and across the leg, pivot along
+#: and across the leg [m].
+LENGTHS = np.array([0.060, 0.1025, 0.01125 + 0.01125, 0.01443, -0.025, 0.040, -0.02309])
+AZIMUTHS = np.radians(np.array([105.0, -15.0, -135.0]))
+ZERO_RAD = math.radians(35.0)
+#: 320 lines, four edges each, behind a drum of 110 on a capstan of 14.25.
+COUNTS_PER_RAD = 320.0 * 4.0 / (2.0 * math.pi) * 110.0 / 14.25
+#: Halvings of a bracket of pi: to 2e-14 rad.
+HALVINGS = 47
+#: Step of the differences [m]: truncation and rounding are both below 1e-7 of the result.
+DIFFERENCE_M = 1e-5
+
+
+@kernel()
+def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, lean: float) -> float:
+    """Length the shin would need at a thigh angle, less the one it has."""
+    knee_along = lengths[0] * math.cos(angle)
+    knee_out = lengths[0] * math.sin(angle)
+    rho = math.hypot(along - knee_along, out - knee_out)
+    # nearer than the pins are long, the parallelogram would have to fold over itself
+    return float(math.copysign(math.hypot(rho - lengths[2], lean), rho - lengths[2]) - lengths[1])
+
+
+@kernel()
+def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, angles: FloatArray) -> bool:
+    """Write the thighs' angles (3,) [rad] at a position [m]; False, and one left, where a leg can't reach.
+
+    A leg stands where ``hypot(rho - d - e, q) = b`` (Stamper, 1997), with rho the distance from knee to
+    wrist, which falls monotonically while the thigh turns toward the wrist: bisection finds it on the built
+    side.
+    """
+    reached = True
+    for leg in range(3):
+        c, s = math.cos(azimuths[leg]), math.sin(azimuths[leg])
+        along = c * position[0] + s * position[1] - lengths[5] + lengths[3]
+        lean = c * position[1] - s * position[0] - lengths[6] + lengths[4]
+        high = math.atan2(position[2], along)
+        low = high - math.pi
+        far = _shin_excess(lengths, low, along, position[2], lean)
+        near = _shin_excess(lengths, high, along, position[2], lean)
+        if not (abs(lean) <= lengths[1] and far >= 0.0 >= near):
+            reached = False
+            continue
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            if _shin_excess(lengths, middle, along, position[2], lean) > 0.0:
+                low = middle
+            else:
+                high = middle
+        angles[leg] = 0.5 * (low + high)
+    return reached
+
+
+@kernel()
+def grip_force(
+    position: FloatArray, torque: FloatArray, lengths: FloatArray, azimuths: FloatArray, force: FloatArray
+) -> bool:
+    """Write the force [N] of arm torques [N m], by differences: zero, and False, out of reach."""
+    place = position.copy()
+    ahead = np.zeros(3)
+    behind = np.zeros(3)
+    force[:] = 0.0
+    for axis in range(3):
+        place[axis] = position[axis] + DIFFERENCE_M
+        reached = leg_angles(place, lengths, azimuths, ahead)
+        place[axis] = position[axis] - DIFFERENCE_M
+        reached = leg_angles(place, lengths, azimuths, behind) and reached
+        place[axis] = position[axis]
+        if not reached:
+            force[:] = 0.0
+            return False
+        for leg in range(3):
+            force[axis] += torque[leg] * (ahead[leg] - behind[leg]) / (2.0 * DIFFERENCE_M)
+    return True
+
 
 #: Counts beyond which a leg counts as pulled out or pushed in; the stops are near +-1600.
 OUT_COUNTS, IN_COUNTS = 1000.0, -1000.0
@@ -55,7 +177,7 @@ class EmulatorSettings:
     arm: Arm = field(default_factory=Arm)
     hand: Hand | None = None  # what holds the grip after homing; None rests it at the pulled-out end
     firmware_loaded: bool = True  # switched on with its firmware running
-    firmware_bytes: int | None = None  # as :class:`~tissueid.haptics.falcon.emulator.bootloader.BootLoader`
+    firmware_bytes: int | None = None  # as :class:`~tissueid.haptics.falcon.emulator.wire.BootLoader`
     failing_tries: int = 0
     silent_hellos: int = 0
     long_greeting: bool = False
@@ -74,12 +196,7 @@ class EmulatorSettings:
 
 
 def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
-    """Put the pull and the push of homing before a hand's own motion.
-
-    The grip is then pulled out again, and moved to where the hand starts.
-
-    Raises UsageError: together they have more knots than an arm's block holds.
-    """
+    """Put the pull and the push of homing before a hand's own motion; UsageError for too many knots."""
     own = hand or Hand((0.0,), (PULLED_M,), (1.0,), stiffness_N_per_m=1000.0)
     if not homes:
         return replace(own, times_s=(0.0,), positions_m=(START_M,), grips=(1.0,), rigid=True)
@@ -152,11 +269,6 @@ class EmulatedFalcon:
         return self._boot.tries
 
     @property
-    def dropped_bytes(self) -> int:
-        """Bytes of the host that were part of no command."""
-        return self._reader.dropped
-
-    @property
     def homed_bits(self) -> int:
         """Bit 0 for leg 1 and so on."""
         return int(sum(1 << leg for leg in range(3) if self._homed[leg]))
@@ -176,11 +288,7 @@ class EmulatedFalcon:
 
     # --- the wire
     def receive(self, data: bytes) -> bytes:
-        """Take bytes of the host and return the answer.
-
-        ``gone`` is set where the device was unplugged meanwhile; ``answer_delay_s`` says how late a stalled
-        answer is.
-        """
+        """Take bytes of the host; the answer, ``gone`` if unplugged, ``answer_delay_s`` if stalled."""
         answer = b""
         if not self.running:
             answer, complete = self._boot.feed(data)

@@ -1,1 +1,0 @@
-"""Measurements on a user's device: its link, its force constant, its damping."""
