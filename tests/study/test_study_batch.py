@@ -20,7 +20,7 @@ from tissueid.store.bundle import load_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.results import each_result, read_results
 from tissueid.store.status import read_status
-from tissueid.study import assembly, batch, pages
+from tissueid.study import batch, pages
 
 
 def fit(data: Path, out: Path, *args: str) -> int:
@@ -126,8 +126,7 @@ def test_a_damaged_index_costs_time_and_no_result(again: Path, capsys: pytest.Ca
 
 def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = numbers_of(again / "out")
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
+    monkeypatch.setattr(batch, "LARGE", 2)
     fit(again / "lab", again / "out")
     out = again / "out"
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
@@ -153,16 +152,14 @@ def test_a_page_made_with_a_fit_is_that_made_of_its_file(
         fit(again / "lab", out)
         return {path.name: path.read_bytes() for path in (out / "pages").glob("*.html")}
 
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
+    monkeypatch.setattr(batch, "LARGE", 2)
     later = pages_of(again / "out")
     assert len(later) == 3
     assert pages_of(again / "new") == later
 
 
 def test_a_page_that_can_not_be_made_costs_no_result(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
+    monkeypatch.setattr(batch, "LARGE", 2)
     monkeypatch.setattr(pages, "PAGE", "tissueid.study.pages:no_such_task")
     fit(again / "lab", again / "new")
     assert numbers_of(again / "new") == numbers_of(again / "out")

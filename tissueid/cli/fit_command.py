@@ -144,9 +144,9 @@ def command(flags: FitFlags) -> int:
     refuse_same_folder(flags.paths, flags.out)
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
+    from tissueid.study.inventory import Request
     from tissueid.study.pages import write_report
     from tissueid.study.recordings import locate_study
-    from tissueid.study.request import Request
 
     quiet: int = flags.quiet
     reading = read_options(flags)

@@ -14,7 +14,7 @@ from tissueid.report.warning_lines import shared_codes, shared_lines
 from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
-    from tissueid.study.assembly import Assembled
+    from tissueid.study.batch import Assembled
 
 #: Specimens from which on each gets one line of what was measured.
 MANY = 4

@@ -24,7 +24,7 @@ def serve(flags: InspectFlags, inspected: Callable[[InspectFlags], Any]) -> int:
     """
     from tissueid.cli.viewer_serving import open_browser
     from tissueid.errors import UsageError
-    from tissueid.study.correcting import CorrectedInspection
+    from tissueid.study.corrections import CorrectedInspection
     from tissueid.viewer.page_server import PageServer
 
     other = next((flag for name, flag in _OTHERS.items() if getattr(flags, name)), None)

@@ -20,8 +20,7 @@ from typing import Any, Self
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.own_process import one_processor
-from tissueid.study.processes import Started
-from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, unpacked, versions
+from tissueid.study.tasks import Fault, Outcome, Started, Task, attempt, packed, unpacked, versions
 
 #: Tasks in hand for every worker: one is computed while the next waits beside it.
 IN_HAND = 2

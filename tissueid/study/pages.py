@@ -53,9 +53,8 @@ from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.specimen_file import load_record, load_specimen
 from tissueid.study.completeness import completeness_of_result
-from tissueid.study.processes import Workforce
 from tissueid.study.specimen_job import fit_specimen_job
-from tissueid.study.tasks import Task, attempt, packed
+from tissueid.study.tasks import Task, Workforce, attempt, packed
 
 #: A hand that explores moves a grip at some 0.1 m/s.
 EXPLORING_MM_S = 100.0

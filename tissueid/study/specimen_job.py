@@ -7,7 +7,6 @@ that may change the result, so that what is there already is not computed again.
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -25,14 +24,11 @@ from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
-from tissueid.study.partition import facts_of
-from tissueid.study.recordings import read_decided, read_decided_one
-from tissueid.study.survey import refusal_of
+from tissueid.study.inventory import RecentTrials, refusal_of
+from tissueid.study.recordings import facts_of, read_decided, read_decided_one
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
 
-#: Samples kept between a survey and the jobs of one process [bytes].
-RECENT_BYTES = 16 * 2**20
 #: The task of this module.
 FIT = "tissueid.study.specimen_job:fit_specimen_job"
 #: What the readers would say of a sheet that another job reads.
@@ -74,34 +70,6 @@ class SpecimenJob:
             "versions": versions(),
         }
         return hashlib.sha256(json_bytes(document)).hexdigest()
-
-
-class RecentTrials:
-    """Trials that were just read, up to a number of bytes, so that a small study is read once."""
-
-    def __init__(self) -> None:
-        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
-        self._bytes = 0
-
-    def keep(self, trial: Trial) -> None:
-        """Remember a trial; the oldest give way."""
-        self._trials[trial.source.path, trial.source.sheet] = trial
-        self._bytes += 3 * trial.time_s.nbytes
-        while self._bytes > RECENT_BYTES:
-            _, oldest = self._trials.popitem(last=False)
-            self._bytes -= 3 * oldest.time_s.nbytes
-
-    def take(self, path: str, sheet: str | None) -> Trial | None:
-        """Give a trial away."""
-        trial = self._trials.pop((path, sheet), None)
-        if trial is not None:
-            self._bytes -= 3 * trial.time_s.nbytes
-        return trial
-
-    def clear(self) -> None:
-        """Forget all of them."""
-        self._trials.clear()
-        self._bytes = 0
 
 
 def chain_file(folder: str | Path, specimen: str) -> Path:
