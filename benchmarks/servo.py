@@ -39,8 +39,7 @@ from tissueid.haptics.guard import GuardLimits, new_guard
 from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.watchdogs import REPLY_VALID
 from tissueid.rendering.selftest import FORCE_STEP_NS, TICK_US, time_ticks
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 
 RATIO = 1.5
 RATES_HZ = (1000, 4000)

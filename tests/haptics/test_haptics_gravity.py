@@ -15,7 +15,7 @@ from tissueid.haptics.falcon.calibration import Calibration, load_calibration, s
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure.gravity import MIDDLE_M, POSES_M, fitted, weigh_poses
-from tissueid.rendering.law_session import _carried
+from tissueid.rendering.plan import _carried
 from tissueid.rendering.scene import load_scene
 
 HANDS_OFF = replace(GuardLimits(), dead_man=False, frozen_s=5.0)

@@ -12,7 +12,7 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.sim_kernels import simulated_advance
 from tissueid.haptics.simulated_layout import SIM_PARAMETERS
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan
 from tissueid.rendering.servo_process import _share_hand
 
 

@@ -13,7 +13,6 @@ from rendered_tissues import PAPER_A, TWO_BRANCHES, bundle_of
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import surface as srf
-from tissueid.rendering.blind import check_pseudonym, draw_order, write_key
 from tissueid.rendering.choice import (
     Functional,
     as_tissue,
@@ -22,9 +21,17 @@ from tissueid.rendering.choice import (
     pick_draw,
     pick_quantile,
 )
-from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.rendering.session_plan import REST_S, read_script
-from tissueid.rendering.tissue_block import Box, Plane, Sphere, surface_from
+from tissueid.rendering.session_plan import REST_S, check_pseudonym, draw_order, read_script, write_key
+from tissueid.rendering.tissue_block import (
+    Box,
+    Plane,
+    Sphere,
+    parse_surface,
+    place_surface,
+    surface_from,
+    surface_remarks,
+    travel_behind,
+)
 from tissueid.trial import TipShape
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)

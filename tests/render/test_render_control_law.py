@@ -18,9 +18,14 @@ from tissueid.rendering.control import (
     Signal,
     simulate,
 )
-from tissueid.rendering.control.block import SATURATION
-from tissueid.rendering.control.law import saturate
-from tissueid.rendering.control.plant import damping_form, generalised_force, inertia, solve
+from tissueid.rendering.control.law import (
+    SATURATION,
+    damping_form,
+    generalised_force,
+    inertia,
+    saturate,
+    solve,
+)
 from tissueid.rendering.control.simulation import loop_block
 from tissueid.rendering.options import preset_tissue
 

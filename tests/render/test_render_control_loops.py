@@ -22,8 +22,8 @@ from tissueid.rendering.control import (
 )
 from tissueid.rendering.control.document import measured
 from tissueid.rendering.control.law import saturate
+from tissueid.rendering.control.settings import turn_multiplier, virtual_mass_bound
 from tissueid.rendering.control.simulation import loop_block
-from tissueid.rendering.control.virtual_mass import turn_multiplier, virtual_mass_bound
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 

@@ -18,8 +18,7 @@ from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_process
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 from tissueid.rendering.servo_process import run_plan
 from tissueid.rendering.servo_schedule import Schedule
 from tissueid.rendering.servo_tick import BLOCK_SIZE

@@ -21,8 +21,7 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering import servo_process
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoEnd, ServoPlan, receive_plan, send_line, send_plan
+from tissueid.rendering.servo import ServoEnd, ServoPlan, ServoProcess, receive_plan, send_line, send_plan
 from tissueid.rendering.servo_spawn import spawn_servo
 from tissueid.rendering.servo_tick import BLOCK_SIZE
 

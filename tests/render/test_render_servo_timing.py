@@ -15,6 +15,7 @@ from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_loop, servo_schedule
 from tissueid.rendering.selftest import Figure, SelfTest, TickTimes, run_selftest, time_ticks
+from tissueid.rendering.servo import PeriodStatistics, period_statistics
 from tissueid.rendering.servo_loop import (
     BINS,
     CLOCK_SIZE,
@@ -26,7 +27,6 @@ from tissueid.rendering.servo_loop import (
     realtime_loop,
     sleep_until,
 )
-from tissueid.rendering.servo_plan import PeriodStatistics, period_statistics
 from tissueid.rendering.servo_tick import BLOCK_SIZE, MISSED, new_servo
 
 PERIOD_NS = 1_000_000

@@ -22,9 +22,8 @@ from tissueid.rendering.environment import FORCE_SCALE, LABEL, SURFACE
 from tissueid.rendering.first_start import first_start, is_compiled
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
-from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.recorder import Recorder, SessionSummary, period_statistics
 from tissueid.rendering.session import Session, Wish
-from tissueid.rendering.summary import SessionSummary, period_statistics
 from tissueid.rendering.tissue_block import Plane
 from tissueid.store.bundle import write_bundle
 from tissueid.store.session_log import read_session_log

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tissueid.rendering.funnel import funnel_touch
+from tissueid.rendering.guidance import funnel_touch
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_block
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session

@@ -177,8 +177,14 @@ def _tissue(flags: ControlFlags) -> tuple[Tissue, str]:
 def _settings(flags: ControlFlags, tissue: Tissue) -> ControlSettings:
     import math
 
-    from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
-    from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
+    from tissueid.rendering.control.settings import (
+        TABLE_3_DEVICE,
+        TABLE_3_OPERATOR,
+        ControlSettings,
+        Gains,
+        Mechanics,
+        VirtualTool,
+    )
 
     gains = Gains(
         damping_N_s_per_m=flags.kr,

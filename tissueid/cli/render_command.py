@@ -401,7 +401,7 @@ def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
 
 def _write_key(flags: RenderFlags, plan: SessionPlan) -> None:
     """The answer key of a blind comparison, apart from the log."""
-    from tissueid.rendering.blind import write_key
+    from tissueid.rendering.session_plan import write_key
 
     if plan.order is None or flags.log is None:
         return

@@ -16,9 +16,9 @@ from tissueid.errors import UsageError
 from tissueid.store.files import plain_json
 
 if TYPE_CHECKING:
+    from tissueid.rendering.recorder import SessionSummary
     from tissueid.rendering.session import Outcome, Wish
     from tissueid.rendering.session_plan import SessionPlan
-    from tissueid.rendering.summary import SessionSummary
 
 #: Time between two status lines [s].
 SHOW_EVERY_S = 0.1
@@ -31,7 +31,7 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
 
     Raises UsageError: nobody can be asked; click.Abort: it was refused.
     """
-    from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
+    from tissueid.rendering.session_plan import CONSENT_BLIND, CONSENT_HARDWARE
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
     texts += [CONSENT_BLIND] if plan.order is not None else []

@@ -22,9 +22,8 @@ from tissueid.haptics.sim_io import SimulatedIO
 from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo import PeriodStatistics, ServoPlan, ServoProcess
 from tissueid.rendering.servo_loop import CLOCK_SIZE, monotonic_ns, new_watch, virtual_loop
-from tissueid.rendering.servo_plan import PeriodStatistics, ServoPlan
 from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
 

@@ -30,9 +30,7 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
-from tissueid.rendering.servo_io import PythonIO
-from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
-from tissueid.rendering.servo_plan import (
+from tissueid.rendering.servo import (
     REASONS,
     ServoEnd,
     ServoPlan,
@@ -40,6 +38,8 @@ from tissueid.rendering.servo_plan import (
     receive_plan,
     send_line,
 )
+from tissueid.rendering.servo_io import PythonIO
+from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 

@@ -25,12 +25,10 @@ from tissueid.rendering.bridge import BridgeRequest, UdpBridge
 from tissueid.rendering.environment import KIND as BLOCK_KIND
 from tissueid.rendering.environment import SURFACE, TISSUE
 from tissueid.rendering.first_start import first_start
-from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.recorder import Recorder, SessionSummary
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 from tissueid.rendering.servo_spawn import SpawnedServo
 from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
-from tissueid.rendering.summary import SessionSummary
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import Plane
 

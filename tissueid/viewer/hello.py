@@ -34,7 +34,7 @@ from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
-from tissueid.rendering.funnel import CONE, PRINTED_ONE_M
+from tissueid.rendering.guidance import CONE, PRINTED_ONE_M
 from tissueid.trial import TipShape
 from tissueid.viewer.frames import SAMPLE, layout
 

@@ -24,8 +24,7 @@ from tissueid.haptics.states import FAULT_WORDS, State
 from tissueid.haptics.velocity import velocity_step
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.rendering.control.law import adapt, command
-from tissueid.rendering.control.mechanics import Mechanics
-from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
+from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, VirtualTool
 from tissueid.rendering.control.simulation import loop_block, tissue_law
 from tissueid.rendering.options import ASSUMED_DEVICE
 from tissueid.rendering.precheck import check_before_force

@@ -9,10 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, TASKS, Mechanics
-from tissueid.rendering.control.settings import ControlSettings
+from tissueid.rendering.control.settings import (
+    MARGIN,
+    TABLE_3_DEVICE,
+    TABLE_3_OPERATOR,
+    TASKS,
+    ControlSettings,
+    Mechanics,
+    virtual_mass_bound,
+)
 from tissueid.rendering.control.simulation import ControlRun
-from tissueid.rendering.control.virtual_mass import MARGIN, virtual_mass_bound
 
 #: Errors are taken over the last seconds of a run, when the push has risen.
 LAST_S = 5.0

@@ -1,14 +1,7 @@
-"""Control law, adaptation and Lyapunov function (compiled): equations (16) to (22), (I-1) and (I-4).
+"""Places of a controlled loop's numbers in its flat block, for compiled code.
 
-Of the equations of Sadeghnejad et al. the text kept the numbers alone: what stands here is a set that
-satisfies each of their sentences (docs/control.md says which parts are readings)::
-
-    (17) vr  = ve + L (xe - x)                  ar = ae + L (ve - v)
-    (16) rho = vr - v
-    (20) u   = Y th + Kr rho + ur               variant B: less the measured force of the hand
-    (21) ur  = delta^2 rho / (delta |rho| + sigma(t))
-    (22) sigma(t) = sigma0 exp(-g t), not below a floor in a sampled loop
-         th' = Gamma Y' rho, kept within bounds
+SI units: metres, newtons, seconds, kilograms.  The tissue's own law stays in mm and N and is a block of its
+own (:func:`tissueid.model.kernels.pack_law`).
 """
 
 from __future__ import annotations
@@ -17,23 +10,318 @@ import math
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.rendering.control.block import (
-    ADAPTATION_SIGN,
-    DAMPING,
-    DISTURBANCE_BOUND,
-    PERIOD,
-    PROJECTION,
-    REFERENCE_RATE,
-    SATURATION,
-    SIGMA_FLOOR,
-    SIGMA_RATE,
-    SIGMA_START,
-    TOUCHED_BY_DEVICE,
-    VARIANT,
-    VARIANT_B,
+from tissueid.model.kernels import tissue_step_in
+
+#: Axes that a loop may have.
+MOST_AXES = 3
+
+# -- virtual tool
+TOOL_MASS = 0
+TOOL_DAMPING = 1
+# -- law
+REFERENCE_RATE = 2
+DAMPING = 3
+#: Bound of what the estimates don't cover [N].
+DISTURBANCE_BOUND = 4
+SIGMA_START = 5
+SIGMA_RATE = 6
+SIGMA_FLOOR = 7
+#: 1 adapts, 0 is frozen, -1 is wrong on purpose.
+ADAPTATION_SIGN = 8
+PROJECTION = 9
+#: Largest control force [N]; infinite without one.
+SATURATION = 10
+VARIANT = 11
+#: 1 where the environment is touched by the device itself and not by the virtual tool.
+TOUCHED_BY_DEVICE = 12
+# -- environment
+FORCE_SCALE = 13
+MOTION_SCALE = 14
+#: Unit vector into the tissue, 3 numbers.
+INWARD = 15
+# -- clock
+PERIOD = 18
+SUBSTEPS = 19
+RISE = 20
+# -- arm: lengths of two links, 0 without an arm; where the work begins, from its base
+LINK_1 = 21
+LINK_2 = 22
+BASE_X = 23
+BASE_Y = 24
+BLOCK_SIZE = 25
+
+VARIANT_B = 1.0
+WITHOUT_ARM = 0.0
+#: Parameters of an arm of two links: p1, p2, p3.
+ARM_PARAMETERS = 3
+
+
+#: A number each, in this order, after the vectors.
+SCALARS = ("environment_force_N", "sigma", "lyapunov", "lyapunov_rate")
+#: n numbers each, in this order, after the time.
+VECTORS = (
+    "position_m",
+    "velocity_m_s",
+    "tool_position_m",
+    "tool_velocity_m_s",
+    "hand_force_N",
+    "control_force_N",
+    "rho_m_s",
+    "push_N",
+    "disturbance_N",
 )
-from tissueid.rendering.control.drive import advance_tool, environment_force, tool_acceleration
-from tissueid.rendering.control.plant import damping_form, inertia, regress
+
+
+def row_size(axes: int, parameters: int) -> int:
+    """Numbers a row: time, vectors, scalars, estimates."""
+    return 1 + axes * len(VECTORS) + len(SCALARS) + parameters
+
+
+@tick_kernel
+def record_row(
+    row: FloatArray,
+    time: float,
+    vectors: tuple[FloatArray, ...],
+    scalars: tuple[float, float, float, float],
+    estimates: FloatArray,
+) -> None:
+    """Write a row: the time, :data:`VECTORS`, :data:`SCALARS`, the estimates."""
+    row[0] = time
+    at = 1
+    for vector in vectors:
+        for i in range(vector.size):
+            row[at] = vector[i]
+            at += 1
+    for scalar in scalars:
+        row[at] = scalar
+        at += 1
+    for k in range(estimates.size):
+        row[at] = estimates[k]
+        at += 1
+
+
+@tick_kernel
+def _arm_columns(
+    block: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+) -> None:
+    """Columns of p1, p2, p3: the joint regressor, seen from the tip; elbow to the left."""
+    l1, l2 = block[LINK_1], block[LINK_2]
+    px, py = x[0] + block[BASE_X], x[1] + block[BASE_Y]
+    cosine = (px * px + py * py - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
+    q2 = math.acos(min(max(cosine, -1.0), 1.0))
+    s2, c2 = math.sin(q2), math.cos(q2)
+    q1 = math.atan2(py, px) - math.atan2(l2 * s2, l1 + l2 * c2)
+    s1, c1 = math.sin(q1), math.cos(q1)
+    s12, c12 = math.sin(q1 + q2), math.cos(q1 + q2)
+    j00, j01, j10, j11 = -l1 * s1 - l2 * s12, -l2 * s12, l1 * c1 + l2 * c12, l2 * c12
+    det = j00 * j11 - j01 * j10
+    w1, w2 = (j11 * v[0] - j01 * v[1]) / det, (-j10 * v[0] + j00 * v[1]) / det
+    r1, r2 = (j11 * vr[0] - j01 * vr[1]) / det, (-j10 * vr[0] + j00 * vr[1]) / det
+    turn = w1 + w2
+    # acceleration of the joints: J^-1 (ar - J' r)
+    d01, d11 = -l2 * c12 * turn, -l2 * s12 * turn
+    d00, d10 = d01 - l1 * c1 * w1, d11 - l1 * s1 * w1
+    g0, g1 = ar[0] - d00 * r1 - d01 * r2, ar[1] - d10 * r1 - d11 * r2
+    a1, a2 = (j11 * g0 - j01 * g1) / det, (-j10 * g0 + j00 * g1) / det
+    first = (a1, a2, c2 * (2.0 * a1 + a2) - s2 * (w2 * r1 + turn * r2))
+    second = (0.0, a1 + a2, c2 * a1 + s2 * w1 * r1)
+    for k in range(3):
+        # torques to forces at the tip: J^-T
+        Y[0, k] = (j11 * first[k] - j10 * second[k]) / det
+        Y[1, k] = (-j01 * first[k] + j00 * second[k]) / det
+
+
+@tick_kernel
+def regress(
+    block: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+) -> None:
+    """Write the regressor.
+
+    ``block`` (BLOCK_SIZE,): of :mod:`tissueid.rendering.control.law`: the arm; ``x``, ``v`` (n,): position
+    [m] and velocity [m/s] of the device; ``vr``, ``ar`` (n,): reference velocity and acceleration; the
+    device's own give the force that it needs; ``Y`` (n, p): **Written**; p is 3 n (n + 1) / 2, and 3 more
+    with an arm.
+    """
+    n, size = Y.shape
+    for i in range(n):
+        for k in range(size):
+            Y[i, k] = 0.0
+    at = 0
+    if block[LINK_1] > 0.0:
+        _arm_columns(block, x, v, vr, ar, Y)
+        at = ARM_PARAMETERS
+    entries = n * (n + 1) // 2
+    column = at
+    for i in range(n):
+        for j in range(i, n):
+            Y[i, column] += ar[j]
+            Y[i, column + entries] += vr[j]
+            Y[i, column + 2 * entries] += x[j]
+            if i != j:
+                Y[j, column] += ar[i]
+                Y[j, column + entries] += vr[i]
+                Y[j, column + 2 * entries] += x[i]
+            column += 1
+
+
+@tick_kernel
+def generalised_force(
+    block: FloatArray,
+    theta: FloatArray,
+    x: FloatArray,
+    v: FloatArray,
+    vr: FloatArray,
+    ar: FloatArray,
+    Y: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write Y(x, v, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
+    regress(block, x, v, vr, ar, Y)
+    for i in range(out.size):
+        total = 0.0
+        for k in range(theta.size):
+            total += Y[i, k] * theta[k]
+        out[i] = total
+
+
+@tick_kernel
+def inertia(
+    block: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
+) -> None:
+    """Write M(x) [kg] of these parameters into ``M``, shape (n, n).
+
+    ``Y`` and ``spare``, shape (2, n), are room to work in, and written.
+    """
+    n = x.size
+    nothing, unit = spare[0], spare[1]
+    for j in range(n):
+        nothing[j] = 0.0
+        unit[j] = 0.0
+    for j in range(n):
+        unit[j] = 1.0
+        regress(block, x, nothing, nothing, unit, Y)
+        unit[j] = 0.0
+        for i in range(n):
+            # stiffness is the only part that a plant at rest still has: its columns are the last third
+            total = 0.0
+            for k in range(theta.size - n * (n + 1) // 2):
+                total += Y[i, k] * theta[k]
+            M[i, j] = total
+
+
+@tick_kernel
+def damping_form(theta: FloatArray, r: FloatArray) -> float:
+    """Power [W] that the damping B among the parameters takes at a velocity r: r' B r."""
+    n = r.size
+    entries = n * (n + 1) // 2
+    column = theta.size - 2 * entries
+    total = 0.0
+    for i in range(n):
+        for j in range(i, n):
+            total += theta[column] * r[i] * r[j] * (1.0 if i == j else 2.0)
+            column += 1
+    return float(total)
+
+
+@tick_kernel
+def solve(A: FloatArray, b: FloatArray) -> None:
+    """Solve A y = b by elimination with pivots; the answer takes the place of ``b``, A is destroyed."""
+    n = b.size
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if pivot != k:
+            for j in range(k, n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+            b[k], b[pivot] = b[pivot], b[k]
+        for i in range(k + 1, n):
+            factor = A[i, k] / A[k, k]
+            for j in range(k, n):
+                A[i, j] -= factor * A[k, j]
+            b[i] -= factor * b[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            b[k] -= A[k, j] * b[j]
+        b[k] /= A[k, k]
+
+
+#: Rows of a drive, a column an axis: offset, amplitude, frequency of the hand's push; then of what disturbs.
+DRIVE_ROWS = 6
+M_TO_MM = 1000.0
+
+
+@tick_kernel
+def hand_push(block: FloatArray, drive: FloatArray, time: float, out: FloatArray) -> None:
+    """Write F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
+    share = min(1.0, time / block[RISE]) if block[RISE] > 0.0 else 1.0
+    for i in range(out.size):
+        out[i] = share * (drive[0, i] + drive[1, i] * math.sin(2.0 * math.pi * drive[2, i] * time))
+
+
+@tick_kernel
+def disturbance(drive: FloatArray, time: float, out: FloatArray) -> None:
+    """Write d(t) [N]."""
+    for i in range(out.size):
+        out[i] = drive[3, i] + drive[4, i] * math.sin(2.0 * math.pi * drive[5, i] * time)
+
+
+@tick_kernel
+def environment_force(
+    block: FloatArray, law: FloatArray, state: FloatArray, place: FloatArray, h: float
+) -> float:
+    """Step the tissue with a tool at ``place`` [m] and give its force along the outward normal [N]."""
+    depth = 0.0
+    for i in range(place.size):
+        depth += block[INWARD + i] * place[i]
+    force = tissue_step_in(law, 0, state, 0, depth / block[MOTION_SCALE] * M_TO_MM, h)
+    return float(force * block[FORCE_SCALE])
+
+
+@tick_kernel
+def tool_acceleration(
+    block: FloatArray, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
+) -> None:
+    """Write the acceleration of the virtual tool: Mt ae = Fh - F_env - Bt ve.
+
+    ``block`` (BLOCK_SIZE,); ``v`` (n,): velocity of the tool [m/s]; ``hand`` (n,): measured force of the hand
+    on the device [N]; ``touched``: force of the environment [N], along its outward normal; ``out`` (n,):
+    [m/s^2].
+    """
+    for i in range(v.size):
+        out[i] = (hand[i] - block[INWARD + i] * touched - block[TOOL_DAMPING] * v[i]) / block[TOOL_MASS]
+
+
+@tick_kernel
+def advance_tool(
+    block: FloatArray,
+    law: FloatArray,
+    state: FloatArray,
+    tool: tuple[FloatArray, FloatArray, FloatArray],
+    hand: FloatArray,
+    touched: float,
+) -> float:
+    """Move the virtual tool over one period under a force of the hand that is held.
+
+    Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
+    The tissue is stepped along, unless the device itself touches it: then its force is held as well.
+
+    ``block``, ``law``, ``state``: of the loop, of the tissue, and what it remembers (**updated**); ``tool``
+    (n,): position, velocity, acceleration; **updated**; ``hand``, ``touched``: as in
+    :func:`tool_acceleration`.  Returns force of the environment at the end [N].
+    """
+    x, v, a = tool
+    steps = int(block[SUBSTEPS])
+    h = block[PERIOD] / steps
+    for _ in range(steps):
+        tool_acceleration(block, v, hand, touched, a)
+        for i in range(x.size):
+            v[i] += h * a[i]
+            x[i] += h * v[i]
+        if block[TOUCHED_BY_DEVICE] == 0.0:
+            touched = environment_force(block, law, state, x, h)
+    return touched
 
 
 @tick_kernel

@@ -1,4 +1,9 @@
-"""Run a controlled loop: settings in, arrays out."""
+"""The loop as a computer runs it: sampled, held, with a force sensor that is one sample old (compiled).
+
+At each tick the controller reads position and velocity, and the force that the hand had under the *last*
+command; the virtual tool lives in the computer and is stepped finer; the control force is held until the
+next tick, while device and hand move on, finer as well.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +12,342 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import tissueid.rendering.control.law as at
 from tissueid.arrays import FloatArray
+from tissueid.compiled import tick_kernel
+from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
-from tissueid.rendering.control import block as at
-from tissueid.rendering.control.block import SCALARS, VECTORS, row_size
-from tissueid.rendering.control.continuous import continuous_room, run_continuous
-from tissueid.rendering.control.drive import DRIVE_ROWS
-from tissueid.rendering.control.mechanics import TASKS, Signal
-from tissueid.rendering.control.sampled import run_sampled, sampled_room
-from tissueid.rendering.control.settings import ControlSettings
-from tissueid.rendering.control.virtual_mass import check_virtual_mass
+from tissueid.rendering.control.law import (
+    DRIVE_ROWS,
+    PERIOD,
+    SCALARS,
+    SUBSTEPS,
+    TOOL_MASS,
+    TOUCHED_BY_DEVICE,
+    VARIANT,
+    VARIANT_B,
+    VECTORS,
+    adapt,
+    command,
+    control_force,
+    disturbance,
+    environment_force,
+    generalised_force,
+    hand_push,
+    inertia,
+    lyapunov,
+    not_covered,
+    record_row,
+    reference,
+    regress,
+    robust_term,
+    row_size,
+    sigma_at,
+    solve,
+    tool_acceleration,
+)
+from tissueid.rendering.control.settings import TASKS, ControlSettings, Signal, check_virtual_mass
+
+#: A device that is farther away than this has diverged [m].
+LARGEST_M = 10.0
+VECTOR_ROWS = 22
+
+
+@tick_kernel
+def _advance_plant(
+    block: FloatArray,
+    parameters: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    time: float,
+    u: FloatArray,
+    plant: tuple[FloatArray, FloatArray, FloatArray],
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Move device and hand over one period under a held control force; leave the sensor's reading.
+
+    ``parameters`` are those of device and hand together, and of the hand; ``plant`` is position, velocity and
+    the force of the hand on the device, all updated.
+    """
+    total, operator = parameters
+    x, v, hand = plant
+    a, push, disturbed, spare, Y, M = room
+    steps = int(block[SUBSTEPS])
+    h = block[PERIOD] / steps
+    for step in range(steps):
+        hand_push(block, drive, time + step * h, push)
+        disturbance(drive, time + step * h, disturbed)
+        for i in range(x.size):
+            a[i] = 0.0
+        generalised_force(block, total, x, v, v, a, Y, hand)
+        for i in range(x.size):
+            a[i] = push[i] + u[i] - disturbed[i] - hand[i]
+        inertia(block, total, x, spare, Y, M)
+        solve(M, a)
+        if step == steps - 1:
+            # what the sensor feels: the push, less what moves and holds the hand itself
+            generalised_force(block, operator, x, v, v, a, Y, hand)
+            for i in range(x.size):
+                hand[i] = push[i] - hand[i]
+        for i in range(x.size):
+            v[i] += h * a[i]
+            x[i] += h * v[i]
+
+
+def sampled_room(
+    axes: int, start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Room of a run: vectors, regressor twice, inertia; the estimates and the tissue at rest."""
+    return (
+        np.zeros((VECTOR_ROWS, axes)),
+        np.zeros((axes, start.size)),
+        np.zeros((axes, start.size)),
+        np.zeros((axes, axes)),
+        (start.copy(), np.zeros(STATE_SIZE)),
+    )
+
+
+@tick_kernel
+def run_sampled(
+    block: FloatArray,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    noise: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
+    out: FloatArray,
+) -> int:
+    """Run a loop from rest at the surface of the tissue.
+
+    ``block`` (BLOCK_SIZE,); ``law`` (LAW_SIZE,): of the tissue, :func:`tissueid.model.kernels.pack_law`;
+    ``parameters`` (p,): of device and hand together, of the hand, and what the estimates should be;
+    ``adaptation``: gains, shape (p,), and bounds, shape (2, p); ``drive`` (DRIVE_ROWS, n); ``noise`` (ticks,
+    n): added to the force sensor [N]; ``room``: of :func:`sampled_room`: zeros to work in, and the first
+    estimates; ``out`` (ticks, row_size(n, p)): **Written**, see :mod:`tissueid.rendering.control.law`: each
+    row at its tick, before anything moves.  Returns rows written; fewer than ticks where the loop diverged.
+    """
+    n = drive.shape[1]
+    rows, Y, Z, M, lists = room
+    gains, bounds = adaptation
+    truth = parameters[2]
+    x, v, hand, sensed = rows[0], rows[1], rows[2], rows[3]
+    tool = (rows[4], rows[5], rows[6])
+    wanted = (rows[7], rows[8], rows[9])
+    u, robust, push, disturbed, unknown = rows[10], rows[11], rows[12], rows[13], rows[14]
+    was = (rows[15], rows[16])
+    spare = rows[17:19]
+    plant_room = (rows[19], rows[20], rows[21], spare, Z, M)
+    estimates, state = lists
+    touched = 0.0
+    for tick in range(out.shape[0]):
+        time = tick * block[PERIOD]
+        hand_push(block, drive, time, push)
+        disturbance(drive, time, disturbed)
+        for i in range(n):
+            sensed[i] = hand[i] + noise[tick, i]
+            was[0][i], was[1][i] = tool[0][i], tool[1][i]
+        before = touched
+        touched = command(
+            block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
+        )
+        not_covered(block, push, disturbed, unknown)
+        V, rate = lyapunov(block, x, (wanted[2], robust, unknown), truth, estimates, gains, (spare, Z, M))
+        record_row(
+            out[tick],
+            time,
+            (x, v, was[0], was[1], sensed, u, wanted[2], push, disturbed),
+            (before, sigma_at(block, time), V, rate),
+            estimates,
+        )
+        adapt(block, Y, wanted[2], gains, bounds, block[PERIOD], estimates)
+        _advance_plant(block, (parameters[0], parameters[1]), drive, time, u, (x, v, hand), plant_room)
+        for i in range(n):
+            if not abs(x[i]) < LARGEST_M:
+                return tick + 1
+    return int(out.shape[0])
+
+
+Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+#: Rows of the state of motion: position and velocity of the device, of the tool.
+MOTION_ROWS = 4
+#: Rows of forces, see :func:`_forces`; one for what the estimates don't cover, two to work in.
+FORCE_ROWS = 13
+
+
+@tick_kernel
+def _forces(
+    block: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    moment: tuple[FloatArray, float],
+    motion: FloatArray,
+    estimates: FloatArray,
+    touched: float,
+    forces: FloatArray,
+    room: Five,
+) -> None:
+    """Solve the algebraic loop at one moment, of the drive and the time.
+
+    Rows of ``forces``, all written: push, disturbance, force of the hand, control force, rho, robust term,
+    acceleration of device and tool, vr, ar.
+    """
+    drive, time = moment
+    total, operator = parameters[0], parameters[1]
+    spare, Y, M, Mh, Mc = room
+    x, v, ve = motion[0], motion[1], motion[3]
+    push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
+    a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
+    n = x.size
+    hand_push(block, drive, time, push)
+    disturbance(drive, time, disturbed)
+    inertia(block, operator, x, spare, Y, Mh)
+    inertia(block, estimates, x, spare, Y, Mc)
+    inertia(block, total, x, spare, Y, M)
+    for i in range(n):
+        a[i] = 0.0
+    generalised_force(block, operator, x, v, v, a, Y, hand)
+    for i in range(n):
+        hand[i] = push[i] - hand[i]
+    tool_acceleration(block, ve, hand, touched, ae)
+    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    robust_term(block, rho, sigma_at(block, time), robust)
+    regress(block, x, v, vr, ar, Y)
+    control_force(block, Y, estimates, rho, robust, hand, u)
+    # the plant's own forces take the room of vr, which is not needed any more
+    generalised_force(block, total, x, v, v, a, Y, vr)
+    for i in range(n):
+        ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
+        for j in range(n):
+            for k in range(n):
+                M[i, j] += Mc[i, k] * Mh[k, j] / block[TOOL_MASS]
+            if block[VARIANT] == VARIANT_B:
+                M[i, j] -= Mh[i, j]
+    solve(M, ar)
+    for i in range(n):
+        a[i] = ar[i]
+    for i in range(n):
+        for j in range(n):
+            hand[i] -= Mh[i, j] * a[j]
+    tool_acceleration(block, ve, hand, touched, ae)
+    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    regress(block, x, v, vr, ar, Y)
+    control_force(block, Y, estimates, rho, robust, hand, u)
+
+
+@tick_kernel
+def _tissue(block: FloatArray, law: FloatArray, state: FloatArray, motion: FloatArray, h: float) -> float:
+    """Force of the environment [N] on whatever touches it."""
+    return environment_force(block, law, state, motion[0 if block[TOUCHED_BY_DEVICE] > 0.0 else 2], h)
+
+
+@tick_kernel
+def _slopes(motion: FloatArray, forces: FloatArray, out: FloatArray) -> None:
+    """Time derivative of the motion."""
+    for i in range(motion.shape[1]):
+        out[0, i] = motion[1, i]
+        out[1, i] = forces[6, i]
+        out[2, i] = motion[3, i]
+        out[3, i] = forces[7, i]
+
+
+@tick_kernel
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    for k in range(source.size):
+        target[k] = source[k]
+
+
+def continuous_room(
+    axes: int, start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five]:
+    """Room of a run: motions, forces, inertias, regressor; estimates and tissue, each with its trials."""
+    return (
+        np.zeros((4, MOTION_ROWS, axes)),
+        np.zeros((FORCE_ROWS, axes)),
+        np.zeros((3, axes, axes)),
+        np.zeros((axes, start.size)),
+        (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
+    )
+
+
+@tick_kernel
+def _step(
+    block: FloatArray,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    moment: tuple[FloatArray, float],
+    motions: FloatArray,
+    forces: FloatArray,
+    rooms: tuple[Five, Five],
+) -> float:
+    """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
+    gains, bounds = adaptation
+    solving, lists = rooms
+    h = block[PERIOD]
+    motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
+    estimates, guess, moved, state, trial = lists
+    Y = solving[1]
+    regress(block, motion[0], motion[1], forces[8], forces[9], Y)
+    _slopes(motion, forces, slope)
+    _copy(estimates, guess)
+    adapt(block, Y, forces[4], gains, bounds, h, guess)
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            ahead[k, i] = motion[k, i] + h * slope[k, i]
+    _copy(state, trial)
+    pressed = _tissue(block, law, trial, ahead, h)
+    _forces(block, parameters, (moment[0], moment[1] + h), ahead, guess, pressed, forces, solving)
+    _slopes(ahead, forces, slope_ahead)
+    _copy(guess, moved)
+    adapt(block, Y, forces[4], gains, bounds, h, moved)
+    for k in range(estimates.size):
+        estimates[k] = 0.5 * (estimates[k] + moved[k])
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
+    return float(_tissue(block, law, state, motion, h))
+
+
+@tick_kernel
+def run_continuous(
+    block: FloatArray,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    every: int,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five],
+    out: FloatArray,
+) -> int:
+    """Run a loop from rest at the surface of the tissue; a row every ``every`` steps of the period.
+
+    Parameters, ``out`` and what is returned as in
+    :func:`tissueid.rendering.control.simulation.run_sampled`; ``room`` is of :func:`continuous_room`.
+    """
+    motions, forces, squares, Y, lists = room
+    motion, unknown, spare = motions[0], forces[10], forces[11:13]
+    solving = (spare, Y, squares[0], squares[1], squares[2])
+    estimates, gains, truth = lists[0], adaptation[0], parameters[2]
+    touched = 0.0
+    for row in range(out.shape[0]):
+        for step in range(every):
+            time = (row * every + step) * block[PERIOD]
+            _forces(block, parameters, (drive, time), motion, estimates, touched, forces, solving)
+            if step == 0:
+                rho, robust = forces[4], forces[5]
+                not_covered(block, forces[0], forces[1], unknown)
+                V, rate = lyapunov(
+                    block, motion[0], (rho, robust, unknown), truth, estimates, gains, (spare, Y, squares[0])
+                )
+                led = (motion[0], motion[1], motion[2], motion[3])
+                vectors = (*led, forces[2], forces[3], rho, forces[0], forces[1])
+                record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
+            touched = _step(
+                block, law, parameters, adaptation, (drive, time), motions, forces, (solving, lists)
+            )
+        for i in range(motion.shape[1]):
+            if not abs(motion[0, i]) < LARGEST_M:
+                return row + 1
+    return int(out.shape[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +389,7 @@ class ControlRun:
 
 
 def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> FloatArray:
-    """The flat block of :mod:`tissueid.rendering.control.block`.
+    """The flat block of :mod:`tissueid.rendering.control.law`.
 
     ``period_s``: of a tick, or the step of a continuous loop [s].  Returns (BLOCK_SIZE,).
     """
