@@ -1,19 +1,7 @@
-"""UDP bridge for other programs: positions and forces out, parameters in.
+"""UDP bridge for other programs: positions and forces out, parameters in; docs/render.md has the datagrams.
 
-One JSON object a datagram, at most 1,200 bytes.  Out, at most 250 a second::
-
-    {"v": 1, "tick": 5120, "time_s": 81.2, "position_m": [0, 0, 0.12], "force_N": [0, 0, 0.4],
-     "depth_mm": 1.93, "tissue_force_N": 31.6, "state": "engaged", "lamps": ["clipped"], "tissue": 0}
-
-In, any of these members, each checked, beside the token that the session printed::
-
-    {"v": 1, "token": "8f3a61c2", "tissue": 1}              take another tissue when nothing is touched
-    {..., "plane": {"point_m": [0, 0, 0.13], "normal": [0, 0, 1]}}       move the surface, likewise
-    {..., "engage": false}                                  no force; true asks for it again
-    {..., "stop": true}                                     end the session
-
-Forces are never taken from outside.  What comes in is heard on the loopback interface alone, at most
-32 datagrams a turn; what is none of these, or lacks the token, is counted and dropped.
+Forces are never taken from outside.  What comes in is heard on the loopback interface alone, is checked
+against the token that the session printed, and dropped and counted otherwise.
 """
 
 from __future__ import annotations
@@ -56,10 +44,7 @@ class BridgeRequest:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Read ``HOST:PORT`` or ``PORT`` (then loopback).
-
-    Raises UsageError: no port between 1 and 65535.
-    """
+    """Read ``HOST:PORT`` or ``PORT``, then on loopback; UsageError without a port between 1 and 65535."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
         msg = f"--bridge {printable(text)!r}: give a port, or HOST:PORT, e.g. 5005"
@@ -68,10 +53,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def parse_request(data: bytes, token: str) -> BridgeRequest | None:
-    """Read a datagram; None for whatever is no request.
-
-    ``token``: what it has to carry.
-    """
+    """Read a datagram that carries the token; None for whatever is no request."""
     if len(data) > LARGEST_DATAGRAM:
         return None
     try:
@@ -121,11 +103,9 @@ def _vector(value: Any) -> tuple[float, float, float] | None:
 
 
 class UdpBridge:
-    """The two sockets of a bridge.
+    """Sockets of a bridge: positions go to a port, parameters are heard on the next one, on loopback.
 
-    ``send_to``: host and port that positions go to; parameters are heard on the next port, on loopback;
-    ``token``: what requests have to carry; drawn where it is not given.  Raises UsageError: the port to
-    listen on is taken, or there is no such host.
+    Raises UsageError: the port to listen on is taken, or there is no such host.
     """
 
     def __init__(self, send_to: tuple[str, int], token: str | None = None) -> None:
@@ -152,10 +132,7 @@ class UdpBridge:
         return str(host), int(port)
 
     def send(self, records: NDArray[Any]) -> None:
-        """Send the newest record, unless the last was sent a moment ago; never waits.
-
-        ``records`` (n,).
-        """
+        """Send the newest record, unless the last was sent a moment ago; never waits."""
         if not records.size or records["time_s"][-1] - self._last_s < INTERVAL_S:
             return
         newest = records[-1]

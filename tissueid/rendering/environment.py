@@ -1,19 +1,7 @@
-"""The force that is felt: a tool tip against a surface of identified tissue (compiled).
+"""The force that is felt: a tool tip against identified tissue, or a guided axis in its place (compiled).
 
-One step: penetration and normal of the tip in the surface, depth of the tissue by the motion scale,
-:func:`tissueid.model.kernels.tissue_step_in` (the law that was fitted), force by the force scale along
-the normal.  Unloading, loss of contact and recovery are the law's own; beyond the identified depth the
-law is continued and the tick is marked.  No friction: the force has the direction of the normal.
-
-A guided axis (:mod:`tissueid.rendering.guidance`) takes the place of the tissue where the block is one of it.
-
-Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_SIZE` numbers, written by
-:mod:`tissueid.rendering.tissue_block`) so that it can be exchanged while the loop runs, at zero penetration;
-what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
-
-A rupture, where the block has one, leaves a share of the force from that tick on until the tissue is put
-back at rest (criteria are readings: total work, weighted force, stored energy or depth).  The
-share multiplies the whole law: what is left is passive as the law is, and the fall only takes energy away.
+No friction; beyond the identified depth the law is continued and the tick is marked.  All parameters are one
+flat, versioned block, exchanged while the loop runs, at zero penetration.
 """
 
 from __future__ import annotations
@@ -136,14 +124,11 @@ def environment_step(
     force: FloatArray,
     info: FloatArray,
 ) -> None:
-    """Force of the environment on the tool at the end of a step.
+    """Write force [N, at the device] on the tool and ``info`` at the end of a step of ``dt`` seconds.
 
-    ``kind``: :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air;
-    ``parameters`` (ENVIRONMENT_SIZE,); ``memory`` (MEMORY_SIZE,): updated in place; ``position``,
-    ``velocity`` (3,): of the tool tip's centre [m], [m/s]; the velocity only judges whether the law was
-    identified there; ``dt``: measured step [s]; ``force`` (3,): written: force on the tool [N, at the
-    device]; ``info`` (INFO_SIZE,): written: penetration [m], depth [mm] (negative in air), tissue speed
-    [mm/s], tissue force [N], device force [N], lamps, tissue surface [mm], label.
+    ``kind``: any other number than :data:`TISSUE` and :data:`GUIDANCE` is free air; ``position``,
+    ``velocity`` [m], [m/s]: of the tip's centre; the velocity only judges whether the law was identified
+    there.
     """
     for i in range(3):
         force[i] = 0.0

@@ -1,11 +1,7 @@
 """The first start on a machine: the simulated device runs uncompiled while the loop is being compiled.
 
-numba compiles the servo once and keeps it on the disk; that takes 10 to 20 s of computing.  Nobody should
-wait for it to see a first force: on the simulated device the session begins at once with the same loop in
-plain Python, which skips ticks and says so, and a second process compiles for the next start.  A device with
+Compiling takes 10 to 20 s, in a second process (``python -m tissueid.rendering.first_start``); a device with
 motors waits for the compiled loop.
-
-``python -m tissueid.rendering.first_start`` compiles and ends.
 """
 
 from __future__ import annotations
@@ -43,11 +39,7 @@ def is_compiled() -> bool:
 
 @contextmanager
 def first_start(device: str, tell: Callable[[str], None]) -> Iterator[bool]:
-    """Let a servo that is started inside run uncompiled, where it is the first on this machine.
-
-    ``device``: only the simulated one begins uncompiled; ``tell``: told what happens.  Yields whether the
-    loop is uncompiled.
-    """
+    """Let a servo of the simulated device run uncompiled where it is the first; yields whether it does."""
     if device != _SIMULATED or is_compiled():
         yield False
         return

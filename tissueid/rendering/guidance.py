@@ -1,19 +1,8 @@
-"""The guiding surface around a planned axis: how deep a point is in it, and which way is free (compiled).
+"""Guidance along a planned axis: a funnel, a pull to the axis, a bone that is drilled (compiled).
 
-Pires et al. print their surface as ``z = c sqrt((x/a)^2 + (y/a)^2) - 1 - b`` and name its constants minimum
-radius at z = 0, offset and opening scale.  Two readings:
-
-hyperboloid
-    ``z = c sqrt((x/a)^2 + (y/a)^2 - 1) - b``, to which the names belong: one sheet with its throat of radius
-    a at z = -b.  Below the throat it goes on as a cylinder.  The default.
-cone
-    As printed: the "1" is then a length without a unit, which is taken for one millimetre (assumed).  Its
-    apex is at z = -(1 mm + b).
-
-Coordinates are the distance r from the axis and the height z along it, out of the bone.  Inside, r is less
-than the surface's radius and nothing is felt.  The distance to the hyperboloid is that of the foot of its
-normal, found by Newton's method on ``r = a cosh u, z + b = c sinh u``; it is unique up to a penetration of
-c^2 / a.
+The environment of Pires et al., Haptic Positioning Environment for the Hip Resurfacing Surgery;
+docs/guidance.md says which parts are readings.  Forces add up; r is the distance from the axis, z the height
+out of the bone.
 """
 
 from __future__ import annotations
@@ -43,11 +32,10 @@ SMALL_STEP = 1e-12
 
 
 def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tuple[float, float, float]:
-    """The constants a, b, c of a hyperboloid by what can be measured on it.
+    """The constants a, b, c [m] of a hyperboloid: a = sqrt(radius^2 - (slope offset)^2), b, c = a / slope.
 
-    ``radius_m``: at the entry point, z = 0 [m]; ``offset_m``: depth of the throat below the entry point [m];
-    ``slope``: growth of the radius with the height, far out.  Returns ``a = sqrt(radius^2 - (slope
-    offset)^2)``, b and ``c = a / slope`` [m].  Raises ValueError: no hyperboloid has these numbers.
+    ``radius_m``: at the entry point; ``offset_m``: depth of the throat below it. Raises ValueError: no
+    hyperboloid has these numbers.
     """
     if not (radius_m > 0.0 and offset_m >= 0.0 and slope > 0.0):
         msg = (
@@ -68,12 +56,9 @@ def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tup
 
 @tick_part
 def funnel_touch(funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int) -> float:
-    """Penetration of a point, and the direction back to the free side.
+    """Penetration [m] of a point into the wall; the unit normal (r, z) toward the free side is written.
 
-    ``funnel``: kind, a, b, c [m] from index ``at``; ``r``, ``z``: distance from the axis and height along it
-    [m]; ``normal``: components along r and z of the unit normal toward the free side, written from index
-    ``first``.  Returns [m]: positive in the wall.  Inside the funnel it is negative, there to first order in
-    the gap.
+    Inside the funnel it is negative, there to first order in the gap.
     """
     if int(funnel[at + KIND]) == CONE:
         return _from_cone(funnel, at, r, z, normal, first)
@@ -212,12 +197,9 @@ def guidance_step(
     said: FloatArray,
     first: int,
 ) -> None:
-    """Force on the tool at the end of a step.
+    """Write the force [N] on a tool tip at ``position`` [m], at the end of a step, and ``said``.
 
-    ``block``: :data:`GUIDANCE_SIZE` numbers from index ``at``; ``memory`` (GUIDANCE_MEMORY,): all zero before
-    the first step; updated in place; ``position`` (3,): of the tip [m]; ``dt``: measured step [s]; ``force``
-    (3,): written [N]; ``said``: :data:`SAID_SIZE` numbers, written from index ``first``: height [m], distance
-    from the axis [m], the magnitudes of wall, pull and bone [N], penetration [m].
+    The memory is all zero before the first step.
     """
     z = 0.0
     for i in range(3):

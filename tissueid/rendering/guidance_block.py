@@ -1,4 +1,8 @@
-"""The numbers of a guided axis, with a default for everything the paper does not print."""
+"""The numbers of a guided axis, with a default for all that the paper does not print, and their stability.
+
+Behind its filter the damping of pull and wall is a branch like a tissue's: ``K tau`` times the filtered
+velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and drilled bone a spring that relaxes in R / k.
+"""
 
 from __future__ import annotations
 
@@ -48,10 +52,7 @@ class Funnel:
     slowest_m_s: float = 0.05  # floor of the speed at contact [m/s]
 
     def numbers(self) -> FloatArray:
-        """Shape of :mod:`tissueid.rendering.guidance`, shape (FUNNEL_SIZE,).
-
-        Raises ValueError: no surface has these numbers.
-        """
+        """Block of the funnel, shape (FUNNEL_SIZE,); ValueError where no surface has these numbers."""
         if self.kind == "cone":
             if not (self.slope > 0.0 and self.offset_m >= 0.0):
                 msg = f"a cone needs a slope above 0 and an offset from 0, got {self.slope}, {self.offset_m}"
@@ -86,10 +87,7 @@ class Bone:
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """A planned axis and everything that guides to it.
-
-    Raises ValueError: the axis has no direction, or a number is out of its range.
-    """
+    """A planned axis and everything that guides to it; ValueError where a number is out of its range."""
 
     entry_m: Vector  # entry point [m, device frame]
     axis: Vector = (0.0, 0.0, 1.0)  # out of the bone; made a unit vector
@@ -121,10 +119,7 @@ class Guidance:
             raise ValueError(msg)
 
     def unit_axis(self) -> FloatArray:
-        """Unit vector out of the bone, shape (3,).
-
-        Raises ValueError: the axis has no direction.
-        """
+        """Unit vector out of the bone, shape (3,); ValueError where the axis has no direction."""
         axis = np.asarray(self.axis, dtype=np.float64)
         length = float(np.linalg.norm(axis))
         if not (np.isfinite(length) and length > UNIT_TOLERANCE):
@@ -133,10 +128,7 @@ class Guidance:
         return np.asarray(axis / length)
 
     def numbers(self) -> FloatArray:
-        """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,).
-
-        Raises ValueError: the axis has no direction, or no surface has the funnel's numbers.
-        """
+        """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,)."""
         out = np.empty(gd.GUIDANCE_SIZE)
         out[gd.ORIGIN : gd.ORIGIN + 3] = self.entry_m
         out[gd.AXIS : gd.AXIS + 3] = self.unit_axis()
@@ -174,10 +166,7 @@ class Guidance:
 
 
 def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
-    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,).
-
-    ``label``: which of the things to be compared it is.
-    """
+    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,)."""
     block = np.zeros(env.ENVIRONMENT_SIZE)
     block[env.VERSION] = env.BLOCK_VERSION
     block[env.KIND] = env.GUIDANCE
@@ -246,10 +235,7 @@ def weaker(plan: Guidance, strength: float) -> Guidance:
 
 
 def needed_damping(plan: Guidance, demands: Demands) -> float:
-    """Device damping [N s/m] that renders a plan passively.
-
-    ``demands``: clamp, period and delay of the device.
-    """
+    """Device damping [N s/m] that renders a plan passively: of pull and wall, and of the bone."""
 
     def bound(slope: float, stiffness: float, tau: float) -> float:
         return damping_bound(
@@ -280,11 +266,7 @@ def needed_damping(plan: Guidance, demands: Demands) -> float:
 
 
 def check_guidance(plan: Guidance, demands: Demands) -> tuple[Guidance, GuidanceCheck]:
-    """The plan as this device can render it.
-
-    Returns the plan, weaker where it has to be, and the numbers.  Raises DeviceError: nothing that could be
-    felt is stable on this device.
-    """
+    """The plan, made weaker until this device can render it; DeviceError where it could not be felt."""
     offered = DAMPING_SHARE * demands.damping_N_s_per_m
     planned = needed_damping(plan, demands)
     if planned <= offered:

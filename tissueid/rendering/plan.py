@@ -1,7 +1,7 @@
 """Everything that is decided before any force: which tissue, device, scale, surface, order, log.
 
-:func:`plan_session` refuses what can't be rendered (damaged bundle, missing device, unstable scale, another
-tip) while nothing moves yet; what it returns is all that :mod:`tissueid.rendering.session` needs.
+What can't be rendered (damaged bundle, missing device, unstable scale, another tip) is refused while nothing
+moves yet; there are sessions without a tissue: an installed force law, a planned axis.
 """
 
 from __future__ import annotations
@@ -75,10 +75,7 @@ SIMULATED = "sim"
 
 
 def plan_session(options: RenderOptions) -> SessionPlan:
-    """Decide everything, or refuse.
-
-    Raises UsageError, BundleError, DeviceError: before anything moved, with the way out.
-    """
+    """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
     name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
@@ -415,12 +412,10 @@ def law_session(options: RenderOptions, choice: tuple[str, str], device: HapticD
 
 
 def guided_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
-    """A session with guidance along a planned axis.
+    """A session with guidance along a planned axis; DeviceError where none that could be felt is stable.
 
     The passivity controller only watches: what the pull stored before the hand engaged would count as
     energy that was made.
-
-    Raises DeviceError: nothing that could be felt is stable on this device.
     """
     scene = options.scene
     assert scene is not None  # noqa: S101 -- asked by the caller

@@ -1,8 +1,6 @@
-"""The recorder: every tick of the ring to a file that a killed process leaves whole.
+"""Records of a session: every tick of the ring to a file that a killed process leaves whole, and a summary.
 
-Records are appended to ``<log>.part`` and become ``<log>`` (HDF5) at the end.  A disk that is full, or any
-other failure to write, stops the recording and nothing else: the session goes on, says so and ends with
-exit code 7; what was recorded until then is kept.
+A failure to write, a full disk included, stops the recording and nothing else; what was recorded is kept.
 """
 
 from __future__ import annotations
@@ -25,10 +23,9 @@ PART_SUFFIX = ".part"
 
 
 class Recorder:
-    """Writes one log.
+    """Writes one log: records to ``<log>.part``, which becomes ``<log>`` (HDF5) at the end.
 
-    ``path``: of the finished log; ``head``: see ``schemas/session.schema.json``; ``record`` and ``schema``
-    are added.  Raises UsageError: the file exists, or can't be written there.
+    Raises UsageError: the file exists, or can't be written there.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
@@ -60,19 +57,12 @@ class Recorder:
             raise UsageError(msg)
 
     def append(self, records: NDArray[Any]) -> None:
-        """Append records; after a failure to write nothing more is tried.
-
-        ``records`` (n,).
-        """
+        """Append records; after a failure to write nothing more is tried."""
         if self.stopped is None and records.size and self._write(np.ascontiguousarray(records).tobytes()):
             self.written += records.size
 
     def finish(self, summary: Mapping[str, Any]) -> Path:
-        """Close the log and turn it into HDF5.
-
-        ``summary``: of the session.  Returns where the log is: the HDF5 file, or the part where there was no
-        room for it; then :attr:`stopped` says why.
-        """
+        """Close the log and turn it into HDF5; where there was no room for it the part stays."""
         self._close()
         try:
             convert_session_log(self.part, self.path, {**summary, "recording_stopped": self.stopped})
@@ -120,10 +110,7 @@ def period_statistics(error_s: FloatArray) -> dict[str, float]:
 
 
 class SessionSummary:
-    """Counts over all records of a session.
-
-    ``period_s``: of the servo [s].
-    """
+    """Counts over all records of a session."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -149,10 +136,7 @@ class SessionSummary:
         return self._last_s - self._first_s
 
     def add(self, records: RecordArray, lost: int = 0) -> None:
-        """Count new records.
-
-        ``records`` (n,); ``lost``: records that were overwritten before they could be read.
-        """
+        """Count new records, and those that were overwritten before they could be read."""
         self._lost += lost
         if not records.size:
             return
@@ -177,11 +161,7 @@ class SessionSummary:
         self.state, self.fault = State(int(records["state"][-1])), Fault(int(records["fault"][-1]))
 
     def as_json(self, *, scheduling: str, virtual_time: bool) -> dict[str, Any]:
-        """The summary of ``schemas/session.schema.json``, ``recording_stopped`` left open.
-
-        ``scheduling``: in words, as the servo got it; ``virtual_time``: then periods are exact and nothing is
-        late.
-        """
+        """The summary of ``schemas/session.schema.json``, ``recording_stopped`` left open."""
         errors = np.concatenate(self._errors).astype(np.float64) if self._errors else np.zeros(0)
         off = float(np.mean(errors > OFF_SHARE * self._period_s)) if errors.size else 0.0
         ticks = max(self._ticks, 1)

@@ -1,7 +1,4 @@
-"""The figures of this machine: how punctual its servo is, and how long a tick takes.
-
-Measured on the simulated device, so that nothing moves; a real device adds its wire.
-"""
+"""The figures of this machine, on the simulated device: punctuality of its servo, time of a tick."""
 
 from __future__ import annotations
 
@@ -92,11 +89,7 @@ class SelfTest:
 def run_selftest(
     seconds: float = DEFAULT_SECONDS, progress: Callable[[float], None] = lambda _share: None
 ) -> SelfTest:
-    """Measure this machine.
-
-    ``seconds``: how long the servo runs [s]; ``progress``: told the share that is done.  Raises DeviceError:
-    the servo process can't be started, or took the force away.
-    """
+    """Measure this machine for some seconds; DeviceError where the servo can't run."""
     begun = time.monotonic()
     with ServoProcess(ServoPlan("sim", {"real_time": True})) as servo:
         start_s = time.monotonic() - begun

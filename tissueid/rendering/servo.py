@@ -1,8 +1,7 @@
-"""Messages between the owner and the servo process, and how punctual it was, as frozen data.
+"""The owner's side of the servo process: spawn, parameters, heartbeat, end, and the messages between both.
 
-Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose other
-end stays open: its end of file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or
-``failed``.
+Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose end of
+file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or ``failed``.
 """
 
 from __future__ import annotations
@@ -74,11 +73,7 @@ class PeriodStatistics:
 
 
 def period_statistics(histogram: IntArray, missed: int, period_ns: int, scheduling: str) -> PeriodStatistics:
-    """Figures from a loop's histogram.
-
-    ``histogram`` (BINS + 1,): as :func:`tissueid.rendering.servo_loop.realtime_loop` filled it; ``missed``:
-    deadlines skipped.
-    """
+    """Figures from a loop's histogram, shape (BINS + 1,), and the deadlines it skipped."""
     counts = histogram[:-1]
     total = int(counts.sum())
     passed = np.cumsum(counts)
@@ -181,10 +176,7 @@ def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: in
 
 
 def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
-    """The plan that :func:`send_plan` sent, and this process's own descriptors: ring, block, perhaps a hand.
-
-    Raises EOFError: the owner died meanwhile.
-    """
+    """The plan and this process's own descriptors (ring, block, hand); EOFError where the owner died."""
     data = b""
     with _socket(descriptor) as there:
         head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 3)
@@ -224,12 +216,7 @@ START_TIMEOUT_S = 60.0
 
 
 class ServoProcess:
-    """A servo in its own process.
-
-    ``start_timeout_s``: until the loop runs; a device that a user must home needs more; ``tell``: told what
-    the device says to its user while it is opened and homed; ``spawned``: a process that waits for a plan;
-    without it one is spawned by ``start``.
-    """
+    """A servo in its own process; ``spawned``: one that waits for a plan."""
 
     def __init__(
         self,
@@ -256,11 +243,7 @@ class ServoProcess:
         self._text = b""
 
     def start(self) -> ServoReady:
-        """Send the plan and wait until the loop runs, with zero force.
-
-        Raises DeviceError, UsageError, BundleError: what the process refused, or DeviceError where it died or
-        took too long.
-        """
+        """Send the plan and wait until the loop runs, with zero force; raises what the process refused."""
         try:
             self.ready = self._started()
         except BaseException:
@@ -294,10 +277,7 @@ class ServoProcess:
         self.block.order(COMMAND_DISENGAGE)
 
     def poll(self) -> ServoEnd | None:
-        """End of the servo, or None while it runs.
-
-        Raises DeviceError: the process died without a word.
-        """
+        """End of the servo, or None while it runs; DeviceError where it died without a word."""
         if self.end is None:
             words = self._next_line(0.0)
             if words is not None:
@@ -308,10 +288,7 @@ class ServoProcess:
         return self.end
 
     def stop(self) -> ServoEnd:
-        """Ramp down, end the loop, close the device.
-
-        Raises DeviceError: it did not end in time (and was killed), or died without a word.
-        """
+        """Ramp down, end the loop, close the device; DeviceError where it did not end in time."""
         self.block.order(COMMAND_STOP)
         deadline = time.monotonic() + REAP_S
         while self.poll() is None and time.monotonic() < deadline:

@@ -1,8 +1,7 @@
 """One session from its plan to its summary: servo, records, switches, and zero force at the end.
 
-The loop of the owner does little and often: read what is new in the ring, hand it to recorder, summary,
-bridge and display, give a sign of life, exchange the tissue where that was asked for.  Nothing here touches
-a force.
+The owner's loop hands on what is new in the ring, gives a sign of life and exchanges the tissue; it touches
+no force.
 """
 
 from __future__ import annotations
@@ -61,12 +60,10 @@ class Outcome:
 
 
 class Session:
-    """Runs a plan.
+    """Runs a plan; ``spawned``: a process that waits for it, closed by its owner whether it was taken or not.
 
-    ``ask``: what the person wants now; asked every turn, must not wait; ``show``: ``show(newest record,
-    summary)``, every turn in which something is new; ``tell``: told what a device asks of its user while it
-    is homed; ``spawned``: a process that waits for the plan; its owner closes it, whether it was taken or
-    not; ``watch``: given the servo before its first tick, for its records and, in a simulation, its hand.
+    ``ask`` and ``show`` are called every turn and must not wait; ``watch`` is given the servo before its
+    first tick.
     """
 
     def __init__(
@@ -99,10 +96,7 @@ class Session:
         self._switches_s = list(() if plan.script is None else plan.script.switches_s)
 
     def run(self) -> Outcome:
-        """Run to the end.
-
-        Raises DeviceError, UsageError, BundleError: the device could not be used.
-        """
+        """Run to the end; DeviceError, UsageError or BundleError where the device could not be used."""
         try:
             if self.plan.virtual:
                 return self._virtual()

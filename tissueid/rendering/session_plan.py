@@ -1,9 +1,4 @@
-"""Comparing tissues without knowing which is felt: order, answer key, consent, pseudonym.
-
-Presentations are numbered; every tissue comes equally often, in an order drawn anew for each session.  The
-log knows the numbers alone.  What each was stands in a key file apart, readable by its owner only, which is
-written before the first presentation and never printed.
-"""
+"""A session that is ready to begin: its script, its blind order, and what its log says of it first."""
 
 from __future__ import annotations
 
@@ -57,10 +52,7 @@ class BlindOrder:
 
 
 def check_pseudonym(text: str | None) -> str:
-    """A pseudonym that is no name: up to three letters and a number; drawn where none is given.
-
-    Raises UsageError: it could be a name.
-    """
+    """A pseudonym that is no name, as P17; drawn where none is given, UsageError for anything else."""
     if text is None:
         return f"P{secrets.randbelow(90000) + 10000}"
     if _PSEUDONYM.fullmatch(text) is None:
@@ -70,12 +62,7 @@ def check_pseudonym(text: str | None) -> str:
 
 
 def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | None = None) -> BlindOrder:
-    """A random order in which every tissue comes equally often.
-
-    ``count``: tissues to compare; ``presentations``: a multiple of ``count``; ``seed``: from the operating
-    system where none is given.  Raises UsageError: fewer than two tissues, or a number of presentations that
-    can't be balanced.
-    """
+    """A random order in which every tissue comes equally often; UsageError where it can't be balanced."""
     if count < 2:
         msg = (
             "--blind compares tissues: give a second one with --against, --against-draw or --against-quantile"
@@ -93,11 +80,7 @@ def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | No
 
 
 def write_key(path: Path, order: BlindOrder, tissues: Sequence[dict[str, Any]]) -> None:
-    """Write what each presentation is, for the owner's eyes.
-
-    ``tissues``: what each tissue is: name, bundle, draw.  Raises UsageError: the file exists, or can't be
-    written.
-    """
+    """Write what each presentation is, readable by the owner only; UsageError where it can't be."""
     document = {
         "pseudonym": order.pseudonym,
         "seed": order.seed,
@@ -151,10 +134,7 @@ class Script:
 
 
 def read_script(text: str) -> Script:
-    """Read a script.
-
-    Raises UsageError: a part is no stroke, leads nowhere, or switches inside the tissue.
-    """
+    """Read a script; UsageError where a part is no stroke, leads nowhere, or switches inside the tissue."""
     parts = [" ".join(part.split()) for part in text.split(";") if part.strip()]
     stroke_texts = [part for part in parts if part != SWITCH]
     strokes = parse_script("; ".join(stroke_texts))
@@ -204,10 +184,7 @@ class SessionPlan:
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
-    """Head of the log; in a blind session it knows numbers of presentations alone.
-
-    ``surface`` (SURFACE_SIZE,); ``hashes``: SHA-256 of the bundle of each tissue, or None.
-    """
+    """Head of the log; in a blind session it knows numbers of presentations alone."""
     capabilities = plan.capabilities
     return {
         "tissueid": __version__,

@@ -1,15 +1,6 @@
 """Surfaces that a spherical tool tip touches: how deep, and which way is out (compiled).
 
-A surface is described by :data:`SURFACE_SIZE` numbers in metres, device frame::
-
-    kind, point[3], normal[3], size[3], tool_radius
-
-plane   point on it and unit normal out of the tissue; size unused
-sphere  point is the centre, size[0] the radius
-box     point is the centre, size the half widths along x, y, z
-
-The tip is a sphere around the device position: it penetrates by its radius less its centre's distance
-from the surface, so that edges of a box are felt rounded by the tip.
+The tip penetrates by its radius less its centre's distance from the surface: edges of a box are felt rounded.
 """
 
 from __future__ import annotations
@@ -46,13 +37,10 @@ NO_FACE = 0.0
 
 @tick_part
 def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
-    """Depth of the tool tip in a surface.
+    """Depth [m] of the tool tip in a surface, negative in air; the face and the normal out go to ``memory``.
 
-    ``surface``: holds the :data:`SURFACE_SIZE` numbers of the surface from index ``at``; ``position`` (3,):
-    centre of the tip [m]; ``memory``: holds :data:`TOUCH_SIZE` numbers from index ``first``, **updated in
-    place**: the face of a box by which the tip came in, then the unit vector out of the tissue.  The tip
-    stays with its face as long as its centre is inside, or a push through the middle would turn the force
-    around.  Returns penetration [m]: positive in contact, negative in air.
+    The tip stays with the face of a box by which it came in as long as its centre is inside, or a push
+    through the middle would turn the force around.
     """
     kind = int(surface[at + KIND])
     if kind == SPHERE:

@@ -1,4 +1,8 @@
-"""The flat block of an environment, written from an identified tissue, its scale and a surface."""
+"""The flat block of an environment, written from an identified tissue, its scale and a surface.
+
+On a curved surface two spheres touch with 1/R = 1/r_tip + 1/R_surface and Hertz's stiffness falls by sqrt(R /
+r_tip).
+"""
 
 from __future__ import annotations
 
@@ -37,10 +41,7 @@ RUPTURE_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Half space below a plane.
-
-    Raises ValueError: the normal has no direction, or a number is not finite.
-    """
+    """Half space below a plane; ValueError where the normal has no direction, or a number is not finite."""
 
     point_m: Vector = WORKSPACE_CENTRE_M  # a point on the plane
     normal: Vector = TOWARD_USER  # out of the tissue; made a unit vector
@@ -60,10 +61,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball.
-
-    Raises ValueError: the radius is not positive, or a number is not finite.
-    """
+    """A ball; ValueError where the radius is not positive, or a number is not finite."""
 
     centre_m: Vector
     radius_m: float
@@ -81,10 +79,7 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A block with faces along the axes.
-
-    Raises ValueError: a half width is not positive, or a number is not finite.
-    """
+    """A block with faces along the axes; ValueError where a half width is not positive and finite."""
 
     centre_m: Vector
     half_widths_m: Vector
@@ -106,10 +101,7 @@ Surface = Plane | Sphere | Box
 
 
 def surface_from(numbers: FloatArray) -> Surface:
-    """The surface behind the numbers that it wrote, :data:`~tissueid.rendering.surface.SURFACE_SIZE` of them.
-
-    Raises ValueError: they describe none.
-    """
+    """The surface behind the numbers that it wrote; ValueError where they describe none."""
     point = (float(numbers[1]), float(numbers[2]), float(numbers[3]))
     size = (float(numbers[7]), float(numbers[8]), float(numbers[9]))
     if numbers[0] == srf.SPHERE:
@@ -141,12 +133,9 @@ def tissue_block(
     tool_radius_m: float = 0.0,
     label: int = 0,
 ) -> FloatArray:
-    """Write the block of a tissue behind a surface.
+    """Write the block of a tissue behind a surface, shape (ENVIRONMENT_SIZE,).
 
-    ``force_scale``, ``motion_scale``: device force over tissue force, device travel over tissue depth;
-    ``tool_radius_m``: of the tip that is drawn at the device [m]; 0 is a point; ``label``: which of several
-    tissues this is.  Returns (ENVIRONMENT_SIZE,).  Raises ValueError: a number is not finite, a scale is not
-    positive, or the tissue is not passive.
+    Raises ValueError: a number is not finite, a scale is not positive, or the tissue is not passive.
     """
     numbers = (force_scale, motion_scale)
     if not (np.isfinite(numbers).all() and min(numbers) > 0.0 and 0.0 <= tool_radius_m < np.inf):
@@ -200,10 +189,7 @@ Shape = tuple[str, tuple[float, ...]]
 
 
 def parse_surface(text: str) -> Shape:
-    """Read ``plane``, ``sphere R mm`` or ``box X x Y x Z mm``, in tissue millimetres.
-
-    Raises UsageError: it is none of them, or has no size.
-    """
+    """Read ``plane``, ``sphere R mm`` or ``box X x Y x Z mm``, in tissue millimetres; else UsageError."""
     line = " ".join(text.split())
     if line == "plane":
         return "plane", ()
@@ -218,11 +204,7 @@ def parse_surface(text: str) -> Shape:
 def place_surface(
     shape: Shape, device: Capabilities, *, depth_mm: float, motion_scale: float, tool_radius_m: float
 ) -> Surface:
-    """Put a surface into a device's workspace, so that the identified depth lies around its middle.
-
-    ``shape``: :func:`parse_surface`; ``depth_mm``: identified depth; ``motion_scale``: s_x;
-    ``tool_radius_m``: the tip touches where its centre is this far above the surface.
-    """
+    """Put a surface into a device's workspace, so that the identified depth lies around its middle."""
     middle = [0.5 * (low + high) for low, high in device.workspace_m]
     half_m = 0.5 * (device.workspace_m[2][1] - device.workspace_m[2][0])
     touch_m = middle[2] + min(0.5 * depth_mm * MM * motion_scale, half_m)
@@ -249,11 +231,7 @@ def travel_behind(surface: Surface, device: Capabilities, *, tool_radius_m: floa
 
 
 def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -> list[str]:
-    """Remarks on tip and curvature; what the law can't be meant for is refused.
-
-    ``shape``: :func:`parse_surface`; ``tip_radius_mm``: the tip asked for; None for the identified one.
-    Raises BundleError: another tip, or a surface too curved or too small for the identified depth.
-    """
+    """Remarks on tip and curvature; BundleError for another tip, or a surface too curved or too small."""
     remarks = _tip_remarks(tissue, tip_radius_mm)
     depth = tissue.model.depth_mm
     kind, sizes = shape

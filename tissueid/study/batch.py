@@ -1,8 +1,7 @@
-"""The public set of a run, put together from the files of its specimens in their order.
+"""A cohort: files to specimens, specimens to files of their own, those to the set that is public.
 
-Up to :data:`LARGE` specimens the set is one document, one report and merged files.  A larger cohort has
-the document, a report that is an index with a page a specimen, and leaves curves, draws and bundles
-where they are, in ``specimens/``; memory does not grow with it.
+Results are put down as they come, so that a run that ended early is gone on with by the same command; who
+computed them, and how many at a time, changes nothing.
 """
 
 from __future__ import annotations
@@ -113,11 +112,9 @@ def assemble(
     options: IdentifyOptions,
     provenance: Mapping[str, Any],
 ) -> Assembled:
-    """Write the document, and the merged files of a set that is not large, into an output set.
+    """Write the document, and the merged files of a set that is not large, into an open output set.
 
-    ``run``: open, not yet committed; ``index``: all of whose jobs are done or failed; ``provenance``: added
-    to what is recorded anyway.  Raises BundleError: a specimen's file is damaged, or the document breaks its
-    schema.
+    Raises BundleError: a specimen's file is damaged, or the document breaks its schema.
     """
     found = Assembled(run.path(IDENTIFICATION), jobs=index.count("done") + index.count("failed"))
     files: dict[str, Path] = {}
@@ -247,12 +244,7 @@ class SeveralSpecimensError(Exception):
 def fit_while_read(
     inventory: Inventory, chains: Path, recent: RecentTrials, progress: Progress
 ) -> Identification:
-    """Read every file of a request and fit its one specimen.
-
-    ``inventory``: told of every file; ``chains``: folder for chains that are being sampled; ``recent``: told
-    of every trial, for the jobs where there are several specimens.  Raises SeveralSpecimensError: there is
-    more than one.
-    """
+    """Read every file and fit its one specimen, or raise SeveralSpecimensError; what was read stays known."""
     request = inventory.request
     names: dict[str, str] = {}
     return identify(
@@ -299,9 +291,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assembled:
     """Fit every specimen among some files and put the public set together, without committing it.
 
-    ``run``: open; its folder keeps the index and the files of specimens whether or not it is committed;
-    ``progress``: ``progress(message, done, total)``.  Raises BundleError: the output can't be written, a full
-    disk included; what is finished is kept.
+    Raises BundleError: the output can't be written, a full disk included; what is finished is kept.
     """
     with Index(run.out) as index:
         process = {"pid": os.getpid(), "host": platform.node()}

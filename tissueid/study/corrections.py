@@ -1,7 +1,6 @@
-"""One decision of the user as one table of study.toml; every other character of the file stays.
+"""Decisions taken on an inspection's page, each a table of study.toml; every other character of it stays.
 
 Tables that were written here carry :data:`MARK` behind their header; only those are replaced or taken out.
-A new table stands at the end of the file, since later tables win.
 """
 
 from __future__ import annotations
@@ -73,10 +72,9 @@ class Correction:
 
 
 def corrected_text(text: str, correction: Correction) -> str:
-    """The text of a study file with a decision in it, or without it again.
+    """The text of a study file (or of none) with a decision in it, or without it again.
 
-    ``text``: a valid study file; empty where there is none yet.  Raises UsageError: the file is laid out so
-    that a table can't be added to it or taken out of it.
+    Raises UsageError: the file is laid out so that a table can't be added to it or taken out of it.
     """
     table = CORRECTED[correction.key]
     text = text or f'schema = "{SCHEMA}"\n'
@@ -174,11 +172,7 @@ _SWITCHES = {"rupture": False, "exclude": True}
 
 
 class CorrectedInspection:
-    """Inspection that the page's server corrects; one request at a time.
-
-    ``manifest``: the study file, which need not be there yet; ``inspect``: inspects everything, by the study
-    file as it stands; ``reading``: of the run.
-    """
+    """Inspection that the page's server corrects, one request at a time; a study file is not needed."""
 
     def __init__(self, manifest: Path, inspect: Callable[[], Inspection], reading: ReadOptions) -> None:
         self.manifest = manifest
@@ -188,19 +182,15 @@ class CorrectedInspection:
         self._inspection: Inspection | None = None
 
     def page(self) -> str:
-        """The page by what study.toml says now.
-
-        Raises InputError: study.toml is not valid.
-        """
+        """The page by what study.toml says now; InputError where it is not valid."""
         with self._lock:
             return self._current().page(served=True)
 
     def decide(self, words: Mapping[str, Any]) -> str:
-        """Take a decision, or take it back.
+        """Take a decision, or take it back, by the words that the page sends; what was written.
 
-        ``words``: ``path``, ``sheet``, ``key``, ``value`` and ``because``, as the page sends them.  Returns
-        what was written.  Raises UsageError: it makes no sense for this recording; study.toml is as it was;
-        InputError: study.toml is not valid, or would not be.
+        Raises UsageError: it makes no sense for this recording; InputError: study.toml is not valid,
+        or would not be. The file is then as it was.
         """
         with self._lock:
             return self._decide(words)

@@ -1,4 +1,4 @@
-"""Programs of the machine, read from the recordings: groups of one program, with steps, holds and speeds."""
+"""The first study file of a folder: what headers and data say, and comments for what only people know."""
 
 from __future__ import annotations
 
@@ -180,10 +180,7 @@ class Program:
 
 
 def programs_of(trials: Sequence[Trial]) -> list[Program]:
-    """Group recordings by what was run.
-
-    Returns in the order of their first recordings; one that can't be segmented is in none.
-    """
+    """Group recordings by what was run, in the order of their first; what can't be segmented is in none."""
     found: list[Program] = []
     for position, trial in enumerate(trials):
         divided = segmented(trial)
@@ -354,11 +351,7 @@ def _rate(trial: Trial) -> float | None:
 
 
 def draft_study(folder: Path, trials: Sequence[Trial], refused: Sequence[Refusal] = ()) -> str:
-    """The text of a study file for the recordings of a folder.
-
-    ``folder``: where the file will stand; names are relative to it; ``refused``: recordings that could not be
-    read; named in comments.  Returns TOML that :func:`tissueid.ingest.manifest.read_study` reads.
-    """
+    """TOML of a study file for the recordings of a folder; those that could not be read are in comments."""
     protocols, of_trial = _protocols(trials)
     names = display_names([(trial.specimen, trial.source) for trial in trials])
     capacity = [capacity_in(trial.source.metadata, decimal=trial.source.decimal) for trial in trials]

@@ -17,10 +17,7 @@ from tissueid.store.files import write_file
 
 
 def find_manifest(trial: str, named: str | None = None) -> Path:
-    """The study file of a recording: the named one, else the nearest above it, else that of this folder.
-
-    Raises UsageError: there is none.
-    """
+    """The study file of a recording: named, nearest above it, or of this folder; UsageError without any."""
     if named is not None:
         path = Path(named)
         return path / MANIFEST if path.is_dir() else path
@@ -41,10 +38,7 @@ def _split(trial: str) -> tuple[str, str | None]:
 
 
 def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
-    """File relative to the manifest's folder, and sheet.
-
-    Raises UsageError: there is no such recording.
-    """
+    """File relative to the manifest's folder, and sheet; UsageError where there is no such recording."""
     name, sheet = _split(trial)
     for file in (Path(name), manifest.parent / name):
         if file.is_file():
@@ -85,12 +79,10 @@ def _same(document: tomlkit.TOMLDocument, file: str, sheet: str | None) -> Itera
 
 
 def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | None]:
-    """Add ``[[exclude]]`` for a recording, or change its reason.
+    """Add ``[[exclude]]`` for ``file`` or ``file::sheet``; its name in the manifest, and the reason before.
 
-    ``trial``: file, or ``file::sheet``; relative to here or to the manifest; ``because``: the reason, shown
-    wherever the recording is missed.  Returns ``named``: the recording as the manifest names it;
-    ``replaced``: the reason that stood there before.  Raises UsageError: no such recording, or no reason;
-    InputError: the manifest is not valid; it is left as it was.
+    Raises UsageError: no such recording, or no reason; InputError: the manifest is not valid; it is left
+    as it was.
     """
     if not because.strip():
         msg = "an exclusion needs a reason: --because TEXT"
@@ -118,10 +110,10 @@ def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | Non
 
 
 def include(trial: str, *, manifest: Path) -> str:
-    """Take a recording's ``[[exclude]]`` out again; its parameters are those of :func:`exclude`.
+    """Take a recording's ``[[exclude]]`` out again; its name in the manifest.
 
-    Returns the recording as the manifest names it.  Raises UsageError: it is not excluded, or by a glob or
-    for a whole workbook, which is for people to change.
+    Raises UsageError: it is not excluded, or by a glob or for a whole workbook, which is for people to
+    change.
     """
     file, sheet = _located(trial, manifest)
     study, document, crlf = _document(manifest)

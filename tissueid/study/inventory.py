@@ -1,4 +1,7 @@
-"""Request of a user for a cohort, and its workplace: this process, others of this machine, or a cluster."""
+"""Request of a cohort, and every file of it looked into: what it holds goes into the index in their order.
+
+A file whose bytes are those that an earlier run saw, read in the same way, is hashed and not parsed.
+"""
 
 from __future__ import annotations
 
@@ -96,11 +99,10 @@ class Workplace:
     def workforce(
         self, tasks: int, seconds: float, function: Callable[[str, bytes], bytes], *, asked: bool
     ) -> Workforce:
-        """Who computes some tasks.
+        """Who computes some tasks that cost ``seconds`` together; ``function``: how this process does.
 
-        ``tasks``: how many there are; ``seconds``: what they are expected to cost together; ``function``: how
-        this process computes one: word and payload -> result; ``asked``: whether the number of processes that
-        the user asked for is meant for these tasks, however small.
+        ``asked``: the number of processes that the user asked for is meant for these tasks, however
+        small.
         """
         if self._opened is None and self._scheduler != LOCAL:
             from tissueid.study.cluster import DaskWorkers
@@ -158,10 +160,7 @@ def found_in(item: Trial | InputError) -> Found:
 
 
 def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[Found] | None:
-    """Everything a file holds; ``None`` where it is the file that was known.
-
-    ``keep``: told every trial that was read.
-    """
+    """Everything a file holds; ``None`` where it is the file that was known."""
     if file.known:
         try:
             if sha256_of(Path(file.path)) == file.known:
@@ -387,11 +386,7 @@ class Inventory:
 
 
 def files_a_task(files: int, size: float) -> int:
-    """Files a task looks into, of so many of that size [bytes].
-
-    A task costs some 12 ms of handing out on a cluster, and a scheduler keeps its name; a short recording
-    takes less to look into.
-    """
+    """Files a task looks into, of so many of that size [bytes]; a task costs a cluster some 12 ms."""
     if size <= 0.0:
         return FEW_FILES
     return max(FEW_FILES, min(MANY_FILES, files // TASKS, int(BYTES_A_TASK / size)))

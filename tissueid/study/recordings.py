@@ -1,8 +1,7 @@
-"""Recordings of a study, and the options each is read with.
+"""Recordings of a study in their order, the options each is read with, and the study's words on some of them.
 
-A folder that holds ``study.toml`` is read with it, and so is a file of that folder.  The files that the
-manifest names come first, in its order; recordings beside them are read as well, unless the study says
-``only_listed = true``.
+Files that the manifest names come first; those beside them are read as well, unless it says ``only_listed =
+true``.
 """
 
 from __future__ import annotations
@@ -27,11 +26,9 @@ _READING = ("columns", "units", "axes")
 def locate_study(
     paths: Sequence[str], *, named: str | None = None, ignore: bool = False
 ) -> tuple[Study | None, tuple[str, ...]]:
-    """The study behind some paths, and what is to be read.
+    """The study behind some paths, and what is to be read in place of a manifest among them.
 
-    ``paths``: recordings, folders, or a manifest itself; ``named``: a manifest named apart from the paths;
-    ``ignore``: look for none.  Returns ``study``; ``paths``: with the manifest's own files in place of the
-    manifest.  Raises UsageError: two studies at once, or one that is both named and ignored; InputError: the
+    Raises UsageError: two studies at once, or one that is both named and ignored; InputError: the
     manifest is not valid.
     """
     manifests = [path for path in paths if path.casefold().endswith(".toml")]

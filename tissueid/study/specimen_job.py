@@ -1,7 +1,6 @@
 """The job of a cohort: one specimen from its recordings to the bytes of its file.
 
-A job is everything :func:`tissueid.pipeline.identify` needs to know of one specimen; its key is a hash of all
-that may change the result, so that what is there already is not computed again.
+Its key is a hash of all that may change the result, so that what is there already is not computed again.
 """
 
 from __future__ import annotations
@@ -104,11 +103,7 @@ def fit_here(
     recent: RecentTrials | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SpecimenResult:
-    """Fit the specimen of a job in this process.
-
-    ``recent``: trials that need not be read again; ``progress``: ``progress(message, done, total)`` of this
-    job.  Raises InputError: a file is not the one that was looked at.
-    """
+    """Fit the specimen of a job in this process; InputError where a file is not the one that was known."""
     refused: list[Refusal] = []
 
     def trials() -> Iterator[Trial]:
@@ -139,10 +134,7 @@ def result_of(
     shown: str,
     options: IdentifyOptions,
 ) -> SpecimenResult:
-    """Stored part of an identification of one specimen.
-
-    Raises BundleError: the result breaks its schema.
-    """
+    """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
     document = plain_json(identification.as_json())
     check(document, "identification", where=shown)
     study = document["study"]

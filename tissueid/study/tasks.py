@@ -1,8 +1,7 @@
-"""A task is bytes in, bytes out: the same in this process, in a spawned one and on a cluster.
+"""Tasks, bytes in and bytes out, computed in this process or in spawned ones of this machine.
 
-``perform`` finds the function by its name and runs it; ``attempt`` turns whatever it raises into a
-:class:`Fault`, so that one specimen never stops the others.  Who computes checks first that it has the
-versions of who asked: numbers of other libraries would not be the same numbers.
+Every process has a pipe of its own, so that a death is that of a known task: the process is replaced, the
+task tried once more, and named if it dies again.
 """
 
 from __future__ import annotations
@@ -109,10 +108,7 @@ def _was_interrupted(error: BaseException | None) -> bool:
 def attempt(
     task: Task, worker: str | None = None, function: Callable[[str, bytes], bytes] = perform
 ) -> Outcome:
-    """Run a task; whatever it raises, but an interrupt, becomes its fault.
-
-    ``worker``: who runs it; this process's number by default; ``function``: in place of :func:`perform`.
-    """
+    """Run a task, by default as this process; whatever it raises, but an interrupt, becomes its fault."""
     worker = worker or f"process {os.getpid()}"
     began = time.perf_counter()
     result, fault = None, None
@@ -155,11 +151,7 @@ class Workforce(Protocol):
 
 
 class InThisProcess:
-    """No process but this one.
-
-    ``function``: word and payload of a task -> its result; ``one``: take one processor, and no threads on
-    others.
-    """
+    """No process but this one; ``one``: take one processor, and no threads on others."""
 
     size = 1
 
@@ -205,10 +197,7 @@ class _Worker:
 
 
 class LocalProcesses:
-    """Spawned processes of this machine.
-
-    ``workers``: how many.
-    """
+    """Spawned processes of this machine, which ignore Ctrl-C and end when their parent does."""
 
     def __init__(self, workers: int) -> None:
         self.size = workers

@@ -117,10 +117,7 @@ def _parts(one: Mechanics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
-    """Every number of a loop of one axis with its unit, its kind and its source.
-
-    Kinds: reading (a published number whose meaning was lost), derived, assumed, stated.
-    """
+    """Every number of a loop of one axis: unit, kind (reading, derived, assumed or stated) and source."""
     default = ControlSettings(settings.tissue, variant=settings.variant)
     gains, plain = settings.gains, default.gains
 
@@ -187,11 +184,7 @@ def _run(name: str, run: ControlRun) -> dict[str, Any]:
 def as_document(
     runs: Mapping[str, ControlRun], *, source: str, device: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """The document of ``schemas/control.schema.json``.
-
-    ``runs``: name -> run of one axis; the first is what was asked for; ``source``: where the tissue is from;
-    ``device``: what a device run said of itself.
-    """
+    """The document of ``schemas/control.schema.json`` on runs of one axis, the asked for one first."""
     settings = next(iter(runs.values())).settings
     bound = virtual_mass_bound(settings)
     low, high = settings.tissue.speeds_mm_s

@@ -1,7 +1,7 @@
-"""Places of a controlled loop's numbers in its flat block, for compiled code.
+"""Control law, adaptation, plant and virtual tool of a controlled loop (compiled), in SI units.
 
-SI units: metres, newtons, seconds, kilograms.  The tissue's own law stays in mm and N and is a block of its
-own (:func:`tissueid.model.kernels.pack_law`).
+Of the equations (14) to (22) of Sadeghnejad et al. the text kept the numbers alone: what stands here
+satisfies each of their sentences (docs/control.md).  The tissue's law stays in mm and N, a block of its own.
 """
 
 from __future__ import annotations
@@ -135,12 +135,10 @@ def _arm_columns(
 def regress(
     block: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
 ) -> None:
-    """Write the regressor.
+    """Write the regressor, shape (n, p), of velocity ``v`` and reference ``vr``, ``ar``.
 
-    ``block`` (BLOCK_SIZE,): of :mod:`tissueid.rendering.control.law`: the arm; ``x``, ``v`` (n,): position
-    [m] and velocity [m/s] of the device; ``vr``, ``ar`` (n,): reference velocity and acceleration; the
-    device's own give the force that it needs; ``Y`` (n, p): **Written**; p is 3 n (n + 1) / 2, and 3 more
-    with an arm.
+    p is 3 n (n + 1) / 2, and 3 more with an arm; the device's own velocity and acceleration as reference
+    give the force that it needs.
     """
     n, size = Y.shape
     for i in range(n):
@@ -188,10 +186,7 @@ def generalised_force(
 def inertia(
     block: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
 ) -> None:
-    """Write M(x) [kg] of these parameters into ``M``, shape (n, n).
-
-    ``Y`` and ``spare``, shape (2, n), are room to work in, and written.
-    """
+    """Write M(x) [kg], shape (n, n), into ``M``; ``Y`` and ``spare``, shape (2, n), are room to work in."""
     n = x.size
     nothing, unit = spare[0], spare[1]
     for j in range(n):
@@ -283,12 +278,7 @@ def environment_force(
 def tool_acceleration(
     block: FloatArray, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
 ) -> None:
-    """Write the acceleration of the virtual tool: Mt ae = Fh - F_env - Bt ve.
-
-    ``block`` (BLOCK_SIZE,); ``v`` (n,): velocity of the tool [m/s]; ``hand`` (n,): measured force of the hand
-    on the device [N]; ``touched``: force of the environment [N], along its outward normal; ``out`` (n,):
-    [m/s^2].
-    """
+    """Write the acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
     for i in range(v.size):
         out[i] = (hand[i] - block[INWARD + i] * touched - block[TOOL_DAMPING] * v[i]) / block[TOOL_MASS]
 
@@ -302,14 +292,10 @@ def advance_tool(
     hand: FloatArray,
     touched: float,
 ) -> float:
-    """Move the virtual tool over one period under a force of the hand that is held.
+    """Move the virtual tool over one period under a held force of the hand; tissue's force at its end [N].
 
     Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
     The tissue is stepped along, unless the device itself touches it: then its force is held as well.
-
-    ``block``, ``law``, ``state``: of the loop, of the tissue, and what it remembers (**updated**); ``tool``
-    (n,): position, velocity, acceleration; **updated**; ``hand``, ``touched``: as in
-    :func:`tool_acceleration`.  Returns force of the environment at the end [N].
     """
     x, v, a = tool
     steps = int(block[SUBSTEPS])
@@ -331,12 +317,7 @@ def reference(
     tool: tuple[FloatArray, FloatArray, FloatArray],
     wanted: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Reference of the device: equations (16) and (17).
-
-    ``block`` (BLOCK_SIZE,); ``device`` (n,): position [m] and velocity [m/s]; ``tool`` (n,): position,
-    velocity and acceleration of the virtual tool; ``wanted`` (n,): **Written**: vr [m/s], ar [m/s^2], rho
-    [m/s].
-    """
+    """Write vr, ar and rho of equations (16) and (17) by the tool's position, velocity, acceleration."""
     x, v = device
     xe, ve, ae = tool
     vr, ar, rho = wanted
@@ -407,11 +388,7 @@ def adapt(
     h: float,
     estimates: FloatArray,
 ) -> None:
-    """Move the estimates on by ``h`` seconds; with projection they stay within their bounds.
-
-    ``block``, ``Y``, ``rho``: as above; ``gains`` (p,): diagonal of Gamma; ``bounds`` (2, p): smallest and
-    largest value of each parameter; ``estimates`` (p,): **Updated.**.
-    """
+    """Move the estimates on by ``h`` seconds; ``gains`` is the diagonal of Gamma, ``bounds`` (2, p)."""
     for k in range(estimates.size):
         slope = 0.0
         for i in range(rho.size):
@@ -440,9 +417,8 @@ def lyapunov(
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    ``block``, ``x``, ``estimates``, ``gains``: as above; ``terms`` (n,): rho, robust, and what is unknown of
-    :func:`not_covered` [N]; ``truth`` (p,): true parameters of what is estimated; ``room`` (2, n) and (n, p)
-    and (n, n): to work in, and written.  Returns ``V, rate``: [J] where the gains are in their units; [W].
+    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N]; ``room`` (2, n), (n, p),
+    (n, n).
     """
     rho, robust, unknown = terms
     spare, Y, M = room
@@ -475,18 +451,10 @@ def command(
     Y: FloatArray,
     u: FloatArray,
 ) -> float:
-    """Step the virtual tool through the coming period and say the force that is held through it.
+    """Step the virtual tool through the coming period; the force [N] held through it is written to ``u``.
 
-    Held until the next tick, the command aims at where the tool will be then.
-
-    ``block``, ``law``, ``state``: of the loop, of the tissue, and what the tissue remembers (**updated**);
-    ``time``: since the start [s]; sigma falls with it; ``device`` (n,): measured position [m] and velocity
-    [m/s]; ``hand`` (n,): measured force of the hand on the device [N]; ``touched``: force of the environment
-    after the last period [N]; ``tool`` (n,): position, velocity, acceleration of the virtual tool;
-    **updated**; ``wanted`` (n,): **Written**: vr, ar, rho; ``robust`` (n,): **Written**: u_r [N];
-    ``estimates`` (p,); ``Y`` (n, p): **Written**: the regressor, for
-    :func:`tissueid.rendering.control.law.adapt`; ``u`` (n,): **Written**: control force [N], saturated.
-    Returns force of the environment at the end of the period [N].
+    Held until the next tick, the command aims at where the tool will be then. ``tool`` and ``state`` are
+    updated, ``wanted``, ``robust`` and ``Y`` written; returns the tissue's force at the end [N].
     """
     if block[TOUCHED_BY_DEVICE] > 0.0:
         touched = environment_force(block, law, state, device[0], block[PERIOD])

@@ -1,8 +1,7 @@
-"""Devices, hands and pushes of a controlled loop, as frozen data, with where each number comes from.
+"""Settings of a controlled loop, as frozen data, with where each number comes from.
 
-Sadeghnejad et al. print six numbers in Table 3 and no other: "1.25 2 30 1.158 115.4 31.46".  That the
-first three are mass, damping and stiffness of the operator and the others those of the device, in kg, N s/m
-and N/m, is a reading.  The push of the hand is assumed here.
+Sadeghnejad et al. print "1.25 2 30 1.158 115.4 31.46" in Table 3: that these are mass, damping and stiffness
+of operator and device, in kg, N s/m and N/m, is a reading.
 """
 
 from __future__ import annotations
@@ -30,10 +29,7 @@ from tissueid.rendering.tissue_block import Tissue
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mechanics:
-    """Mass, damping and stiffness of a device or a hand.
-
-    Raises UsageError: they are not symmetric, of different sizes, negative, or not finite.
-    """
+    """Mass, damping and stiffness of a device or a hand; UsageError where they are none."""
 
     #: (n, n): symmetric; a number is one axis.
     mass_kg: FloatArray
@@ -158,10 +154,7 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlSettings:
-    """A hand, a device, a controller, a virtual tool and a tissue.
-
-    Raises UsageError: a number makes no sense, with the way out.
-    """
+    """Hand, device, controller, virtual tool and tissue; UsageError where a number makes no sense."""
 
     tissue: Tissue
     stiffness_scale: float = 1.0  # factor on F_s and K; the paper takes 100 "to check the system stability"
@@ -264,10 +257,9 @@ class ControlSettings:
     def chatter_floor(self) -> float:
         """Smoothing sigma [N m/s] below which the sampled robust term chatters: delta^2 T / (2 M - Kr T).
 
-        The smallest mass that the robust term may move is taken: of device and hand in variant A; of the
-        device in B, whose hand is fed back one sample late.
-
-        Raises UsageError: K_r alone already overshoots in one sample.
+        M is the smallest mass that the robust term may move: of device and hand in variant A; of the
+        device in B, whose hand is fed back one sample late. Raises UsageError: K_r alone already
+        overshoots in one sample.
         """
         device, hand = self.inertias()
         mass = device + hand if self.variant == "A" else device
@@ -361,19 +353,12 @@ def _turn(
 
 
 def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
-    """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out.
-
-    ``estimate``: estimated inertia over the true one of what is estimated.  Returns largest magnitude of an
-    eigenvalue.
-    """
+    """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out."""
     return _turn(settings.variant, settings.inertias(), virtual_mass_kg, estimate)
 
 
 def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
-    """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass.
-
-    ``estimate``: as in :func:`turn_multiplier`.
-    """
+    """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass."""
     inertias = settings.inertias()
     device, hand = inertias
     if not np.any(hand):
@@ -389,10 +374,7 @@ def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> f
 
 
 def check_virtual_mass(settings: ControlSettings) -> float:
-    """The bound [kg], or a refusal.
-
-    Raises UsageError: the virtual mass lies at or below it and the loop is sampled.
-    """
+    """The bound [kg]; UsageError where the virtual mass of a sampled loop lies at or below it."""
     bound = virtual_mass_bound(settings)
     if settings.continuous_step_s is None and not settings.unchecked and settings.tool.mass_kg <= bound:
         hand = float(np.linalg.eigvalsh(settings.operator.mass_kg)[-1])

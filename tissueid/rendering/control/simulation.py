@@ -1,8 +1,7 @@
-"""The loop as a computer runs it: sampled, held, with a force sensor that is one sample old (compiled).
+"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous.
 
-At each tick the controller reads position and velocity, and the force that the hand had under the *last*
-command; the virtual tool lives in the computer and is stepped finer; the control force is held until the
-next tick, while device and hand move on, finer as well.
+The sampled loop reads the force that the hand had under the last command, and holds its own until the next
+tick.
 """
 
 from __future__ import annotations
@@ -63,11 +62,7 @@ def _advance_plant(
     plant: tuple[FloatArray, FloatArray, FloatArray],
     room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Move device and hand over one period under a held control force; leave the sensor's reading.
-
-    ``parameters`` are those of device and hand together, and of the hand; ``plant`` is position, velocity and
-    the force of the hand on the device, all updated.
-    """
+    """Move device and hand over one period under a held control force; leave the sensor's reading."""
     total, operator = parameters
     x, v, hand = plant
     a, push, disturbed, spare, Y, M = room
@@ -117,14 +112,10 @@ def run_sampled(
     room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
     out: FloatArray,
 ) -> int:
-    """Run a loop from rest at the surface of the tissue.
+    """Run a sampled loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
 
-    ``block`` (BLOCK_SIZE,); ``law`` (LAW_SIZE,): of the tissue, :func:`tissueid.model.kernels.pack_law`;
-    ``parameters`` (p,): of device and hand together, of the hand, and what the estimates should be;
-    ``adaptation``: gains, shape (p,), and bounds, shape (2, p); ``drive`` (DRIVE_ROWS, n); ``noise`` (ticks,
-    n): added to the force sensor [N]; ``room``: of :func:`sampled_room`: zeros to work in, and the first
-    estimates; ``out`` (ticks, row_size(n, p)): **Written**, see :mod:`tissueid.rendering.control.law`: each
-    row at its tick, before anything moves.  Returns rows written; fewer than ticks where the loop diverged.
+    ``parameters``: of device and hand together, of the hand, of the estimates' truth; ``noise``: of the
+    sensor [N].
     """
     n = drive.shape[1]
     rows, Y, Z, M, lists = room
@@ -185,11 +176,7 @@ def _forces(
     forces: FloatArray,
     room: Five,
 ) -> None:
-    """Solve the algebraic loop at one moment, of the drive and the time.
-
-    Rows of ``forces``, all written: push, disturbance, force of the hand, control force, rho, robust term,
-    acceleration of device and tool, vr, ar.
-    """
+    """Solve the algebraic loop at one moment, of the drive and the time; ``forces`` is written."""
     drive, time = moment
     total, operator = parameters[0], parameters[1]
     spare, Y, M, Mh, Mc = room
@@ -318,11 +305,7 @@ def run_continuous(
     room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five],
     out: FloatArray,
 ) -> int:
-    """Run a loop from rest at the surface of the tissue; a row every ``every`` steps of the period.
-
-    Parameters, ``out`` and what is returned as in
-    :func:`tissueid.rendering.control.simulation.run_sampled`; ``room`` is of :func:`continuous_room`.
-    """
+    """Run a loop without sampling from rest at the surface; a row every ``every`` steps of the period."""
     motions, forces, squares, Y, lists = room
     motion, unknown, spare = motions[0], forces[10], forces[11:13]
     solving = (spare, Y, squares[0], squares[1], squares[2])
@@ -436,10 +419,7 @@ def _drive(settings: ControlSettings) -> FloatArray:
 
 
 def simulate(settings: ControlSettings) -> ControlRun:
-    """Run a loop from rest at the surface of the tissue.
-
-    Raises UsageError: the virtual mass is below its bound, or the gains can't be sampled at this rate.
-    """
+    """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
     n = settings.axes
     device, operator = settings.true_parameters()
