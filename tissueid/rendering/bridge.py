@@ -12,8 +12,9 @@ import math
 import secrets
 import socket
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +44,22 @@ class BridgeRequest:
     stop: bool = False
 
 
+class _Plane(msgspec.Struct, forbid_unknown_fields=True):
+    point_m: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+
+class _Datagram(msgspec.Struct, forbid_unknown_fields=True):
+    """Members that a datagram may have."""
+
+    v: Literal[1]
+    token: str
+    tissue: Annotated[int, msgspec.Meta(ge=0, lt=65536)] | None = None
+    plane: _Plane | msgspec.UnsetType = msgspec.UNSET
+    engage: bool | None = None
+    stop: bool = False
+
+
 def parse_address(text: str) -> tuple[str, int]:
     """Read ``HOST:PORT`` or ``PORT``, then on loopback; UsageError without a port between 1 and 65535."""
     host, _, port = text.rpartition(":")
@@ -57,49 +74,27 @@ def parse_request(data: bytes, token: str) -> BridgeRequest | None:
     if len(data) > LARGEST_DATAGRAM:
         return None
     try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
+        found = msgspec.json.decode(data, type=_Datagram)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or found.get("v") != VERSION:
-        return None
-    if not found.keys() <= {"v", "token", "tissue", "plane", "engage", "stop"}:
-        return None
-    if not hmac.compare_digest(str(found.get("token")).encode(), token.encode()):
-        return None
-    tissue, engage, stop = found.get("tissue"), found.get("engage"), found.get("stop", False)
-    if tissue is not None and not (type(tissue) is int and 0 <= tissue < 65536):
-        return None
-    if engage is not None and type(engage) is not bool:
-        return None
-    if type(stop) is not bool:
+    if not hmac.compare_digest(found.token.encode(), token.encode()):
         return None
     plane = None
-    if "plane" in found:
-        plane = _plane(found["plane"])
+    if found.plane is not msgspec.UNSET:
+        plane = _plane(found.plane)
         if plane is None:
             return None
-    return BridgeRequest(tissue, plane, engage, stop)
+    return BridgeRequest(found.tissue, plane, found.engage, found.stop)
 
 
-def _plane(value: Any) -> Plane | None:
+def _plane(found: _Plane) -> Plane | None:
     """A plane within reach, None for anything else."""
-    if not isinstance(value, dict) or value.keys() != {"point_m", "normal"}:
-        return None
-    point, normal = _vector(value["point_m"]), _vector(value["normal"])
-    if point is None or normal is None or max(map(abs, point)) > REACH_M:
+    if not all(map(math.isfinite, (*found.point_m, *found.normal))) or max(map(abs, found.point_m)) > REACH_M:
         return None
     try:
-        return Plane(point, normal)
+        return Plane(found.point_m, found.normal)
     except ValueError:
         return None
-
-
-def _vector(value: Any) -> tuple[float, float, float] | None:
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    if not all(type(one) in {int, float} and math.isfinite(one) for one in value):
-        return None
-    return float(value[0]), float(value[1]), float(value[2])
 
 
 class UdpBridge:

@@ -73,22 +73,14 @@ def _await(compiling: subprocess.Popen[bytes], tell: Callable[[str], None]) -> N
 
 def compile_loop() -> None:
     """Compile the servo's loop for the simulated device, or take it from the disk."""
-    from tissueid.haptics.parameter_block import ParameterBlock
-    from tissueid.haptics.ring import Ring
-    from tissueid.haptics.servo_access import compiled_io
     from tissueid.haptics.sim import SimulatedDevice
     from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch
-    from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
+    from tissueid.rendering.servo_tick import servo_here
 
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-    try:
-        with SimulatedDevice() as device:
-            device.home()
-            io, servo = compiled_io(device.compiled()), new_servo(device, ring, block)
-            compiled_loop(io, servo, new_watch(), np.zeros(BINS + 1, np.int64), 1_000_000, 0)
-    finally:
-        ring.close()
-        block.close()
+    device = SimulatedDevice()
+    with servo_here(device) as (io, servo, _ring, _block):
+        device.home()
+        compiled_loop(io, servo, new_watch(), np.zeros(BINS + 1, np.int64), 1_000_000, 0)
 
 
 if __name__ == "__main__":

@@ -13,16 +13,12 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
 
-HYPERBOLOID = 0
-CONE = 1
-
+#: Readings of the printed ``z = c sqrt((x/a)^2 + (y/a)^2) - 1 - b``: with the 1 below the root, a sheet whose
+#: throat of radius a at z = -b goes on as a cylinder; as it is printed, with its apex at z = -(1 mm + b).
+HYPERBOLOID, CONE = 0, 1
 #: Numbers that describe a funnel.
 FUNNEL_SIZE = 4
-KIND = 0
-A = 1
-B = 2
-C = 3
-
+KIND, A, B, C = range(4)
 #: The length behind the printed "1" [m] (assumed).
 PRINTED_ONE_M = 1e-3
 #: Newton steps for the foot of the normal: from the height's own point it converges in 3 to 5.
@@ -114,62 +110,37 @@ def _from_hyperboloid(
 
 # -- the block, from an index on ------------------------------------------------------------------
 #: Entry point [m], and unit vector of the axis out of the bone.
-ORIGIN = 0
-AXIS = 3
-FUNNEL = 6
+ORIGIN, AXIS, FUNNEL = 0, 3, 6
 CONTACT = FUNNEL + FUNNEL_SIZE
 PULL = CONTACT + IMPACT_SIZE
 #: K far above and at the entry point [N/m], L [m], tau [s], filter [s], 1 for the axial force.
-K_FAR = PULL
-K_NEAR = PULL + 1
-REACH = PULL + 2
-TAU = PULL + 3
-FILTER_S = PULL + 4
-AXIAL = PULL + 5
+K_FAR, K_NEAR, REACH, TAU, FILTER_S, AXIAL = range(PULL, PULL + 6)
 #: Force at the entry point [N], then its change along x, y, z [N/m], rows by component of the force.
 WEIGHT = PULL + 6
 WEIGHT_SLOPE = WEIGHT + 3
 BONE = WEIGHT_SLOPE + 9
-#: Radius of the ball [m] (0: no bone), stiffness [N/m], radius of the guide hole [m].
-RADIUS = BONE
-STIFFNESS = BONE + 1
-HOLE = BONE + 2
-#: Resistance of the drilling R [N s/m], depth at which it ends [m].
-RESISTANCE = BONE + 3
-DRILL_END = BONE + 4
+#: Radius of the ball [m] (0: no bone), stiffness [N/m], radius of the guide hole [m], resistance R of the
+#: drilling [N s/m], depth at which it ends [m].
+RADIUS, STIFFNESS, HOLE, RESISTANCE, DRILL_END = range(BONE, BONE + 5)
 GUIDANCE_SIZE = BONE + 5
 
 # -- the memory -----------------------------------------------------------------------------------
-STARTED = 0
-RHO = 1
-RATE = 4
-IMPACT = 7
-#: How far the drill front stands below the entry point [m].
-DRILLED = IMPACT + IMPACT_STATE
-LAST_DEPTH = DRILLED + 1
-#: How the tip came into the bone: not at all, by the guide hole, beside it.
-WAY_IN = DRILLED + 2
+STARTED, RHO, RATE, IMPACT = 0, 1, 4, 7
+#: How far the drill front stands below the entry point [m]; how the tip came into the bone: not at all, by
+#: the guide hole, beside it.
+DRILLED, LAST_DEPTH, WAY_IN = range(IMPACT + IMPACT_STATE, IMPACT + IMPACT_STATE + 3)
+OUTSIDE, BY_THE_HOLE, BESIDE_IT = 0.0, 1.0, 2.0
 #: Components along the radius and the axis: of the wall's normal, of the bone's force [N].
 WALL = DRILLED + 3
 FROM_BONE = DRILLED + 5
 GUIDANCE_MEMORY = DRILLED + 7
 
-OUTSIDE = 0.0
-BY_THE_HOLE = 1.0
-BESIDE_IT = 2.0
-
 M_TO_MM = 1000.0
 #: Distance from the axis below which it has no direction [m].
 ON_AXIS_M = 1e-9
 
-# -- what a step says, from an index on -----------------------------------------------------------
-SAID_HEIGHT_M = 0
-SAID_OFF_AXIS_M = 1
-SAID_WALL_N = 2
-SAID_PULL_N = 3
-SAID_BONE_N = 4
-#: How deep the tip is in wall or bone [m], negative in neither; the pull alone is no contact.
-SAID_PENETRATION_M = 5
+# -- what a step says, from an index on: penetration is into wall or bone [m], negative in neither
+SAID_HEIGHT_M, SAID_OFF_AXIS_M, SAID_WALL_N, SAID_PULL_N, SAID_BONE_N, SAID_PENETRATION_M = range(6)
 SAID_SIZE = 6
 
 

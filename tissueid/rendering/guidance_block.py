@@ -201,13 +201,7 @@ class GuidanceCheck:
 
     def lines(self) -> list[str]:
         """Lines printed before force is enabled."""
-        device = self.demands
-        stability = (
-            f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "
-            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m "
-            f"({device.known})"
-        )
-        text = [f"stability  {stability}"]
+        text = [self.demands.stability(self.required_damping_N_s_per_m)]
         if self.strength < 1.0:
             text.append(
                 f"weakened   to {self.strength:.3g} of the plan, which would need "

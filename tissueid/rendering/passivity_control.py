@@ -15,29 +15,16 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.velocity import velocity_step
 
-# -- parameters -----------------------------------------------------------------------------------
+# -- parameters: without ON the observer counts, and nothing is corrected
 CONTROL_SIZE = 6
-#: 0: the observer counts, nothing is corrected.
-ON = 0
-COUNT_M = 1
-STIFFNESS = 2
-LARGEST_DAMPING = 3
-LARGEST_CORRECTION_N = 4
-LARGEST_CHANGE_N = 5
+ON, COUNT_M, STIFFNESS, LARGEST_DAMPING, LARGEST_CORRECTION_N, LARGEST_CHANGE_N = range(CONTROL_SIZE)
 
-# -- memory ---------------------------------------------------------------------------------------
+# -- memory
 CONTROL_MEMORY_SIZE = 20
-STARTED = 0
-POSITION = 1
-SENT = 4
-VELOCITY = 7
-CORRECTION = 10
-#: Energy taken from the hand since the touch began, and since the session began [J].
-TOUCH_J = 13
-TOTAL_J = 14
-ALLOWANCE_J = 15
-#: 1 in ticks that were corrected.
-ACTIVE = 16
+STARTED, POSITION, SENT, VELOCITY, CORRECTION = 0, 1, 4, 7, 10
+#: Energy taken from the hand since the touch began, and since the session began [J]; deficit that is allowed
+#: for [J]; 1 in ticks that were corrected.
+TOUCH_J, TOTAL_J, ALLOWANCE_J, ACTIVE = range(13, 17)
 
 #: Deficit that a single rounding of the ledger may show [J].
 SMALLEST_ALLOWANCE_J = 1e-6

@@ -7,7 +7,6 @@ moves yet; there are sessions without a tissue: an installed force law, a planne
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,23 +109,19 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         )
     led = options.led and script is None and choice[0] == SIMULATED
     if led:
-        rest_m = _touch_point(surface, radius_m) - REST_M * _inward(surface)
-        # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
-        given["limits"] = carried(GuardLimits.simulated())
-        given["hand"] = Hand((0.0,), ((float(rest_m[0]), float(rest_m[1]), float(rest_m[2])),), (1.0,))
-    plan = SessionPlan(
-        device=choice[0],
+        given |= _waiting_at(_touch_point(surface, radius_m) - REST_M * _inward(surface))
+    return _planned(
+        options,
+        choice,
+        device,
+        (surface.numbers(radius_m), hashes),
         device_options=given,
-        why=choice[1],
-        capabilities=device.capabilities,
         blocks=blocks,
         picked=picked,
         check=check,
         order=order,
-        head={},
         script=script,
         seconds=_seconds(options, script),
-        environment=None,
         virtual=options.virtual,
         lines=(
             choice[1],
@@ -134,9 +129,27 @@ def plan_session(options: RenderOptions) -> SessionPlan:
             *_lines(options, picked, check, functional),
         ),
         led=led,
-        scene=None if options.scene is None else options.scene.name,
     )
-    return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
+
+
+def _planned(
+    options: RenderOptions,
+    choice: tuple[str, str],
+    device: HapticDevice,
+    of_log: tuple[FloatArray, tuple[str | None, ...]],
+    **decided: Any,
+) -> SessionPlan:
+    """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
+    scene = None if options.scene is None else options.scene.name
+    plan = SessionPlan(choice[0], choice[1], device.capabilities, scene=scene, **decided)
+    return replace(plan, head=session_head(plan, *of_log))
+
+
+def _waiting_at(place_m: FloatArray) -> dict[str, Any]:
+    """Limits and hand of the simulated device where a pointer leads it from a place."""
+    x, y, z = place_m.tolist()
+    # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
+    return {"limits": carried(GuardLimits.simulated()), "hand": Hand((0.0,), ((x, y, z),), (1.0,))}
 
 
 def _tissues(
@@ -408,7 +421,7 @@ def law_session(options: RenderOptions, choice: tuple[str, str], device: HapticD
     """A session with an installed force law: no tissue, no scale, no precheck."""
     block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
     line = f"law        {options.environment}: nothing is known of its stability"
-    return _plan(options, choice, device, block, (line,), environment=options.environment)
+    return _without_tissue(options, choice, device, block, (line,), environment=options.environment)
 
 
 def guided_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
@@ -426,10 +439,8 @@ def guided_session(options: RenderOptions, choice: tuple[str, str], device: Hapt
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
     given = dict(options.device_options)
     if options.led:
-        begin = np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis()
-        given["limits"] = carried(GuardLimits.simulated())
-        given["hand"] = Hand((0.0,), ((float(begin[0]), float(begin[1]), float(begin[2])),), (1.0,))
-    return _plan(options, choice, device, block, lines, given=given, guided=True)
+        given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
+    return _without_tissue(options, choice, device, block, lines, device_options=given, guided=True)
 
 
 def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
@@ -459,36 +470,23 @@ def _told_of(guidance: Guidance) -> tuple[str, ...]:
     )
 
 
-def _plan(
+def _without_tissue(
     options: RenderOptions,
     choice: tuple[str, str],
     device: HapticDevice,
-    block: Any,
+    block: FloatArray,
     lines: tuple[str, ...],
-    *,
-    given: Mapping[str, Any] | None = None,
-    environment: str | None = None,
-    guided: bool = False,
+    **decided: Any,
 ) -> SessionPlan:
-    pseudonym = None if options.pseudonym is None else check_pseudonym(options.pseudonym)
-    plan = SessionPlan(
-        device=choice[0],
-        device_options=dict(options.device_options if given is None else given),
-        why=choice[1],
-        capabilities=device.capabilities,
+    return _planned(
+        options,
+        choice,
+        device,
+        (np.zeros(SURFACE_SIZE), (None,)),
         blocks=(block,),
-        picked=(),
-        check=None,
-        order=None,
-        head={},
-        script=None,
         seconds=options.seconds,
-        environment=environment,
-        virtual=False,
         lines=(choice[1], *lines),
         led=options.led,
-        guided=guided,
-        pseudonym=pseudonym,
-        scene=None if options.scene is None else options.scene.name,
+        pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
+        **{"device_options": dict(options.device_options), **decided},
     )
-    return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

@@ -51,6 +51,13 @@ class Demands:
     travel_m: float = np.inf  # room along the normal behind the surface [m]
     known: str = "assumed, not measured on this unit"  # where damping and newton come from, in words
 
+    def stability(self, needed_N_s_per_m: float) -> str:
+        """Line on the damping that a rendering needs, and that the device has."""
+        return (
+            f"stability  needs {needed_N_s_per_m:.3g} N s/m of damping at {self.delay_ticks:g} ticks of "
+            f"{1e3 * self.period_s:g} ms; the device has {self.damping_N_s_per_m:.3g} N s/m ({self.known})"
+        )
+
 
 def demands_of(capabilities: Capabilities) -> Demands:
     """Demands of the checks before force on a device; the room behind a surface is not known yet."""
@@ -103,12 +110,8 @@ class Precheck:
             f"{self.depth_mm:g} mm of tissue ({self.depth_mm * scale.motion:.4g} mm of travel); clamp "
             f"{device.clamp_N:.3g} N, {100.0 * self.clipped_share:.3g} % of the depth clipped"
         )
-        stability = (
-            f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "
-            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m "
-            f"({device.known})"
-        )
-        text = [f"scale      {felt}", f"device     {limits}", f"stability  {stability}"]
+        text = [f"scale      {felt}", f"device     {limits}"]
+        text.append(device.stability(self.required_damping_N_s_per_m))
         if self.lowered:
             text.append(
                 f"lowered    from measured/{1.0 / self.wanted_force_scale:.4g}, which would need "

@@ -11,9 +11,7 @@ import numpy as np
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.guard import guard
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
-from tissueid.haptics.servo_access import compiled_io
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.sim_io import SimulatedIO
 from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
@@ -21,7 +19,7 @@ from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo import PeriodStatistics, ServoPlan, ServoProcess
 from tissueid.rendering.servo_loop import CLOCK_SIZE, monotonic_ns, new_watch, virtual_loop
-from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
+from tissueid.rendering.servo_tick import Servo, compiled_tick, servo_here
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: Bars: of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
@@ -106,24 +104,16 @@ def run_selftest(
 
 def time_ticks() -> TickTimes:
     """Time the force step and the whole tick, compiled, in this process."""
-    device = SimulatedDevice()
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-    try:
-        with device:
-            servo = new_servo(device, ring, block)
-            block.write(_tissue_at(-DEPTH_M))
-            block.order(COMMAND_ENGAGE)
-            io = compiled_io(device.compiled())
-            # past homing and the start-up ramp with a free tool, then with tissue around it
-            virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
-            block.write(_tissue_at(DEPTH_M))
-            took = np.zeros(TICKS, np.int64)
-            _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
-            force_step = _force_step_ns(servo)
-        return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
-    finally:
-        ring.close()
-        block.close()
+    with servo_here(SimulatedDevice()) as (io, servo, _ring, block):
+        block.write(_tissue_at(-DEPTH_M))
+        block.order(COMMAND_ENGAGE)
+        # past homing and the start-up ramp with a free tool, then with tissue around it
+        virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
+        block.write(_tissue_at(DEPTH_M))
+        took = np.zeros(TICKS, np.int64)
+        _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
+        force_step = _force_step_ns(servo)
+    return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
 
 
 def _tissue_at(height_m: float) -> FloatArray:

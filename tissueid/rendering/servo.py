@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
+import msgspec
 import numpy as np
 
 from tissueid import errors
@@ -148,23 +149,6 @@ class ServoEnd:
         if self.fault is not Fault.NONE:
             return f"the servo took the force away: {FAULT_WORDS[self.fault]}"
         return {"signal": "the servo was told to end by a signal"}.get(self.reason, "the servo ended")
-
-    def as_dict(self) -> dict[str, Any]:
-        """For a line of JSON and the log."""
-        words = asdict(self)
-        return {**words, "fault": int(self.fault), "state": int(self.state)}
-
-    @classmethod
-    def from_dict(cls, words: dict[str, Any]) -> ServoEnd:
-        """The inverse of :meth:`as_dict`."""
-        return cls(
-            **{
-                **words,
-                "fault": Fault(words["fault"]),
-                "state": State(words["state"]),
-                "statistics": PeriodStatistics(**words["statistics"]),
-            }
-        )
 
 
 def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: int) -> None:
@@ -353,7 +337,7 @@ class ServoProcess:
             if not patient:
                 raise self._failure(None, "died without a word")
         elif words.pop("event") == "ended":
-            self.end = ServoEnd.from_dict(words)
+            self.end = msgspec.convert(words, ServoEnd)
         else:
             raise self._failure({"event": "failed", **words}, "")
 

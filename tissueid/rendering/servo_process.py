@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+from dataclasses import asdict
 from types import FrameType
 from typing import Any, Self
 
@@ -176,5 +177,5 @@ def main(arguments: list[str]) -> int:
         return error.exit_status
     except (EOFError, Signalled):
         return DeviceError.exit_status
-    send_line(report, event="ended", **end.as_dict())
+    send_line(report, event="ended", **asdict(end))
     return 0 if end.fault == 0 else DeviceError.exit_status

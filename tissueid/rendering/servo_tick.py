@@ -7,6 +7,7 @@ nothing.  The law sees the measured time since the last tick: a late tick is no 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMP
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import PUBLISHED_AT, Ring
-from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE
+from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE, compiled_io
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.velocity import velocity_step
 from tissueid.haptics.watchdogs import REPLY_VALID
@@ -136,6 +137,29 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
         block_values=block.values,
         staged=np.zeros(BLOCK_SIZE),
     )
+
+
+class ServoHere(NamedTuple):
+    """A servo in this process, and what it shares with its owner."""
+
+    io: Any
+    servo: Servo
+    ring: Ring
+    block: ParameterBlock
+
+
+@contextlib.contextmanager
+def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
+    """Open a device that the compiled loop knows and put a servo on it; all is closed afterwards."""
+    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+    try:
+        with device:
+            given = device.compiled()
+            assert given is not None  # noqa: S101 -- asked of the simulated device alone
+            yield ServoHere(compiled_io(given), new_servo(device, ring, block), ring, block)
+    finally:
+        ring.close()
+        block.close()
 
 
 # Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.

@@ -213,37 +213,26 @@ class Session:
 
     def _virtual(self) -> Outcome:
         """The same loop without a clock: ticks are computed as fast as they go."""
-        from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+        from tissueid.haptics.parameter_block import COMMAND_ENGAGE
         from tissueid.haptics.registry import device_class
-        from tissueid.haptics.ring import Ring
-        from tissueid.haptics.servo_access import compiled_io
         from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
-        from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
+        from tissueid.rendering.servo_tick import servo_here
 
-        ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
         device = device_class(self.plan.device)(**self.plan.device_options)
-        interrupted = False
-        try:
-            with device:
-                given = device.compiled()
-                assert given is not None  # noqa: S101 -- the simulated device is compiled
-                io, servo, watch = compiled_io(given), new_servo(device, ring, block), new_watch()
-                block.write(self._blocks[0])
-                block.order(COMMAND_ENGAGE)
-                reader = ring.reader(from_start=True)
-                now, steps = 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
-                try:
-                    while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
-                        now += VIRTUAL_TICKS * PERIOD_S
-                        self._take(reader)
-                        self._exchange(block)
-                except KeyboardInterrupt:
-                    interrupted = True
-                self._take(reader)
-                fault = device.fault
-        finally:
-            ring.close()
-            block.close()
+        interrupted, now, steps = False, 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
+        with servo_here(device) as (io, servo, ring, block):
+            watch, reader = new_watch(), ring.reader(from_start=True)
+            block.write(self._blocks[0])
+            block.order(COMMAND_ENGAGE)
+            try:
+                while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
+                    now += VIRTUAL_TICKS * PERIOD_S
+                    self._take(reader)
+                    self._exchange(block)
+            except KeyboardInterrupt:
+                interrupted = True
+            self._take(reader)
+            fault = device.fault
         return self._finish(
             scheduling="virtual time",
             fault=fault,

@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -163,20 +163,20 @@ class SessionPlan:
     """A session, ready to begin."""
 
     device: str
-    device_options: Mapping[str, Any]
     why: str  # why this device
     capabilities: Capabilities
+    device_options: Mapping[str, Any]
     #: Parameter blocks (environment, then passivity controller), in the order of presentation.
     blocks: tuple[FloatArray, ...]
-    picked: tuple[Picked, ...]  # the tissues, first and second
-    check: Precheck | None  # none for an installed force law
-    order: BlindOrder | None
-    head: Mapping[str, Any]  # of the log
-    script: Script | None
-    seconds: float | None  # when the session ends by itself
-    environment: str | None
-    virtual: bool
     lines: tuple[str, ...]  # what is printed before force
+    seconds: float | None  # when the session ends by itself
+    picked: tuple[Picked, ...] = ()  # the tissues, first and second
+    check: Precheck | None = None  # none for an installed force law
+    order: BlindOrder | None = None
+    head: Mapping[str, Any] = field(default_factory=dict)  # of the log
+    script: Script | None = None
+    environment: str | None = None
+    virtual: bool = False
     led: bool = False  # whether a pointer on a screen leads the hand of the simulated device
     guided: bool = False  # whether the block is a guided axis
     pseudonym: str | None = None  # of the person who is guided; a blind order has its own

@@ -12,22 +12,14 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 
-PLANE = 0
-SPHERE = 1
-BOX = 2
-
-#: Numbers that describe a surface.
+#: The normal is that of a plane; the size is the radius of a sphere, or the half widths of a box.
+PLANE, SPHERE, BOX = range(3)
+#: Numbers that describe a surface: kind, point[3], normal[3], size[3], radius of the tip.
 SURFACE_SIZE = 11
+KIND, POINT, NORMAL, SIZE, TOOL_RADIUS = 0, 1, 4, 7, 10
 #: Numbers that a touch remembers: the face of a box it came in by, and the normal it wrote.
 TOUCH_SIZE = 4
-FACE = 0
-OUTWARD = 1
-
-KIND = 0
-POINT = 1
-NORMAL = 4
-SIZE = 7
-TOOL_RADIUS = 10
+FACE, OUTWARD = 0, 1
 
 #: Distance from a centre below which the direction out of it has no digits [m].
 AT_CENTRE_M = 1e-9

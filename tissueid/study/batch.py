@@ -15,7 +15,7 @@ import platform
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -493,5 +493,4 @@ class _Cohort:
         _, path, sheet = self.specimens[job.position]
         message = f"specimen {job.specimen!r} could not be fitted: {fault.message}"
         refusal = Refusal(path, sheet, fault.code, message)
-        fields = {name: getattr(refusal, name) for name in refusal.__dataclass_fields__}
-        self.index.fail(job.position, json.dumps(fields))
+        self.index.fail(job.position, json.dumps(asdict(refusal)))

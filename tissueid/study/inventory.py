@@ -10,9 +10,8 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from tissueid.errors import InputError
@@ -22,7 +21,7 @@ from tissueid.pipeline import IdentifyOptions
 from tissueid.result import Refusal
 from tissueid.store.files import json_bytes, sha256_of
 from tissueid.store.index import Index, RecordingRow
-from tissueid.study.recordings import StudyParts, read_decided
+from tissueid.study.recordings import READING, StudyParts, read_decided
 from tissueid.study.tasks import (
     Fault,
     InThisProcess,
@@ -86,10 +85,8 @@ class Workplace:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     @property
     def shared_disk(self) -> bool:
@@ -121,8 +118,6 @@ class Workplace:
 
 #: The task of this module.
 SURVEY = "tissueid.study.inventory:survey_files"
-#: Keys of ``[[override]]`` that decide how a file is read.
-_READING = ("columns", "units", "axes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,9 +182,9 @@ def reading_key(options: ReadOptions, study: Study | None) -> str:
     said: list[Any] = []
     if study is not None:
         said = [
-            [entry.sheet, {key: entry.values[key] for key in _READING if key in entry.values}]
+            [entry.sheet, {key: entry.values[key] for key in READING if key in entry.values}]
             for entry in study.overrides
-            if any(key in entry.values for key in _READING)
+            if any(key in entry.values for key in READING)
         ]
     asked = {name: getattr(options, name) for name in sorted(options.__dataclass_fields__)}
     text = json_bytes({"asked": asked, "said": said, "versions": versions()})
@@ -211,26 +206,17 @@ def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) 
                 kind = "excluded"
             elif study.only_listed and not decision.listed:
                 kind = "unlisted"
-        refusal = None if one.refusal is None else _fields(one.refusal)
+        refusal = None if one.refusal is None else asdict(one.refusal)
         yield RecordingRow(path, one.sheet, one.sha256, one.specimen, one.samples, kind, specimen, refusal)
 
 
 def found_again(rows: Sequence[RecordingRow]) -> list[Found]:
     """Contents of a file as an earlier run put them down."""
+    refusals = (None if row.refusal is None else Refusal(**row.refusal) for row in rows)
     return [
-        Found(
-            row.sheet,
-            row.sha256,
-            row.raw,
-            row.samples,
-            None if row.refusal is None else Refusal(**row.refusal),
-        )
-        for row in rows
+        Found(row.sheet, row.sha256, row.raw, row.samples, refusal)
+        for row, refusal in zip(rows, refusals, strict=True)
     ]
-
-
-def _fields(refusal: Refusal) -> dict[str, Any]:
-    return {name: getattr(refusal, name) for name in refusal.__dataclass_fields__}
 
 
 #: Samples kept between a survey and the jobs of one process [bytes].

@@ -20,7 +20,8 @@ from tissueid.manifest import Entry, Study
 from tissueid.result import Refusal
 from tissueid.trial import Trial
 
-_READING = ("columns", "units", "axes")
+#: Keys of ``[[override]]`` that decide how a file is read.
+READING = ("columns", "units", "axes")
 
 
 def locate_study(
@@ -116,7 +117,7 @@ def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | 
         return base
     override = study.decision(path, sheet).override
     said: dict[str, Any] = {
-        key: {**getattr(base, key), **override[key]} for key in _READING if key in override
+        key: {**getattr(base, key), **override[key]} for key in READING if key in override
     }
     return replace(base, **said) if said else base
 

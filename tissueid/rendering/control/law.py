@@ -7,6 +7,7 @@ satisfies each of their sentences (docs/control.md).  The tissue's law stays in 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
@@ -15,45 +16,35 @@ from tissueid.model.kernels import tissue_step_in
 #: Axes that a loop may have.
 MOST_AXES = 3
 
-# -- virtual tool
-TOOL_MASS = 0
-TOOL_DAMPING = 1
-# -- law
-REFERENCE_RATE = 2
-DAMPING = 3
-#: Bound of what the estimates don't cover [N].
-DISTURBANCE_BOUND = 4
-SIGMA_START = 5
-SIGMA_RATE = 6
-SIGMA_FLOOR = 7
-#: 1 adapts, 0 is frozen, -1 is wrong on purpose.
-ADAPTATION_SIGN = 8
-PROJECTION = 9
-#: Largest control force [N]; infinite without one.
-SATURATION = 10
-VARIANT = 11
-#: 1 where the environment is touched by the device itself and not by the virtual tool.
-TOUCHED_BY_DEVICE = 12
-# -- environment
-FORCE_SCALE = 13
-MOTION_SCALE = 14
-#: Unit vector into the tissue, 3 numbers.
-INWARD = 15
-# -- clock
-PERIOD = 18
-SUBSTEPS = 19
-RISE = 20
-# -- arm: lengths of two links, 0 without an arm; where the work begins, from its base
-LINK_1 = 21
-LINK_2 = 22
-BASE_X = 23
-BASE_Y = 24
-BLOCK_SIZE = 25
-
-VARIANT_B = 1.0
-WITHOUT_ARM = 0.0
-#: Parameters of an arm of two links: p1, p2, p3.
+#: Parameters of an arm of two links in front of theta: p1 = I1 + I2 + m1 c1^2 + m2 (l1^2 + c2^2),
+#: p2 = I2 + m2 c2^2, p3 = m2 l1 c2, c being where a link's centre of mass lies; M(x) obeys
+#: the skew symmetry of M' - 2 C (Slotine & Li, Applied Nonlinear Control, 1991, 9.1).
 ARM_PARAMETERS = 3
+
+
+class LoopBlock(NamedTuple):
+    """Numbers of a controlled loop, for compiled code."""
+
+    tool_mass_kg: float
+    tool_damping_N_s_per_m: float
+    reference_rate_per_s: float
+    damping_N_s_per_m: float
+    disturbance_bound_N: float  # of what the estimates don't cover
+    sigma_start: float
+    sigma_rate_per_s: float
+    sigma_floor: float
+    adaptation_sign: float  # 1 adapts, 0 is frozen, -1 is wrong on purpose
+    projection: bool
+    saturation_N: float  # largest control force; infinite without one
+    variant_B: bool
+    touched_by_device: bool  # the environment is touched by the device itself and not by the virtual tool
+    force_scale: float
+    motion_scale: float
+    inward: FloatArray  # unit vector into the tissue, 3 numbers
+    period_s: float
+    substeps: int
+    rise_s: float
+    arm: FloatArray  # lengths of two links, 0 without an arm; where the work begins, from its base
 
 
 #: A number each, in this order, after the vectors.
@@ -102,11 +93,11 @@ def record_row(
 
 @tick_kernel
 def _arm_columns(
-    block: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
 ) -> None:
     """Columns of p1, p2, p3: the joint regressor, seen from the tip; elbow to the left."""
-    l1, l2 = block[LINK_1], block[LINK_2]
-    px, py = x[0] + block[BASE_X], x[1] + block[BASE_Y]
+    l1, l2 = arm[0], arm[1]
+    px, py = x[0] + arm[2], x[1] + arm[3]
     cosine = (px * px + py * py - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
     q2 = math.acos(min(max(cosine, -1.0), 1.0))
     s2, c2 = math.sin(q2), math.cos(q2)
@@ -133,7 +124,7 @@ def _arm_columns(
 
 @tick_kernel
 def regress(
-    block: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
 ) -> None:
     """Write the regressor, shape (n, p), of velocity ``v`` and reference ``vr``, ``ar``.
 
@@ -145,8 +136,8 @@ def regress(
         for k in range(size):
             Y[i, k] = 0.0
     at = 0
-    if block[LINK_1] > 0.0:
-        _arm_columns(block, x, v, vr, ar, Y)
+    if arm[0] > 0.0:
+        _arm_columns(arm, x, v, vr, ar, Y)
         at = ARM_PARAMETERS
     entries = n * (n + 1) // 2
     column = at
@@ -164,7 +155,7 @@ def regress(
 
 @tick_kernel
 def generalised_force(
-    block: FloatArray,
+    arm: FloatArray,
     theta: FloatArray,
     x: FloatArray,
     v: FloatArray,
@@ -174,7 +165,7 @@ def generalised_force(
     out: FloatArray,
 ) -> None:
     """Write Y(x, v, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
-    regress(block, x, v, vr, ar, Y)
+    regress(arm, x, v, vr, ar, Y)
     for i in range(out.size):
         total = 0.0
         for k in range(theta.size):
@@ -184,7 +175,7 @@ def generalised_force(
 
 @tick_kernel
 def inertia(
-    block: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
+    arm: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
 ) -> None:
     """Write M(x) [kg], shape (n, n), into ``M``; ``Y`` and ``spare``, shape (2, n), are room to work in."""
     n = x.size
@@ -194,7 +185,7 @@ def inertia(
         unit[j] = 0.0
     for j in range(n):
         unit[j] = 1.0
-        regress(block, x, nothing, nothing, unit, Y)
+        regress(arm, x, nothing, nothing, unit, Y)
         unit[j] = 0.0
         for i in range(n):
             # stiffness is the only part that a plant at rest still has: its columns are the last third
@@ -248,9 +239,9 @@ M_TO_MM = 1000.0
 
 
 @tick_kernel
-def hand_push(block: FloatArray, drive: FloatArray, time: float, out: FloatArray) -> None:
+def hand_push(block: LoopBlock, drive: FloatArray, time: float, out: FloatArray) -> None:
     """Write F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
-    share = min(1.0, time / block[RISE]) if block[RISE] > 0.0 else 1.0
+    share = min(1.0, time / block.rise_s) if block.rise_s > 0.0 else 1.0
     for i in range(out.size):
         out[i] = share * (drive[0, i] + drive[1, i] * math.sin(2.0 * math.pi * drive[2, i] * time))
 
@@ -264,28 +255,30 @@ def disturbance(drive: FloatArray, time: float, out: FloatArray) -> None:
 
 @tick_kernel
 def environment_force(
-    block: FloatArray, law: FloatArray, state: FloatArray, place: FloatArray, h: float
+    block: LoopBlock, law: FloatArray, state: FloatArray, place: FloatArray, h: float
 ) -> float:
     """Step the tissue with a tool at ``place`` [m] and give its force along the outward normal [N]."""
     depth = 0.0
     for i in range(place.size):
-        depth += block[INWARD + i] * place[i]
-    force = tissue_step_in(law, 0, state, 0, depth / block[MOTION_SCALE] * M_TO_MM, h)
-    return float(force * block[FORCE_SCALE])
+        depth += block.inward[i] * place[i]
+    force = tissue_step_in(law, 0, state, 0, depth / block.motion_scale * M_TO_MM, h)
+    return float(force * block.force_scale)
 
 
 @tick_kernel
 def tool_acceleration(
-    block: FloatArray, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
+    block: LoopBlock, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
 ) -> None:
     """Write the acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
     for i in range(v.size):
-        out[i] = (hand[i] - block[INWARD + i] * touched - block[TOOL_DAMPING] * v[i]) / block[TOOL_MASS]
+        out[i] = (
+            hand[i] - block.inward[i] * touched - block.tool_damping_N_s_per_m * v[i]
+        ) / block.tool_mass_kg
 
 
 @tick_kernel
 def advance_tool(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     state: FloatArray,
     tool: tuple[FloatArray, FloatArray, FloatArray],
@@ -298,21 +291,21 @@ def advance_tool(
     The tissue is stepped along, unless the device itself touches it: then its force is held as well.
     """
     x, v, a = tool
-    steps = int(block[SUBSTEPS])
-    h = block[PERIOD] / steps
+    steps = block.substeps
+    h = block.period_s / steps
     for _ in range(steps):
         tool_acceleration(block, v, hand, touched, a)
         for i in range(x.size):
             v[i] += h * a[i]
             x[i] += h * v[i]
-        if block[TOUCHED_BY_DEVICE] == 0.0:
+        if not block.touched_by_device:
             touched = environment_force(block, law, state, x, h)
     return touched
 
 
 @tick_kernel
 def reference(
-    block: FloatArray,
+    block: LoopBlock,
     device: tuple[FloatArray, FloatArray],
     tool: tuple[FloatArray, FloatArray, FloatArray],
     wanted: tuple[FloatArray, FloatArray, FloatArray],
@@ -321,7 +314,7 @@ def reference(
     x, v = device
     xe, ve, ae = tool
     vr, ar, rho = wanted
-    rate = block[REFERENCE_RATE]
+    rate = block.reference_rate_per_s
     for i in range(x.size):
         vr[i] = ve[i] + rate * (xe[i] - x[i])
         ar[i] = ae[i] + rate * (ve[i] - v[i])
@@ -329,18 +322,18 @@ def reference(
 
 
 @tick_kernel
-def sigma_at(block: FloatArray, time: float) -> float:
+def sigma_at(block: LoopBlock, time: float) -> float:
     """sigma(t) of equation (22) [N m/s]."""
-    return float(max(block[SIGMA_START] * math.exp(-block[SIGMA_RATE] * time), block[SIGMA_FLOOR]))
+    return float(max(block.sigma_start * math.exp(-block.sigma_rate_per_s * time), block.sigma_floor))
 
 
 @tick_kernel
-def robust_term(block: FloatArray, rho: FloatArray, sigma: float, out: FloatArray) -> None:
+def robust_term(block: LoopBlock, rho: FloatArray, sigma: float, out: FloatArray) -> None:
     """Write u_r [N], equation (21): smooth, along rho, of length delta at most."""
     length = 0.0
     for i in range(rho.size):
         length += rho[i] * rho[i]
-    delta = block[DISTURBANCE_BOUND]
+    delta = block.disturbance_bound_N
     below = delta * math.sqrt(length) + sigma
     for i in range(rho.size):
         out[i] = delta * delta * rho[i] / below if below > 0.0 else 0.0
@@ -348,7 +341,7 @@ def robust_term(block: FloatArray, rho: FloatArray, sigma: float, out: FloatArra
 
 @tick_kernel
 def control_force(
-    block: FloatArray,
+    block: LoopBlock,
     Y: FloatArray,
     estimates: FloatArray,
     rho: FloatArray,
@@ -358,29 +351,29 @@ def control_force(
 ) -> None:
     """Write u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
     for i in range(out.size):
-        total = block[DAMPING] * rho[i] + robust[i]
+        total = block.damping_N_s_per_m * rho[i] + robust[i]
         for k in range(estimates.size):
             total += Y[i, k] * estimates[k]
-        if block[VARIANT] == VARIANT_B:
+        if block.variant_B:
             total -= hand[i]
         out[i] = total
 
 
 @tick_kernel
-def saturate(block: FloatArray, u: FloatArray) -> None:
+def saturate(block: LoopBlock, u: FloatArray) -> None:
     """Shorten a force to what the device can give, in its direction."""
     length = 0.0
     for i in range(u.size):
         length += u[i] * u[i]
     length = math.sqrt(length)
-    if length > block[SATURATION]:
+    if length > block.saturation_N:
         for i in range(u.size):
-            u[i] *= block[SATURATION] / length
+            u[i] *= block.saturation_N / length
 
 
 @tick_kernel
 def adapt(
-    block: FloatArray,
+    block: LoopBlock,
     Y: FloatArray,
     rho: FloatArray,
     gains: FloatArray,
@@ -393,21 +386,21 @@ def adapt(
         slope = 0.0
         for i in range(rho.size):
             slope += Y[i, k] * rho[i]
-        estimates[k] += h * block[ADAPTATION_SIGN] * gains[k] * slope
-        if block[PROJECTION] > 0.0:
+        estimates[k] += h * block.adaptation_sign * gains[k] * slope
+        if block.projection:
             estimates[k] = min(max(estimates[k], bounds[0, k]), bounds[1, k])
 
 
 @tick_kernel
-def not_covered(block: FloatArray, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
+def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
     """Write what the estimates don't cover [N]: F* - d in variant A, -d in B."""
     for i in range(out.size):
-        out[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
+        out[i] = -disturbed[i] if block.variant_B else push[i] - disturbed[i]
 
 
 @tick_kernel
 def lyapunov(
-    block: FloatArray,
+    block: LoopBlock,
     x: FloatArray,
     terms: tuple[FloatArray, FloatArray, FloatArray],
     truth: FloatArray,
@@ -422,13 +415,13 @@ def lyapunov(
     """
     rho, robust, unknown = terms
     spare, Y, M = room
-    inertia(block, truth, x, spare, Y, M)
+    inertia(block.arm, truth, x, spare, Y, M)
     V = 0.0
     rate = -damping_form(truth, rho)
     for i in range(rho.size):
         for j in range(rho.size):
             V += 0.5 * rho[i] * M[i, j] * rho[j]
-        rate -= rho[i] * (block[DAMPING] * rho[i] + unknown[i] + robust[i])
+        rate -= rho[i] * (block.damping_N_s_per_m * rho[i] + unknown[i] + robust[i])
     for k in range(truth.size):
         if gains[k] > 0.0:
             V += 0.5 * (truth[k] - estimates[k]) ** 2 / gains[k]
@@ -437,7 +430,7 @@ def lyapunov(
 
 @tick_kernel
 def command(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     state: FloatArray,
     time: float,
@@ -456,13 +449,13 @@ def command(
     Held until the next tick, the command aims at where the tool will be then. ``tool`` and ``state`` are
     updated, ``wanted``, ``robust`` and ``Y`` written; returns the tissue's force at the end [N].
     """
-    if block[TOUCHED_BY_DEVICE] > 0.0:
-        touched = environment_force(block, law, state, device[0], block[PERIOD])
+    if block.touched_by_device:
+        touched = environment_force(block, law, state, device[0], block.period_s)
     touched = advance_tool(block, law, state, tool, hand, touched)
     tool_acceleration(block, tool[1], hand, touched, tool[2])
     reference(block, device, tool, wanted)
     robust_term(block, wanted[2], sigma_at(block, time), robust)
-    regress(block, device[0], device[1], wanted[0], wanted[1], Y)
+    regress(block.arm, device[0], device[1], wanted[0], wanted[1], Y)
     control_force(block, Y, estimates, wanted[2], robust, hand, u)
     saturate(block, u)
     return float(touched)

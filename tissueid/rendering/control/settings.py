@@ -16,11 +16,6 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.rendering.control.law import (
     ARM_PARAMETERS,
-    BASE_X,
-    BASE_Y,
-    BLOCK_SIZE,
-    LINK_1,
-    LINK_2,
     MOST_AXES,
     inertia,
 )
@@ -213,16 +208,16 @@ class ControlSettings:
             np.concatenate([np.zeros(arm.size), self.operator.parameters()]),
         )
 
+    def arm_numbers(self) -> FloatArray:
+        """Lengths of the arm's links and where the work begins [m], shape (4,); zeros without an arm."""
+        return np.zeros(4) if self.arm is None else np.array([*self.arm.links_m, *self.arm.base_m])
+
     def inertias(self) -> tuple[FloatArray, FloatArray]:
         """Inertia of the device where its tool touches the tissue, and of the hand [kg], shape (n, n)."""
-        block = np.zeros(BLOCK_SIZE)
-        if self.arm is not None:
-            block[[LINK_1, LINK_2]] = self.arm.links_m
-            block[[BASE_X, BASE_Y]] = self.arm.base_m
         device, _operator = self.true_parameters()
         found = np.zeros((self.axes, self.axes))
         n = self.axes
-        inertia(block, device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
+        inertia(self.arm_numbers(), device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
         return found, self.operator.mass_kg
 
     def estimated_truth(self) -> FloatArray:
@@ -340,33 +335,29 @@ MARGIN = 1.5
 HALVINGS = 60
 
 
-def _turn(
-    variant: str, inertias: tuple[FloatArray, FloatArray], virtual_mass_kg: float, estimate: float
-) -> float:
-    device, hand = inertias
+def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
+    """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out.
+
+    A: Mh M^-1 M^ / Mt; B: Mh M^-1 (M^ / Mt - I); ``estimate``: estimated inertia M^ over the true one.
+    """
+    device, hand = settings.inertias()
     share = np.linalg.solve(device + hand, hand).T
-    if variant == "A":
+    if settings.variant == "A":
         turn = share @ (device + hand) * (estimate / virtual_mass_kg)
     else:
         turn = share @ (estimate * device / virtual_mass_kg - np.eye(len(device)))
     return float(np.abs(np.linalg.eigvals(turn)).max())
 
 
-def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
-    """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out."""
-    return _turn(settings.variant, settings.inertias(), virtual_mass_kg, estimate)
-
-
 def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
     """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass."""
-    inertias = settings.inertias()
-    device, hand = inertias
+    device, hand = settings.inertias()
     if not np.any(hand):
         return 0.0
     low, high = 0.0, estimate * float(np.linalg.eigvalsh(device + hand)[-1])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if _turn(settings.variant, inertias, middle, estimate) < 1.0:
+        if turn_multiplier(settings, middle, estimate=estimate) < 1.0:
             high = middle
         else:
             low = middle

@@ -11,21 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import tissueid.rendering.control.law as at
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.control.law import (
     DRIVE_ROWS,
-    PERIOD,
     SCALARS,
-    SUBSTEPS,
-    TOOL_MASS,
-    TOUCHED_BY_DEVICE,
-    VARIANT,
-    VARIANT_B,
     VECTORS,
+    LoopBlock,
     adapt,
     command,
     control_force,
@@ -54,7 +48,7 @@ VECTOR_ROWS = 22
 
 @tick_kernel
 def _advance_plant(
-    block: FloatArray,
+    block: LoopBlock,
     parameters: tuple[FloatArray, FloatArray],
     drive: FloatArray,
     time: float,
@@ -66,21 +60,21 @@ def _advance_plant(
     total, operator = parameters
     x, v, hand = plant
     a, push, disturbed, spare, Y, M = room
-    steps = int(block[SUBSTEPS])
-    h = block[PERIOD] / steps
+    steps = block.substeps
+    h = block.period_s / steps
     for step in range(steps):
         hand_push(block, drive, time + step * h, push)
         disturbance(drive, time + step * h, disturbed)
         for i in range(x.size):
             a[i] = 0.0
-        generalised_force(block, total, x, v, v, a, Y, hand)
+        generalised_force(block.arm, total, x, v, v, a, Y, hand)
         for i in range(x.size):
             a[i] = push[i] + u[i] - disturbed[i] - hand[i]
-        inertia(block, total, x, spare, Y, M)
+        inertia(block.arm, total, x, spare, Y, M)
         solve(M, a)
         if step == steps - 1:
             # what the sensor feels: the push, less what moves and holds the hand itself
-            generalised_force(block, operator, x, v, v, a, Y, hand)
+            generalised_force(block.arm, operator, x, v, v, a, Y, hand)
             for i in range(x.size):
                 hand[i] = push[i] - hand[i]
         for i in range(x.size):
@@ -103,7 +97,7 @@ def sampled_room(
 
 @tick_kernel
 def run_sampled(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
     adaptation: tuple[FloatArray, FloatArray],
@@ -131,7 +125,7 @@ def run_sampled(
     estimates, state = lists
     touched = 0.0
     for tick in range(out.shape[0]):
-        time = tick * block[PERIOD]
+        time = tick * block.period_s
         hand_push(block, drive, time, push)
         disturbance(drive, time, disturbed)
         for i in range(n):
@@ -150,7 +144,7 @@ def run_sampled(
             (before, sigma_at(block, time), V, rate),
             estimates,
         )
-        adapt(block, Y, wanted[2], gains, bounds, block[PERIOD], estimates)
+        adapt(block, Y, wanted[2], gains, bounds, block.period_s, estimates)
         _advance_plant(block, (parameters[0], parameters[1]), drive, time, u, (x, v, hand), plant_room)
         for i in range(n):
             if not abs(x[i]) < LARGEST_M:
@@ -167,7 +161,7 @@ FORCE_ROWS = 13
 
 @tick_kernel
 def _forces(
-    block: FloatArray,
+    block: LoopBlock,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
     moment: tuple[FloatArray, float],
     motion: FloatArray,
@@ -176,7 +170,11 @@ def _forces(
     forces: FloatArray,
     room: Five,
 ) -> None:
-    """Solve the algebraic loop at one moment, of the drive and the time; ``forces`` is written."""
+    """Solve the algebraic loop at one moment, of the drive and the time; ``forces`` is written.
+
+    The hand's force holds its own acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a
+    [+ Mh a in variant B], with M^ of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
+    """
     drive, time = moment
     total, operator = parameters[0], parameters[1]
     spare, Y, M, Mh, Mc = room
@@ -186,27 +184,27 @@ def _forces(
     n = x.size
     hand_push(block, drive, time, push)
     disturbance(drive, time, disturbed)
-    inertia(block, operator, x, spare, Y, Mh)
-    inertia(block, estimates, x, spare, Y, Mc)
-    inertia(block, total, x, spare, Y, M)
+    inertia(block.arm, operator, x, spare, Y, Mh)
+    inertia(block.arm, estimates, x, spare, Y, Mc)
+    inertia(block.arm, total, x, spare, Y, M)
     for i in range(n):
         a[i] = 0.0
-    generalised_force(block, operator, x, v, v, a, Y, hand)
+    generalised_force(block.arm, operator, x, v, v, a, Y, hand)
     for i in range(n):
         hand[i] = push[i] - hand[i]
     tool_acceleration(block, ve, hand, touched, ae)
     reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
     robust_term(block, rho, sigma_at(block, time), robust)
-    regress(block, x, v, vr, ar, Y)
+    regress(block.arm, x, v, vr, ar, Y)
     control_force(block, Y, estimates, rho, robust, hand, u)
     # the plant's own forces take the room of vr, which is not needed any more
-    generalised_force(block, total, x, v, v, a, Y, vr)
+    generalised_force(block.arm, total, x, v, v, a, Y, vr)
     for i in range(n):
         ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
         for j in range(n):
             for k in range(n):
-                M[i, j] += Mc[i, k] * Mh[k, j] / block[TOOL_MASS]
-            if block[VARIANT] == VARIANT_B:
+                M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
+            if block.variant_B:
                 M[i, j] -= Mh[i, j]
     solve(M, ar)
     for i in range(n):
@@ -216,14 +214,14 @@ def _forces(
             hand[i] -= Mh[i, j] * a[j]
     tool_acceleration(block, ve, hand, touched, ae)
     reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    regress(block, x, v, vr, ar, Y)
+    regress(block.arm, x, v, vr, ar, Y)
     control_force(block, Y, estimates, rho, robust, hand, u)
 
 
 @tick_kernel
-def _tissue(block: FloatArray, law: FloatArray, state: FloatArray, motion: FloatArray, h: float) -> float:
+def _tissue(block: LoopBlock, law: FloatArray, state: FloatArray, motion: FloatArray, h: float) -> float:
     """Force of the environment [N] on whatever touches it."""
-    return environment_force(block, law, state, motion[0 if block[TOUCHED_BY_DEVICE] > 0.0 else 2], h)
+    return environment_force(block, law, state, motion[0 if block.touched_by_device else 2], h)
 
 
 @tick_kernel
@@ -257,7 +255,7 @@ def continuous_room(
 
 @tick_kernel
 def _step(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
     adaptation: tuple[FloatArray, FloatArray],
@@ -269,11 +267,11 @@ def _step(
     """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
     gains, bounds = adaptation
     solving, lists = rooms
-    h = block[PERIOD]
+    h = block.period_s
     motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
     estimates, guess, moved, state, trial = lists
     Y = solving[1]
-    regress(block, motion[0], motion[1], forces[8], forces[9], Y)
+    regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
     _slopes(motion, forces, slope)
     _copy(estimates, guess)
     adapt(block, Y, forces[4], gains, bounds, h, guess)
@@ -296,7 +294,7 @@ def _step(
 
 @tick_kernel
 def run_continuous(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
     adaptation: tuple[FloatArray, FloatArray],
@@ -313,7 +311,7 @@ def run_continuous(
     touched = 0.0
     for row in range(out.shape[0]):
         for step in range(every):
-            time = (row * every + step) * block[PERIOD]
+            time = (row * every + step) * block.period_s
             _forces(block, parameters, (drive, time), motion, estimates, touched, forces, solving)
             if step == 0:
                 rho, robust = forces[4], forces[5]
@@ -371,33 +369,33 @@ class ControlRun:
         return np.asarray(1e3 * np.linalg.norm(self.tool_velocity_m_s - self.velocity_m_s, axis=1))
 
 
-def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> FloatArray:
-    """The flat block of :mod:`tissueid.rendering.control.law`.
-
-    ``period_s``: of a tick, or the step of a continuous loop [s].  Returns (BLOCK_SIZE,).
-    """
+def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> LoopBlock:
+    """Numbers of a loop whose tick, or step where it is continuous, takes ``period_s``."""
     gains = settings.gains
     touched_by_device = settings.environment == "impedance"
-    block = np.zeros(at.BLOCK_SIZE)
-    block[[at.TOOL_MASS, at.TOOL_DAMPING]] = settings.tool.mass_kg, settings.tool.damping_N_s_per_m
-    # a tool that touches nothing leads nowhere: without a place of its own, only its velocity is followed
-    block[at.REFERENCE_RATE] = 0.0 if touched_by_device else gains.reference_rate_per_s
-    block[at.DAMPING] = gains.damping_N_s_per_m
-    block[at.DISTURBANCE_BOUND] = settings.disturbance_bound_N()
-    block[[at.SIGMA_START, at.SIGMA_RATE]] = gains.sigma_start, gains.sigma_rate_per_s
-    block[at.SIGMA_FLOOR] = settings.sigma_floor()
-    block[at.ADAPTATION_SIGN] = gains.adaptation_sign
-    block[at.PROJECTION] = gains.projection
-    block[at.SATURATION] = gains.saturation_N
-    block[at.VARIANT] = at.VARIANT_B if settings.variant == "B" else 0.0
-    block[at.TOUCHED_BY_DEVICE] = touched_by_device
-    block[[at.FORCE_SCALE, at.MOTION_SCALE]] = settings.force_scale, settings.motion_scale
-    block[at.INWARD] = 1.0
-    block[[at.PERIOD, at.SUBSTEPS, at.RISE]] = period_s, substeps, settings.push_rise_s
-    if settings.arm is not None:
-        block[[at.LINK_1, at.LINK_2]] = settings.arm.links_m
-        block[[at.BASE_X, at.BASE_Y]] = settings.arm.base_m
-    return block
+    return LoopBlock(
+        tool_mass_kg=settings.tool.mass_kg,
+        tool_damping_N_s_per_m=settings.tool.damping_N_s_per_m,
+        # a tool that touches nothing leads nowhere: without a place of its own, only its velocity is followed
+        reference_rate_per_s=0.0 if touched_by_device else gains.reference_rate_per_s,
+        damping_N_s_per_m=gains.damping_N_s_per_m,
+        disturbance_bound_N=settings.disturbance_bound_N(),
+        sigma_start=gains.sigma_start,
+        sigma_rate_per_s=gains.sigma_rate_per_s,
+        sigma_floor=settings.sigma_floor(),
+        adaptation_sign=float(gains.adaptation_sign),
+        projection=gains.projection,
+        saturation_N=gains.saturation_N,
+        variant_B=settings.variant == "B",
+        touched_by_device=touched_by_device,
+        force_scale=settings.force_scale,
+        motion_scale=settings.motion_scale,
+        inward=np.array([1.0, 0.0, 0.0]),
+        period_s=period_s,
+        substeps=substeps,
+        rise_s=settings.push_rise_s,
+        arm=settings.arm_numbers(),
+    )
 
 
 def tissue_law(settings: ControlSettings) -> FloatArray:
