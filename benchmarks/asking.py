@@ -78,7 +78,7 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     from tissueid.cli.main import main
     from tissueid.store.files import sha256_of
     from tissueid.study import batch, inventory, pages
-    from tissueid.study.survey import Found
+    from tissueid.study.inventory import Found
     from tissueid.study.tasks import packed
 
     stages = Stages()

@@ -324,8 +324,7 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
     Memory of the scheduler is that after ``repeats + 1`` rounds.
     """
     from tissueid.study.cluster import DaskWorkers
-    from tissueid.study.processes import LocalProcesses
-    from tissueid.study.tasks import Task
+    from tissueid.study.tasks import LocalProcesses, Task
 
     found: dict[str, list[float]] = {
         f"{who}_{what}_ms": [] for who in ("local", "dask") for what in ("wall", "processor")

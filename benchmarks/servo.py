@@ -38,8 +38,7 @@ from tissueid.haptics.falcon.servo_io import DESCRIPTOR
 from tissueid.haptics.guard import REPLY_VALID, new_guard
 from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.selftest import FORCE_STEP_NS, TICK_US, time_ticks
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 
 RATIO = 1.5
 RATES_HZ = (1000, 4000)

@@ -10,7 +10,7 @@ from rendered_tissues import PAPER_A, pressed, walk
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
 from tissueid.rendering import environment as env
-from tissueid.rendering.summary import SessionSummary
+from tissueid.rendering.recorder import SessionSummary
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
 FORCE_SCALE = 0.0125

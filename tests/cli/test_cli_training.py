@@ -13,9 +13,8 @@ from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
-from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.recorder import Recorder, SessionSummary
 from tissueid.rendering.scene import load_scene
-from tissueid.rendering.summary import SessionSummary
 from tissueid.store.schema import first_problem
 
 #: The shipped plan: 10 mm below the middle of the workspace.

@@ -32,7 +32,7 @@ from tissueid.haptics.measure import (
     weigh_poses,
 )
 from tissueid.haptics.sim import SimulatedDevice
-from tissueid.rendering.law_session import _carried
+from tissueid.rendering.plan import _carried
 from tissueid.rendering.scene import load_scene
 
 #: Seconds of a device in virtual time, a millisecond each.

@@ -21,7 +21,7 @@ from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.ring import CAPACITY, HEAD_BYTES, RECORD, Ring, read_ordered, write_ordered
 from tissueid.haptics.shared_hand import SIM_PARAMETERS, SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, simulated_advance
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan
 from tissueid.rendering.servo_process import _share_hand
 
 

@@ -327,7 +327,7 @@ INTERPRETED = (
     Mutant(
         "the controller without a bound",
         _CONTROL,
-        "    if length > block[SATURATION]:",
+        "    if length > block.saturation_N:",
         "    if False:",
         _OF_CONTROL,
     ),

@@ -12,8 +12,7 @@ from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.options import preset_check, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: A loaded machine starves an emulator for longer than a device would be silent.

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rendered_tissues import PAPER_A, TWO_BRANCHES, bundle_of
+from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import surface as srf
-from tissueid.rendering.blind import check_pseudonym, draw_order, write_key
 from tissueid.rendering.choice import (
     Functional,
     as_tissue,
@@ -22,9 +21,14 @@ from tissueid.rendering.choice import (
     pick_draw,
     pick_quantile,
 )
-from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.rendering.session_plan import REST_S, read_script
-from tissueid.rendering.tissue_block import Box, Plane, Sphere, surface_from
+from tissueid.rendering.session_plan import REST_S, check_pseudonym, draw_order, read_script, write_key
+from tissueid.rendering.tissue_block import (
+    parse_surface,
+    place_surface,
+    surface_from,
+    surface_remarks,
+    travel_behind,
+)
 from tissueid.trial import TipShape
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)
@@ -147,8 +151,7 @@ def test_every_surface_is_touched_at_the_same_height(shape: tuple[str, tuple[flo
     assert srf.touch(block, 0, np.array([0.0, 0.0, height]), memory, 0) == pytest.approx(0.0, abs=1e-12)
     assert memory[srf.OUTWARD :] == pytest.approx([0.0, 0.0, 1.0])
     assert travel_behind(placed, device, tool_radius_m=0.01) == pytest.approx(0.060)
-    again = surface_from(block)
-    assert np.array_equal(again.numbers(0.01), block)
+    assert np.array_equal(surface_from(block).numbers(0.01), block)
 
 
 def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked() -> None:
@@ -183,18 +186,3 @@ def test_a_script_knows_its_strokes_switches_and_length() -> None:
     )
     assert hand.rigid
     assert hand.positions_m[2][2] == pytest.approx(0.15 - 0.020)
-
-
-def test_two_branches_can_be_compared_too() -> None:
-    one, other, ratio = noticeable_ratio(PAPER_A, TWO_BRANCHES, SIX_MM, force_scale=0.01)
-    assert one != other
-    assert ratio > 0.0
-
-
-def test_surface_types_come_back_from_their_numbers() -> None:
-    for shape in (
-        Plane((0.0, 0.1, 0.2), (0.0, 3.0, 4.0)),
-        Sphere((0.0, 0.0, 0.1), 0.02),
-        Box((0.0, 0.0, 0.1), (0.1, 0.2, 0.3)),
-    ):
-        assert np.array_equal(surface_from(shape.numbers(0.0)).numbers(0.0), shape.numbers(0.0))

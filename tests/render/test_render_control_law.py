@@ -18,9 +18,13 @@ from tissueid.rendering.control import (
     Signal,
     simulate,
 )
-from tissueid.rendering.control.block import SATURATION
-from tissueid.rendering.control.law import saturate
-from tissueid.rendering.control.plant import damping_form, generalised_force, inertia, solve
+from tissueid.rendering.control.law import (
+    damping_form,
+    generalised_force,
+    inertia,
+    saturate,
+    solve,
+)
 from tissueid.rendering.control.simulation import loop_block
 from tissueid.rendering.options import preset_tissue
 
@@ -140,11 +144,11 @@ def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy() -> None:
     Y, spare, M, out = np.zeros((2, 12)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     x, v, a = np.array([0.03, -0.02]), np.array([0.4, -0.7]), np.array([2.0, 5.0])
 
-    inertia(block, theta, x, spare, Y, M)
+    inertia(block.arm, theta, x, spare, Y, M)
     np.testing.assert_allclose(M, arm_inertia(x), rtol=1e-10)
 
     # M' - 2 C is skew: what the forces do is what the kinetic energy gains
-    generalised_force(block, theta, x, v, v, a, Y, out)
+    generalised_force(block.arm, theta, x, v, v, a, Y, out)
     h = 1e-5
     energy = [0.5 * (v + s * a) @ arm_inertia(x + s * v + 0.5 * s * s * a) @ (v + s * a) for s in (-h, h)]
     assert v @ out == pytest.approx((energy[1] - energy[0]) / (2.0 * h), rel=1e-7)
@@ -152,7 +156,7 @@ def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy() -> None:
     r1, r2, nothing = np.array([0.3, 0.1]), np.array([-0.2, 0.5]), np.zeros(2)
     forces = []
     for r in (r1, r2, r1 + r2):
-        generalised_force(block, theta, x, v, r, nothing, Y, out)
+        generalised_force(block.arm, theta, x, v, r, nothing, Y, out)
         forces.append(out.copy())
     np.testing.assert_allclose(forces[0] + forces[1], forces[2], atol=1e-12)
 
@@ -167,7 +171,7 @@ def test_matrices_of_several_axes_come_back_from_their_parameters() -> None:
     x, v, vr, ar = rng.normal(size=(4, n))
     Y, out = np.zeros((n, theta.size)), np.zeros(n)
 
-    generalised_force(block, theta, x, v, vr, ar, Y, out)
+    generalised_force(block.arm, theta, x, v, vr, ar, Y, out)
 
     np.testing.assert_allclose(out, parts[0] @ ar + parts[1] @ vr + parts[2] @ x, rtol=1e-12)
     assert damping_form(theta, x) == pytest.approx(x @ parts[1] @ x, rel=1e-12)
@@ -325,8 +329,9 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
 
 
 def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction() -> None:
-    block = loop_block(ControlSettings(PAPER_A), period_s=1e-3, substeps=1)
-    block[SATURATION] = most = 7.0
+    most = 7.0
+    settings = ControlSettings(PAPER_A, gains=Gains(saturation_N=most))
+    block = loop_block(settings, period_s=1e-3, substeps=1)
     for length, kept in ((0.5, 0.5), (1.0, 1.0), (3.0, 1.0)):
         u = length * most * np.array([0.6, -0.8])
         saturate(block, u)

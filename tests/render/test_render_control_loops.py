@@ -21,9 +21,7 @@ from tissueid.rendering.control import (
     simulate,
 )
 from tissueid.rendering.control.document import measured
-from tissueid.rendering.control.law import saturate
-from tissueid.rendering.control.simulation import loop_block
-from tissueid.rendering.control.virtual_mass import turn_multiplier, virtual_mass_bound
+from tissueid.rendering.control.settings import turn_multiplier, virtual_mass_bound
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 
@@ -51,16 +49,6 @@ def test_sustained_contact_is_tracked_whatever_the_stiffness(
 
 
 @pytest.mark.needs_jit
-@pytest.mark.parametrize("scale", SCALES)
-def test_free_motion_and_contact_in_turn_are_tracked(scale: float) -> None:
-    run = simulate(replace(table_3("B", scale).task("free-contact"), seconds=20.0))
-
-    assert measured(run).error_rms_mm <= 0.35
-    assert run.tool_position_m.min() < -0.01
-    assert run.environment_force_N.max() > 4.0
-
-
-@pytest.mark.needs_jit
 def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics() -> None:
     settings = replace(
         table_3("B"),
@@ -83,8 +71,13 @@ def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dyna
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize("scale", SCALES)
 def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(variant: str, scale: float) -> None:
-    found = measured(simulate(replace(table_3(variant, scale).task("free-contact"), seconds=20.0)))
+    run = simulate(replace(table_3(variant, scale).task("free-contact"), seconds=20.0))
+    found = measured(run)
 
+    # free motion and contact in turn are tracked
+    assert found.error_rms_mm <= 0.35
+    assert run.tool_position_m.min() < -0.01
+    assert run.environment_force_N.max() > 4.0
     # the sensor's sample is a tick old, and contact begins within a tick: in variant A a robust term of 25 N
     # hides it on soft tissue, elsewhere V' is above its bound after few ticks, by much where tissue is stiff
     print(f"{variant} x{scale:g}: V' broken after {found.violated_share:.2%}, {found.violation_max_W:.3g} W")  # noqa: T201
@@ -177,18 +170,6 @@ def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> Non
     assert fine.environment_force_N.max() < 21.0
     assert hard.tool_substeps() >= 20
     assert replace(hard, stiffness_scale=1e4).tool_substeps() > 100
-
-
-def test_a_force_is_shortened_in_its_direction() -> None:
-    settings = replace(table_3("B"), gains=Gains(saturation_N=5.0))
-    block = loop_block(settings, period_s=1e-3, substeps=1)
-    too_much, little = np.array([6.0, -8.0]), np.array([3.0, 3.9])
-
-    saturate(block, too_much)
-    saturate(block, little)
-
-    np.testing.assert_allclose(too_much, [3.0, -4.0], rtol=1e-15)
-    np.testing.assert_array_equal(little, [3.0, 3.9])
 
 
 @pytest.mark.needs_jit
@@ -336,21 +317,14 @@ NEAR_MM = 20.0
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
-def test_some_hands_on_some_tissues_are_bounded(variant: str) -> None:
-    errors = largest_errors_mm(variant, some_operators(3, seed=1), some_tissues(2, seed=2))
-
-    assert errors.size == 12
-    assert errors.max() < NEAR_MM
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("variant", ["A", "B"])
-def test_200_hands_on_20_tissues_are_bounded(variant: str) -> None:
-    errors = largest_errors_mm(variant, some_operators(200, seed=1), some_tissues(20, seed=2))
+@pytest.mark.parametrize(("hands", "tissues"), [(3, 2), pytest.param(200, 20, marks=pytest.mark.slow)])
+def test_many_hands_on_many_tissues_are_bounded(variant: str, hands: int, tissues: int) -> None:
+    errors = largest_errors_mm(variant, some_operators(hands, seed=1), some_tissues(tissues, seed=2))
 
     print(  # noqa: T201
-        f"variant {variant}: {errors.size} loops (200 hands, 20 tissues, 2 pushes), {np.isinf(errors).sum()} "
-        f"diverged; largest error {np.median(errors):.3g} mm in the median, {errors.max():.3g} mm at most"
+        f"variant {variant}: {errors.size} loops ({hands} hands, {tissues} tissues, 2 pushes), "
+        f"{np.isinf(errors).sum()} diverged; largest error {np.median(errors):.3g} mm in the median, "
+        f"{errors.max():.3g} mm at most"
     )
-    assert errors.size == 8000
+    assert errors.size == 2 * hands * tissues
     assert errors.max() < NEAR_MM

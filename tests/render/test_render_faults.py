@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import time
 from dataclasses import replace
 from functools import cache
 from typing import Self
@@ -17,18 +16,15 @@ import numpy as np
 import pytest
 from emulated_session import HOMED_S, LIMITS, TICK_S, EmulatedSession
 
-from tissueid.errors import DeviceError
 from tissueid.haptics.device import ZERO_COMMANDS
-from tissueid.haptics.falcon import firmware as firmware_module
 from tissueid.haptics.falcon.calibration import Calibration
-from tissueid.haptics.falcon.device import FalconDevice, limits_of
-from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.device import limits_of
+from tissueid.haptics.falcon.emulator import ScriptedFault
 from tissueid.haptics.falcon.packets import INVALID, PACKETS
 from tissueid.haptics.guard import GAIN, HEARTBEAT_LOST, PHASE, YIELDING, transition
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.environment import LAW
-from tissueid.rendering.servo_loop import CLOCK_SIZE, monotonic_ns
 
 pytestmark = pytest.mark.needs_jit
 
@@ -192,42 +188,6 @@ def test_a_lost_heartbeat_is_damped_and_then_zero():
         assert session.first(Fault.HEARTBEAT) > 0
         assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
         assert np.abs(np.diff(session.forces()[-201:])).max() <= RAMP_STEP_N
-
-
-def test_the_loops_clock_is_the_monotonic_one_that_no_clock_jump_reaches():
-    before = time.monotonic_ns()
-    now = monotonic_ns(np.zeros(CLOCK_SIZE, np.int64))
-    assert before <= now <= time.monotonic_ns()
-
-
-def test_firmware_that_fails_twice_succeeds_on_the_third_try(tmp_path, monkeypatch):
-    monkeypatch.setattr(firmware_module, "PRESENCE_WAIT_S", 0.02)
-    firmware = tmp_path / "any.bin"
-    firmware.write_bytes(bytes(range(256)) * 2)
-    said: list[str] = []
-    settings = EmulatorSettings(firmware_loaded=False, firmware_bytes=512, failing_tries=2, period_s=TICK_S)
-    with EmulatedLink(settings) as link:
-        device = FalconDevice(
-            LIMITS, port=link.descriptor(), firmware=firmware, calibration=Calibration(), tell=said.append
-        )
-        device.open()
-        assert device.state is State.HOMING
-        assert link.falcon.firmware_tries == 3
-        device.close()
-    assert [line for line in said if "try 1 of" in line]
-    assert [line for line in said if "try 2 of" in line]
-
-
-def test_homing_that_never_completes_ends_with_what_to_do():
-    settings = EmulatorSettings(homes=False, period_s=TICK_S)
-    with EmulatedLink(settings) as link:
-        device = FalconDevice(LIMITS, port=link.descriptor(), calibration=Calibration(), homing_timeout_s=2.0)
-        device.open()
-        with pytest.raises(DeviceError, match=r"homing never completed.*pull the grip") as refused:
-            device.home()
-        assert refused.value.exit_status == 5
-        device.close()
-        assert link.falcon.last_motors == (0, 0, 0)
 
 
 def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from tissueid.rendering.funnel import CONE, HYPERBOLOID, PRINTED_ONE_M, funnel_touch, hyperboloid_constants
+from tissueid.rendering.guidance import CONE, HYPERBOLOID, PRINTED_ONE_M, funnel_touch, hyperboloid_constants
 
 RADIUS_M, OFFSET_M, SLOPE = 0.004, 0.006, 0.35
 HYPER = np.array([HYPERBOLOID, *hyperboloid_constants(RADIUS_M, OFFSET_M, SLOPE)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import threading
 import time
 from dataclasses import replace
@@ -14,42 +13,26 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import HOMING_STEPS, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
-from tissueid.haptics.parameter_block import ParameterBlock
-from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_process
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
-from tissueid.rendering.servo_process import run_plan
-from tissueid.rendering.servo_schedule import Schedule
-from tissueid.rendering.servo_tick import BLOCK_SIZE
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 
 #: A busy machine starves an emulator for longer than a device may be silent.
 LIMITS = replace(limits_of(Calibration()), no_reply_s=10.0)
 
 
-def test_an_owner_that_dies_during_homing_ends_it_with_zero_force() -> None:
-    theirs, ours = socket.socketpair()
-    reading, writing = os.pipe()
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+def test_an_owner_that_dies_during_homing_ends_it_with_zero_force(pipes) -> None:
     with EmulatedLink(EmulatorSettings(homes=False), pty=True) as link:
         options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS}
-        threading.Timer(0.5, ours.close).start()
+        threading.Timer(0.5, os.close, [pipes.ours]).start()
         begun = time.monotonic()
         with pytest.raises(DeviceError, match="the program that owns the session ended"):
-            run_plan(ServoPlan("falcon", options), ring, block, theirs.fileno(), writing)
+            pipes.run(ServoPlan("falcon", options))
         took = time.monotonic() - begun
         time.sleep(0.1)
         last = link.falcon.last_motors
-    theirs.close()
-    told = os.read(reading, 65_536).decode()
-    for descriptor in (reading, writing):
-        os.close(descriptor)
-    ring.close()
-    block.close()
-    assert "pull the grip" in told
-    # homing itself would be given up after a minute
-    # the timer runs on a clock of its own
+    assert "pull the grip" in pipes.told()
+    # homing itself would be given up after a minute; the timer runs on a clock of its own
     assert 0.4 <= took < 20.0
     assert last == (0, 0, 0)
 
@@ -66,7 +49,9 @@ def test_instructions_of_homing_come_out_of_the_servo_process() -> None:
     assert told == list(HOMING_STEPS)
 
 
-def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(monkeypatch) -> None:
+def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(
+    monkeypatch, same_priority, pipes
+) -> None:
     happened: list[str] = []
     home, loop = SimulatedDevice.home, servo_process.compiled_loop
 
@@ -81,17 +66,7 @@ def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(mo
     monkeypatch.setattr(SimulatedDevice, "home", noted_home)
     monkeypatch.setattr(servo_process, "compiled_loop", noted_loop)
     monkeypatch.setattr(servo_process, "is_compiled", lambda: False)
-    # this process is the tests' own: it must not get a servo's priority, processor and locked memory
-    monkeypatch.setattr(servo_process, "make_punctual", lambda **_: Schedule("SCHED_OTHER", -1, False, ()))
     monkeypatch.setattr(servo_process, "settled", lambda **_: happened.append("memory"))
-    theirs, ours = socket.socketpair()
-    reading, writing = os.pipe()
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-    run_plan(ServoPlan("sim", {}, ticks=3), ring, block, theirs.fileno(), writing)
-    told = os.read(reading, 65_536).decode()
-    for one in (theirs, ours, ring, block):
-        one.close()
-    for descriptor in (reading, writing):
-        os.close(descriptor)
+    pipes.run(ServoPlan("sim", {}, ticks=3))
     assert happened == ["loop of 0", "memory", "home", "loop of 3"]
-    assert "10 to 20 s" in told
+    assert "10 to 20 s" in pipes.told()

@@ -59,18 +59,11 @@ def test_a_scale_that_was_asked_for_is_kept_or_refused_with_the_largest_that_fit
 
 
 def test_a_tissue_that_could_not_be_felt_any_more_is_refused() -> None:
-    stiff = Tissue(
-        kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=0.05),
-        np.array([4000.0, 0.0, 0.0]),
-        PAPER_A.speeds_mm_s,
-    )
-    with pytest.raises(DeviceError, match="can't be felt on this device"):
-        check_before_force(stiff, FALCON_LIKE)
-
-
-def test_a_device_without_damping_renders_nothing() -> None:
-    with pytest.raises(DeviceError, match="can't be felt"):
-        check_before_force(PAPER_A, replace(FALCON_LIKE, damping_N_s_per_m=0.0))
+    model = kelvin_voigt(branches=0, stiffness_degree=0, depth_mm=0.05)
+    stiff = Tissue(model, np.array([4000.0, 0.0, 0.0]), PAPER_A.speeds_mm_s)
+    for tissue, device in ((stiff, FALCON_LIKE), (PAPER_A, replace(FALCON_LIKE, damping_N_s_per_m=0.0))):
+        with pytest.raises(DeviceError, match="can't be felt on this device"):
+            check_before_force(tissue, device)
 
 
 def test_more_delay_lowers_the_scale_further() -> None:

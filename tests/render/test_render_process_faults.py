@@ -16,7 +16,7 @@ import pytest
 from emulated_session import pressing
 from owner_to_kill import parameters, plan
 
-from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering.servo import ServoProcess
 
@@ -87,21 +87,3 @@ def test_an_owner_that_falls_silent_loses_the_force_after_half_a_second():
         assert servo.end is not None
         assert (servo.end.reason, servo.end.fault, servo.end.state) == ("fault", Fault.HEARTBEAT, State.FAULT)
         assert "stopped giving signs of life" in servo.end.message
-
-
-@pytest.mark.slow
-def test_unplugging_ends_the_process_with_its_reason():
-    settings = EmulatorSettings(hand=pressing(), waits_for_blue=True, faults=(ScriptedFault("unplug", 4.2),))
-    with EmulatedLink(settings, pty=True) as link, ServoProcess(plan(str(link.path))) as servo:
-        servo.block.write(parameters())
-        servo.engage()
-        begin = time.monotonic()
-        while servo.poll() is None and time.monotonic() - begin < 20.0:
-            servo.beat()
-            time.sleep(0.01)
-        assert servo.end is not None
-        assert (servo.end.reason, servo.end.fault) == ("fault", Fault.TRANSPORT)
-        records, _ = servo.records.read_new()
-        assert records["state"][-1] == State.FAULT
-        assert (records["force_N"][-1] == 0.0).all()
-        assert (records["state"] == State.ENGAGED).any()

@@ -14,8 +14,6 @@ from tissueid.errors import UsageError
 from tissueid.rendering.recorder import Recorder
 from tissueid.store.session_log import read_session_log
 
-LIMIT_BYTES = 60_000
-
 
 def test_what_was_appended_is_in_the_log_and_the_part_is_gone(tmp_path: Path) -> None:
     records = records_of(indentation(1.0))
@@ -43,30 +41,33 @@ def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
         Recorder(tmp_path / "missing" / "out.h5", head_of())
 
 
-FULL_DISK = f"""
+FULL_DISK = """
 import resource, sys
-sys.path[:0] = sys.argv[2:]
+sys.path[:0] = sys.argv[3:]
 from pathlib import Path
 from session_heads import head_of, indentation, records_of, summary_of
 from tissueid.rendering.recorder import Recorder
-records = records_of(indentation(2.0))
+records, limit = records_of(indentation(2.0)), int(sys.argv[2])
+if limit < 1000:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 recorder = Recorder(Path(sys.argv[1]), head_of())
-resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT_BYTES}, {LIMIT_BYTES}))
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 for start in range(0, len(records), 100):
     recorder.append(records[start : start + 100])
 print(recorder.written, len(records), recorder.stopped, recorder.finish(summary_of(records)), sep="|")
 """
 
 
-def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path) -> None:
+def recorded_within(limit_bytes: int, log: Path) -> subprocess.CompletedProcess[str]:
+    """A recording in a process whose files may not be larger."""
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
-    folders = [str(Path(__file__).parents[1])]
-    shown = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path / "out.h5"), *folders],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
+    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    command = [sys.executable, "-c", FULL_DISK, str(log), str(limit_bytes), *folders]
+    return subprocess.run(command, check=False, capture_output=True, text=True)
+
+
+def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path) -> None:
+    shown = recorded_within(60_000, tmp_path / "out.h5")
     written, given, stopped, where = shown.stdout.strip().split("|")
     assert 0 < int(written) < int(given)
     assert "File too large" in stopped
@@ -74,18 +75,7 @@ def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path)
 
 
 def test_no_room_even_for_the_head_is_said_before_the_session(tmp_path: Path) -> None:
-    script = (
-        "import resource, sys\nsys.path[:0] = sys.argv[2:]\nfrom pathlib import Path\n"
-        "from session_heads import head_of\nfrom tissueid.rendering.recorder import Recorder\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\nRecorder(Path(sys.argv[1]), head_of())\n"
-    )
-    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-    shown = subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path / "out.h5"), *folders],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    shown = recorded_within(64, tmp_path / "out.h5")
     assert "UsageError" in shown.stderr
     assert "choose another place" in shown.stderr
     assert list(tmp_path.iterdir()) == []

@@ -12,8 +12,15 @@ import pytest
 from tissueid.errors import DeviceError, UsageError
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDANCE, GUIDED, KIND
-from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
-from tissueid.rendering.guidance_check import check_guidance, needed_damping, weaker
+from tissueid.rendering.guidance_block import (
+    Bone,
+    Funnel,
+    Guidance,
+    Pull,
+    check_guidance,
+    needed_damping,
+    weaker,
+)
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.scene import load_scene, scene_names

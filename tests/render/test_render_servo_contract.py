@@ -23,27 +23,24 @@ TICKS = 2400
 
 def session(*, compiled: bool, fault: str) -> np.ndarray:
     """Records of a session that meets a fault."""
-    rig = Rig(seed=11)
-    rig.block.write(tissue())
-    io = rig.io if compiled else PythonIO(rig.device)
-    kinds = {"gone": 1, "silent": 2, "frozen": 3, "jump": 4, "unhomed": 5}
-    if fault in kinds:
-        rig.device.parameters[[sim.FAULT_KIND, sim.FAULT_AT]] = kinds[fault], FAULT_AT_S
-        rig.device.parameters[sim.FAULT_SIZE] = 300.0
-    for k in range(TICKS):
-        if k == round(FAULT_AT_S / PERIOD) and fault == "not a number":
-            rig.servo.environment[LAW : LAW + 8] = np.nan
-        if k == round(FAULT_AT_S / PERIOD) and fault == "heartbeat":
-            transition(rig.servo.guard_memory, rig.servo.limits, machine.HEARTBEAT_LOST)
-        if k == round(FAULT_AT_S / PERIOD) and fault == "owner":
-            transition(rig.servo.guard_memory, rig.servo.limits, machine.PARENT_DIED)
-        # a device in Python moves on its period when it is commanded, a compiled one when it is read
-        dt = PERIOD if k or not compiled else 0.0
-        tick(io, rig.servo, PERIOD * k, dt, 0.0, 0)
-    records = rig.records.read_new()[0]
-    rig.ring.close()
-    rig.block.close()
-    return records
+    with Rig(seed=11) as rig:
+        rig.block.write(tissue())
+        io = rig.io if compiled else PythonIO(rig.device)
+        kinds = {"gone": 1, "silent": 2, "frozen": 3, "jump": 4, "unhomed": 5}
+        if fault in kinds:
+            rig.device.parameters[[sim.FAULT_KIND, sim.FAULT_AT]] = kinds[fault], FAULT_AT_S
+            rig.device.parameters[sim.FAULT_SIZE] = 300.0
+        for k in range(TICKS):
+            if k == round(FAULT_AT_S / PERIOD) and fault == "not a number":
+                rig.servo.environment[LAW : LAW + 8] = np.nan
+            if k == round(FAULT_AT_S / PERIOD) and fault == "heartbeat":
+                transition(rig.servo.guard_memory, rig.servo.limits, machine.HEARTBEAT_LOST)
+            if k == round(FAULT_AT_S / PERIOD) and fault == "owner":
+                transition(rig.servo.guard_memory, rig.servo.limits, machine.PARENT_DIED)
+            # a device in Python moves on its period when it is commanded, a compiled one when it is read
+            dt = PERIOD if k or not compiled else 0.0
+            tick(io, rig.servo, PERIOD * k, dt, 0.0, 0)
+        return rig.records.read_new()[0]
 
 
 @pytest.mark.parametrize(

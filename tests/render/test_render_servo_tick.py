@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from typing import Self
+
 import numpy as np
 import pytest
 
@@ -11,15 +14,14 @@ from tissueid.haptics.device import CompiledIO, compiled_io
 from tissueid.haptics.guard import transition
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
-from tissueid.rendering.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick
+from tissueid.rendering.servo_tick import CLIPPED, VERSION, servo_here, tick
 from tissueid.rendering.tissue_block import Plane, free_air_block, tissue_block
 
 PERIOD = 1e-3
@@ -49,13 +51,17 @@ class Rig:
 
     def __init__(self, hand: Hand = PRESS, **options: object) -> None:
         self.device = SimulatedDevice(hand=hand, **options)
-        self.device.open()
-        self.ring, self.block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-        self.servo = new_servo(self.device, self.ring, self.block)
-        self.io = compiled_io(self.device.compiled())
+        self.opened = ExitStack()
+        self.io, self.servo, self.ring, self.block = self.opened.enter_context(servo_here(self.device))
         self.records = self.ring.reader()
         self.block.order(COMMAND_ENGAGE)
         self.now = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.opened.close()
 
     def run(self, seconds: float, period: float = PERIOD) -> tuple[int, np.ndarray]:
         steps = np.full(round(seconds / period), period)
@@ -66,10 +72,8 @@ class Rig:
 
 @pytest.fixture
 def rig():
-    made = Rig()
-    yield made
-    made.ring.close()
-    made.block.close()
+    with Rig() as made:
+        yield made
 
 
 class TestVirtualTime:
@@ -99,26 +103,22 @@ class TestVirtualTime:
     def test_a_session_repeats_bit_for_bit(self):
         runs = []
         for _ in range(2):
-            rig = Rig(seed=3)
-            rig.block.write(tissue())
-            runs.append(rig.run(2.0)[1].tobytes())
-            rig.ring.close()
-            rig.block.close()
+            with Rig(seed=3) as rig:
+                rig.block.write(tissue())
+                runs.append(rig.run(2.0)[1].tobytes())
         assert runs[0] == runs[1]
 
     @pytest.mark.needs_jit
     def test_compiled_and_uncompiled_loops_do_the_same(self):
         records = []
         for compiled in (True, False):
-            rig = Rig(seed=5)
-            rig.block.write(tissue())
-            io = rig.io if compiled else PythonIO(rig.device)
-            for k in range(400):
-                # a device in Python moves when it is commanded, a compiled one when it is read
-                tick(io, rig.servo, PERIOD * k, PERIOD if k or not compiled else 0.0, 0.0, 0)
-            records.append(rig.records.read_new()[0])
-            rig.ring.close()
-            rig.block.close()
+            with Rig(seed=5) as rig:
+                rig.block.write(tissue())
+                io = rig.io if compiled else PythonIO(rig.device)
+                for k in range(400):
+                    # a device in Python moves when it is commanded, a compiled one when it is read
+                    tick(io, rig.servo, PERIOD * k, PERIOD if k or not compiled else 0.0, 0.0, 0)
+                records.append(rig.records.read_new()[0])
         for name in ("position_m", "force_N", "state", "depth_mm"):
             assert np.array_equal(records[0][name], records[1][name])
 
@@ -228,13 +228,11 @@ class TestPythonDevices:
 
 @pytest.mark.needs_jit
 def test_a_clipped_tick_says_so_and_is_counted():
-    rig = Rig(limits=GuardLimits(clamp_N=0.2, rms_limit_N=0.2, dead_man=False))
-    rig.block.write(tissue())
-    _, records = rig.run(2.6)
-    clipped = (records["lamps"] & Lamp.CLIPPED) != 0
-    size = np.linalg.norm(records["force_N"], axis=1)
-    assert clipped[-1]
-    assert size[clipped] == pytest.approx(0.2, rel=1e-12)
-    assert rig.servo.counters[CLIPPED] == clipped.sum()
-    rig.ring.close()
-    rig.block.close()
+    with Rig(limits=GuardLimits(clamp_N=0.2, rms_limit_N=0.2, dead_man=False)) as rig:
+        rig.block.write(tissue())
+        _, records = rig.run(2.6)
+        clipped = (records["lamps"] & Lamp.CLIPPED) != 0
+        size = np.linalg.norm(records["force_N"], axis=1)
+        assert clipped[-1]
+        assert size[clipped] == pytest.approx(0.2, rel=1e-12)
+        assert rig.servo.counters[CLIPPED] == clipped.sum()

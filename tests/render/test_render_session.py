@@ -22,9 +22,8 @@ from tissueid.rendering.environment import FORCE_SCALE, LABEL, SURFACE
 from tissueid.rendering.first_start import first_start, is_compiled
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
-from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.recorder import Recorder, SessionSummary, period_statistics
 from tissueid.rendering.session import Session, Wish
-from tissueid.rendering.summary import SessionSummary, period_statistics
 from tissueid.rendering.tissue_block import Plane
 from tissueid.store.bundle import write_bundle
 from tissueid.store.session_log import read_session_log
@@ -155,16 +154,21 @@ def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: P
     assert document["summary"]["peak_device_force_N"] == 0.0
 
 
-def test_rendering_never_loads_what_a_servo_must_not_wait_for() -> None:
-    code = (
-        "import sys, tissueid.rendering.plan, tissueid.rendering.session, tissueid.rendering.servo_process\n"
-        "print(sorted(sys.modules))"
-    )
+#: numba looks for scipy itself; none of its routines may come along.
+HEAVY = {"pandas", "lmfit", "emcee", "click", "rich", "pint", "jinja2", "plotly"} | {
+    f"scipy.{name}" for name in ("optimize", "integrate", "stats", "signal", "interpolate")
+}
+MODULES = {
+    "servo_process": HEAVY | {"scipy.special", "scipy.linalg", "h5py"},
+    "plan, tissueid.rendering.session, tissueid.rendering.servo_process": HEAVY,
+}
+
+
+@pytest.mark.parametrize("modules", MODULES)
+def test_rendering_never_loads_what_a_servo_must_not_wait_for(modules: str) -> None:
+    code = f"import sys, tissueid.rendering.{modules}\nprint(*sys.modules)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    # numba looks for scipy itself; none of its routines may come along
-    scipy = ("scipy.optimize", "scipy.integrate", "scipy.stats", "scipy.signal", "scipy.interpolate")
-    for heavy in (*scipy, "pandas", "lmfit", "emcee", "click", "rich", "pint", "jinja2", "plotly"):
-        assert f"'{heavy}'" not in shown.stdout
+    assert MODULES[modules].isdisjoint(shown.stdout.split())
 
 
 def test_only_the_simulated_device_begins_uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:

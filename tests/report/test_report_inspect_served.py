@@ -14,7 +14,7 @@ import pytest
 from tissueid.ingest import ReadOptions, read_trials
 from tissueid.ingest.manifest import read_study
 from tissueid.segment import SegmentOptions
-from tissueid.study.correcting import CorrectedInspection
+from tissueid.study.corrections import CorrectedInspection
 from tissueid.study.inspected import Inspection
 from tissueid.viewer.page_server import PageServer
 

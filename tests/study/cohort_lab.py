@@ -9,28 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study_folder import LOG
+from study_folder import recording
 
 from tissueid.own_process import threads
 from tissueid.store.results import each_result
 
-HEADER_LINES = 6
-ROWS, STRIDE = 1600, 16
+STRIDE = 16
 
 
 def write_specimen(folder: Path, number: int, *, times: float = 1.0) -> list[Path]:
     """Two 6 Hz logs of specimen ``head-<number>``, forces scaled by specimen and by log."""
     folder.mkdir(parents=True, exist_ok=True)
-    lines = LOG.read_text(encoding="ascii").splitlines()[HEADER_LINES : HEADER_LINES + ROWS : STRIDE]
+    head = f'Text Inputs : Specimen label,"head-{number}"'
     paths = []
     for log in range(2):
         scale = times * (1.0 + 0.05 * number + 0.01 * log)
-        cells = [line.split(",") for line in lines]
-        rows = [f"{t},{x},{float(f) * scale:.4f}" for t, x, f in cells]
-        head = f'Text Inputs : Specimen label,"head-{number}"'
-        text = "\n".join([head, "", "Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
         path = folder / f"h{number}-{log}.csv"
-        path.write_text(text, encoding="ascii")
+        path.write_text(recording(times=scale, header=head, stride=STRIDE), encoding="ascii")
         paths.append(path)
     return paths
 

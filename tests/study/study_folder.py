@@ -19,10 +19,12 @@ HEADER_LINES = 6
 ROWS, STRIDE = 1600, 4
 
 
-def recording(*, times: float = 1.0, header: str = "", names: str = "Time,Extension,Load") -> str:
+def recording(
+    *, times: float = 1.0, header: str = "", names: str = "Time,Extension,Load", stride: int = STRIDE
+) -> str:
     """A ramp and hold with its force ``times`` as large."""
     lines = LOG.read_text(encoding="ascii").splitlines()
-    cells = [line.split(",") for line in lines[HEADER_LINES : HEADER_LINES + ROWS : STRIDE]]
+    cells = [line.split(",") for line in lines[HEADER_LINES : HEADER_LINES + ROWS : stride]]
     rows = [f"{t},{x},{float(f) * times:.4f}" for t, x, f in cells]
     return "\n".join([*([header, ""] if header else []), names, "(sec),(mm),(N)", *rows, ""])
 

@@ -20,7 +20,7 @@ from tissueid.store.bundle import load_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.results import each_result, read_results
 from tissueid.store.status import read_status
-from tissueid.study import assembly, batch, pages
+from tissueid.study import batch, pages
 
 
 def fit(data: Path, out: Path, *args: str) -> int:
@@ -48,6 +48,13 @@ def again(cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     shutil.copytree(cohort, tmp_path / "copy")
     monkeypatch.chdir(tmp_path / "copy")
     return Path()
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Three specimens are a large cohort."""
+    monkeypatch.setattr(batch, "LARGE", 2)
+    return monkeypatch
 
 
 def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort: Path) -> None:
@@ -124,10 +131,8 @@ def test_a_damaged_index_costs_time_and_no_result(again: Path, capsys: pytest.Ca
     assert numbers_of(again / "out") == numbers
 
 
-def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, large: pytest.MonkeyPatch) -> None:
     numbers = numbers_of(again / "out")
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
     fit(again / "lab", again / "out")
     out = again / "out"
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
@@ -146,24 +151,18 @@ def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch:
     assert [one.specimen for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
 
 
-def test_a_page_made_with_a_fit_is_that_made_of_its_file(
-    again: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_made_with_a_fit_is_that_made_of_its_file(again: Path, large: pytest.MonkeyPatch) -> None:
     def pages_of(out: Path) -> dict[str, bytes]:
         fit(again / "lab", out)
         return {path.name: path.read_bytes() for path in (out / "pages").glob("*.html")}
 
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
     later = pages_of(again / "out")
     assert len(later) == 3
     assert pages_of(again / "new") == later
 
 
-def test_a_page_that_can_not_be_made_costs_no_result(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (assembly, batch):
-        monkeypatch.setattr(module, "LARGE", 2)
-    monkeypatch.setattr(pages, "PAGE", "tissueid.study.pages:no_such_task")
+def test_a_page_that_can_not_be_made_costs_no_result(again: Path, large: pytest.MonkeyPatch) -> None:
+    large.setattr(pages, "PAGE", "tissueid.study.pages:no_such_task")
     fit(again / "lab", again / "new")
     assert numbers_of(again / "new") == numbers_of(again / "out")
     made = [path.read_text(encoding="utf-8") for path in (again / "new" / "pages").glob("*.html")]

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -60,6 +60,23 @@ def end(*processes: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait(PATIENCE_S)
+
+
+def when_done(out: Path, number: int, disturb: Callable[[], object]) -> threading.Thread:
+    """A thread, begun, that disturbs a run once so many specimens are done."""
+
+    def wait() -> None:
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            with contextlib.suppress(BundleError):
+                if read_status(out)["specimens"]["done"] >= number:
+                    break
+            time.sleep(0.02)
+        disturb()
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread
 
 
 @pytest.fixture
@@ -135,20 +152,13 @@ def test_a_cluster_that_loses_a_part_goes_on_when_it_is_back(tmp_path: Path, los
     processes = [scheduler(port), worker(address), worker(address)]
 
     def disturb() -> None:
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until:
-            with contextlib.suppress(BundleError):
-                if read_status(tmp_path / "there")["specimens"]["done"] >= 1:
-                    break
-            time.sleep(0.02)
         if lost == "worker":
             end(processes[1])
         else:
             end(*processes)
             processes[:] = [scheduler(port), worker(address), worker(address)]
 
-    thread = threading.Thread(target=disturb)
-    thread.start()
+    thread = when_done(tmp_path / "there", 1, disturb)
     try:
         code = main(["fit", str(lab), "-o", str(tmp_path / "there"), *QUICK, "-q", "--scheduler", address])
         thread.join()
@@ -170,19 +180,9 @@ def test_a_scheduler_that_stays_away_ends_the_run_with_what_is_finished_kept(
     processes = [scheduler(port), worker(address)]
     out = tmp_path / "out"
 
-    def disturb() -> None:
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until:
-            with contextlib.suppress(BundleError):
-                if read_status(out)["specimens"]["done"] >= 2:
-                    break
-            time.sleep(0.02)
-        end(*processes)
-
     time.sleep(3.0)
     monkeypatch.setattr(cluster, "CONNECT_S", 10.0)
-    thread = threading.Thread(target=disturb)
-    thread.start()
+    thread = when_done(out, 2, lambda: end(*processes))
     code = main(["fit", str(lab), "-o", str(out), *QUICK, "-q", "--scheduler", address])
     thread.join()
     assert code == 6

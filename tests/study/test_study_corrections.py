@@ -16,8 +16,7 @@ from tissueid.errors import InputError, UsageError
 from tissueid.ingest import ReadOptions, read_trials
 from tissueid.ingest.manifest import read_study
 from tissueid.segment import SegmentOptions
-from tissueid.study.correcting import CorrectedInspection
-from tissueid.study.corrections import MARK, Correction, corrected_text
+from tissueid.study.corrections import MARK, CorrectedInspection, Correction, corrected_text
 from tissueid.study.inspected import Inspection
 
 BY_HAND = '''# our study
@@ -229,7 +228,7 @@ def test_a_folder_that_takes_no_file_is_said(lab: Path, monkeypatch: pytest.Monk
         raise OSError(28, "No space left on device")
 
     shown = corrected(lab)
-    monkeypatch.setattr("tissueid.study.correcting.write_file", full)
+    monkeypatch.setattr("tissueid.study.corrections.write_file", full)
     with pytest.raises(UsageError, match="No space left"):
         decide(shown, lab, "exclude", True)
     assert hold_of(shown).kind == "hold"

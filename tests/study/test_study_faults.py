@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,43 +38,48 @@ def started(lab: Path, out: Path, options: tuple[str, ...] = QUICK) -> subproces
     )
 
 
+def fitted(lab: Path, out: Path, options: tuple[str, ...] = QUICK) -> Any:
+    """What the same command finds in this process."""
+    assert main(["fit", str(lab), "-o", str(out), *options, "-q"]) in (0, 4)
+    return numbers_of(out)
+
+
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """A cohort, and what a run that nothing disturbs finds."""
     folder = tmp_path_factory.mktemp("undisturbed")
     lab = write_cohort(folder / "lab", SPECIMENS)
-    assert main(["fit", str(lab), "-o", str(folder / "out"), *QUICK, "-q"]) in (0, 4)
-    return lab, numbers_of(folder / "out")
+    return lab, fitted(lab, folder / "out")
 
 
-def progress_of(out: Path) -> dict[str, object] | None:
+def progress_of(out: Path) -> Any:
     try:
         return read_status(out)
     except BundleError:
         return None
 
 
-def wait_for(out: Path, process: subprocess.Popen[str], *, done: int) -> dict[str, object] | None:
+def wait_for(out: Path, process: subprocess.Popen[str], *, done: int) -> Any:
     """The status once so many specimens are done and another is running; ``None`` where the run has ended."""
     until = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < until:
         status = progress_of(out) if out.is_dir() else None
-        if status is not None and status["running"] and status["specimens"]["done"] >= done:  # type: ignore[index]
+        if status is not None and status["running"] and status["specimens"]["done"] >= done:
             return status
         time.sleep(0.01)
     return None
 
 
-def kill_workers(status: dict[str, object] | None) -> list[int]:
+def kill_workers(status: Any) -> list[int]:
     """Kill one process that computes; which ones were there."""
-    pids = [int(row["worker"].split()[1]) for row in (status or {}).get("running", [])]  # type: ignore[attr-defined]
+    pids = [int(row["worker"].split()[1]) for row in (status or {}).get("running", [])]
     if pids:
         os.kill(pids[0], signal.SIGKILL)
     return pids
 
 
 def test_a_run_that_loses_a_worker_its_client_and_everything_in_turn_ends_as_if_nothing_had_been(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    undisturbed: tuple[Path, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab, expected = undisturbed
     out = tmp_path / "out"
@@ -88,34 +94,21 @@ def test_a_run_that_loses_a_worker_its_client_and_everything_in_turn_ends_as_if_
         assert wait_for(out, process, done=2) is not None
         os.killpg(process.pid, signal.SIGKILL)
     assert not (out / "identification.json").exists()
-    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
-    assert numbers_of(out) == expected
+    assert fitted(lab, out) == expected
     assert read_status(out)["specimens"]["known_before"] >= 2
     assert main(["validate", str(out), "-q"]) == 0
 
 
 @pytest.mark.slow
-def test_a_killed_worker_is_replaced_and_the_run_ends_as_if_nothing_had_been(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path
-) -> None:
-    lab, expected = undisturbed
-    with started(lab, tmp_path / "out") as process:
-        killed = kill_workers(wait_for(tmp_path / "out", process, done=0))
-        assert process.wait(PATIENCE_S) in (0, 4)
-    assert killed
-    assert numbers_of(tmp_path / "out") == expected
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("who", ["client", "everything"])
 def test_a_killed_run_is_gone_on_with_by_the_same_command(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, who: str
+    undisturbed: tuple[Path, Any], tmp_path: Path, who: str
 ) -> None:
     lab, expected = undisturbed
     out = tmp_path / "out"
     with started(lab, out) as process:
         status = wait_for(out, process, done=1)
-        pids = [int(row["worker"].split()[1]) for row in (status or {})["running"]]  # type: ignore[attr-defined]
+        pids = [int(row["worker"].split()[1]) for row in (status or {})["running"]]
         os.killpg(process.pid, signal.SIGKILL) if who == "everything" else process.kill()
     assert not (out / "identification.json").exists()
     # a worker does not outlive who it works for
@@ -124,17 +117,14 @@ def test_a_killed_run_is_gone_on_with_by_the_same_command(
         time.sleep(0.02)
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert read_status(out)["state"] == "stopped"
-    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
-    assert numbers_of(out) == expected
+    assert fitted(lab, out) == expected
     assert read_status(out)["specimens"]["known_before"] >= 1
     assert main(["validate", str(out), "-q"]) == 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("who", ["worker", "client", "everything"])
-def test_kills_at_twenty_random_moments(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, who: str
-) -> None:
+def test_kills_at_twenty_random_moments(undisturbed: tuple[Path, Any], tmp_path: Path, who: str) -> None:
     lab, expected = undisturbed
     rng = np.random.default_rng([23, len(who)])
     begin = time.monotonic()
@@ -154,9 +144,8 @@ def test_kills_at_twenty_random_moments(
             elif process.poll() is None:
                 killed += 1
                 process.kill() if who == "client" else os.killpg(process.pid, signal.SIGKILL)
-        assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+        same += fitted(lab, out) == expected
         assert not list(out.rglob(".tmp-*"))
-        same += numbers_of(out) == expected
     assert same == runs
     assert killed == 20
 
@@ -164,7 +153,7 @@ def test_kills_at_twenty_random_moments(
 @pytest.mark.slow
 def test_kills_while_posteriors_are_drawn_change_no_bit_of_them(tmp_path: Path) -> None:
     lab = write_cohort(tmp_path / "lab", 3)
-    assert main(["fit", str(lab), "-o", str(tmp_path / "once"), *SAMPLED, "-q"]) in (0, 4)
+    once = fitted(lab, tmp_path / "once", SAMPLED)
     out = tmp_path / "out"
     rng = np.random.default_rng(29)
     killed = 0
@@ -176,13 +165,12 @@ def test_kills_while_posteriors_are_drawn_change_no_bit_of_them(tmp_path: Path) 
                     killed += 1
                     os.killpg(process.pid, signal.SIGKILL)
     assert killed >= 2
-    assert main(["fit", str(lab), "-o", str(out), *SAMPLED, "-q"]) in (0, 4)
-    assert numbers_of(out) == numbers_of(tmp_path / "once")
+    assert fitted(lab, out, SAMPLED) == once
 
 
 @pytest.mark.slow
 def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path
+    undisturbed: tuple[Path, Any], tmp_path: Path
 ) -> None:
     lab, expected = undisturbed
     out = tmp_path / "out"
@@ -197,13 +185,12 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
     assert process.returncode == 130
     assert errors.strip() == "tissueid: interrupted; what was finished is kept"
     assert read_status(out)["state"] == "interrupted"
-    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
-    assert numbers_of(out) == expected
+    assert fitted(lab, out) == expected
 
 
 @pytest.mark.slow
 def test_a_second_writer_is_refused_by_name_and_readers_see_whole_results(
-    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    undisturbed: tuple[Path, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab, expected = undisturbed
     out = tmp_path / "out"

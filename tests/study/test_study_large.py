@@ -13,9 +13,8 @@ import pytest
 from tissueid.cli.reading import PatternCheck
 from tissueid.manifest import Entry, Study
 from tissueid.result import Refusal
-from tissueid.study.file_list import FileList, Named
 from tissueid.study.inventory import files_a_task
-from tissueid.study.partition import StudyParts
+from tissueid.study.recordings import FileList, Named, StudyParts
 
 FOLDER = Path(os.path.realpath("/")) / "cohort"
 
@@ -60,7 +59,7 @@ def test_a_list_of_files_takes_little_more_than_their_paths() -> None:
     code = (
         "import gc, tracemalloc\n"
         "from pathlib import Path\n"
-        "from tissueid.study.file_list import FileList\n"
+        "from tissueid.study.recordings import FileList\n"
         f"files = {names(20_000)!r}\n"
         "FileList((Path(file), None) for file in files)\n"
         "gc.collect()\n"
@@ -68,7 +67,7 @@ def test_a_list_of_files_takes_little_more_than_their_paths() -> None:
         "found = FileList((Path(file), None) for file in files)\n"
         "gc.collect()\n"
         # the interpreter's own table of interned strings may grow meanwhile, by a megabyte at once
-        "own = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, '*file_list.py')])\n"
+        "own = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, '*recordings.py')])\n"
         "held = sum(one.size for one in own.statistics('filename'))\n"
         "print(len(found), held, sum(map(len, files)))\n"
     )

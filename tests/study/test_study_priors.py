@@ -1,4 +1,4 @@
-"""The [priors] table of study.toml: what it means, and how it is refused."""
+"""The [priors] and [population] tables of study.toml: what they mean, and how they are refused."""
 
 from __future__ import annotations
 
@@ -13,16 +13,21 @@ from tissueid.documents.base import typed
 from tissueid.documents.study import Priors as Recorded
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
-from tissueid.priors import Priors, SpreadPrior
+from tissueid.manifest import Study
+from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.store.schema import first_problem
 
 HEAD = 'schema = "tissueid/study/1"\n'
 
 
-def priors_in(folder: Path, text: str) -> Priors:
+def study_in(folder: Path, text: str) -> Study:
     path = folder / "study.toml"
     path.write_text(HEAD + text, encoding="utf-8")
-    return read_study(path).priors
+    return read_study(path)
+
+
+def priors_in(folder: Path, text: str) -> Priors:
+    return study_in(folder, text).priors
 
 
 WHOLE = """
@@ -62,11 +67,8 @@ def test_every_prior_that_is_stated_is_kept(tmp_path: Path) -> None:
     assert found.sigma_N == SpreadPrior(0.5, 0.3)
     assert found.phi == (0.2, 0.95)
     assert found.gain_sd == 0.05
-
-
-def test_a_study_without_priors_has_the_defaults(tmp_path: Path) -> None:
-    assert priors_in(tmp_path, "") == Priors()
-    assert priors_in(tmp_path, "[priors]\n") == Priors()
+    for nothing in ("", "[priors]\n"):
+        assert priors_in(tmp_path, nothing) == Priors()
 
 
 @pytest.mark.parametrize(
@@ -86,17 +88,14 @@ def test_a_study_without_priors_has_the_defaults(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_numbers_of_coefficients_may_carry_another_unit(
+def test_numbers_may_carry_another_unit(
     tmp_path: Path, text: str, name: str, expected: tuple[float, float]
 ) -> None:
+    times = "[[priors.relaxation_time_s]]\nmedian = '20 ms'\nsd_ln = 0.5\n"
+    noise = "[priors.sigma_N]\nmedian = '500 mN'\nsd_ln = 1\n"
+    found = priors_in(tmp_path, text + times + noise)
     # a conversion through base units is good to a few units in the last place
-    assert priors_in(tmp_path, text).linear[name] == pytest.approx(expected, rel=1e-12)
-
-
-def test_times_and_noise_may_carry_another_unit(tmp_path: Path) -> None:
-    text = "[[priors.relaxation_time_s]]\nmedian = '20 ms'\nsd_ln = 0.5\n"
-    text += "[priors.sigma_N]\nmedian = '500 mN'\nsd_ln = 1\n"
-    found = priors_in(tmp_path, text)
+    assert found.linear[name] == pytest.approx(expected, rel=1e-12)
     assert found.relaxation_time_s[0].median == pytest.approx(0.02, rel=1e-12)
     assert found.sigma_N is not None
     assert found.sigma_N.median == pytest.approx(0.5, rel=1e-12)
@@ -128,23 +127,32 @@ def test_times_and_noise_may_carry_another_unit(tmp_path: Path) -> None:
         ("[priors.phi]\nlow = 0.9\n", 2, ["high is missing"]),
         ("[priors.gain_sd]\nscale = true\n", 3, ["True must be a number"]),
         ("[priors.sigma_N]\nmedian = nan\nsd_ln = 1\n", 3, ["finite"]),
+        (4 * "[[priors.relaxation_time_s]]\nmedian = 1\nsd_ln = 1\n", None, ["relaxation_time_s"]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
-    tmp_path: Path, text: str, line: int, words: list[str]
+    tmp_path: Path, text: str, line: int | None, words: list[str]
 ) -> None:
     with pytest.raises(InputError) as caught:
         priors_in(tmp_path, text)
     assert caught.value.code == "invalid_study"
-    assert caught.value.line == line, caught.value
+    assert line is None or caught.value.line == line, caught.value
     for word in words:
         assert word in caught.value.message
 
 
-def test_four_relaxation_times_are_too_many(tmp_path: Path) -> None:
-    table = "[[priors.relaxation_time_s]]\nmedian = {}\nsd_ln = 1\n"
-    with pytest.raises(InputError, match="relaxation_time_s"):
-        priors_in(tmp_path, "".join(table.format(i) for i in range(1, 5)))
+def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_path: Path) -> None:
+    found = study_in(
+        tmp_path,
+        "[population]\nmean_sd = 8\n[population.between]\nmedian = 0.15\nsd_ln = 0.3\n"
+        "[population.tails]\nshape = 3\nrate = 0.2\n",
+    )
+    stated = PopulationPriors(mean_sd=8, between=SpreadPrior(0.15, 0.3), tail_shape=3, tail_rate=0.2)
+    assert found.population == stated
+    assert study_in(tmp_path, "").population is None
+    with pytest.raises(InputError, match="sd_ln is missing") as refused:
+        study_in(tmp_path, "[population]\n[population.between]\nmedian = 0.15\n")
+    assert refused.value.line == 3
 
 
 def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path: Path) -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tissueid.study.processes import InThisProcess, LocalProcesses
-from tissueid.study.tasks import Outcome, Task
+from tissueid.study.tasks import InThisProcess, LocalProcesses, Outcome, Task
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by SIGKILL")
 

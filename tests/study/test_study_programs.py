@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tissueid.ingest.manifest import read_study
-from tissueid.study.draft import draft_study
-from tissueid.study.programs import programs_of
+from tissueid.study.draft import draft_study, programs_of
 from tissueid.trial import Protocol, Source, Trial
 
 

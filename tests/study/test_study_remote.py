@@ -21,27 +21,19 @@ def found_in(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_study_at_a_url_is_that_of_a_folder(tmp_path: Path) -> None:
-    system = fsspec.filesystem("memory")
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
+def test_a_study_at_a_url_is_that_of_a_folder(tmp_path: Path, workers: str) -> None:
     folder = tmp_path / "lab"
     folder.mkdir()
+    system = fsspec.filesystem("memory")
     for name, times in TIMES.items():
         text = recording(times=times)
         (folder / f"{name}.csv").write_text(text, encoding="ascii")
         system.pipe_file(f"/remote/{name}.csv", text.encode())
+    # a file system in memory is that of this process
+    where = "memory://remote" if workers == "1" else f"file://{folder}"
     _, local = fit(folder, *QUICK, out=tmp_path / "local")
-    _, remote = fit("memory://remote", *QUICK, "--workers", "1", out=tmp_path / "remote")
+    _, remote = fit(where, *QUICK, "--workers", workers, out=tmp_path / "remote")
     system.rm("/remote", recursive=True)
     assert len(local["specimens"]) == 2
     assert found_in(remote) == found_in(local)
-
-
-@pytest.mark.slow
-def test_processes_read_urls_themselves(tmp_path: Path) -> None:
-    folder = tmp_path / "lab"
-    folder.mkdir()
-    for name, times in TIMES.items():
-        (folder / f"{name}.csv").write_text(recording(times=times), encoding="ascii")
-    _, one = fit(folder, *QUICK, out=tmp_path / "local")
-    _, two = fit(f"file://{folder}", *QUICK, "--workers", "2", out=tmp_path / "remote")
-    assert found_in(two) == found_in(one)

@@ -11,7 +11,7 @@ from session_heads import head_of
 
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import Lamp
-from tissueid.rendering.funnel import funnel_touch
+from tissueid.rendering.guidance import funnel_touch
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_block
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session

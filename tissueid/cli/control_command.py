@@ -141,8 +141,14 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
 
 def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
 
-    from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
-    from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
+    from tissueid.rendering.control.settings import (
+        TABLE_3_DEVICE,
+        TABLE_3_OPERATOR,
+        ControlSettings,
+        Gains,
+        Mechanics,
+        VirtualTool,
+    )
 
     gains = Gains(
         damping_N_s_per_m=flags.kr,

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.measured.geometry import Geometry
     from tissueid.pipeline import IdentifyOptions
-    from tissueid.study.assembly import Assembled
+    from tissueid.study.batch import Assembled
 
 EXAMPLES = """
 tissueid fit lab_data/ -o out
@@ -152,9 +152,9 @@ def command(flags: _FitFlags) -> int:
     refuse_same_folder(flags.paths, flags.out)
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
+    from tissueid.study.inventory import Request
     from tissueid.study.pages import write_report
     from tissueid.study.recordings import locate_study
-    from tissueid.study.request import Request
 
     reading = read_options(flags)
     study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)

@@ -323,7 +323,7 @@ _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xls
 def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> int:
     """Serve until Ctrl-C what is inspected again after each correction."""
     from tissueid.cli.view_command import open_browser
-    from tissueid.study.correcting import CorrectedInspection
+    from tissueid.study.corrections import CorrectedInspection
     from tissueid.viewer.page_server import PageServer
 
     other = next((flag for name, flag in _OTHERS.items() if getattr(flags, name)), None)

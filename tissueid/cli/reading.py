@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
-    from tissueid.study.file_list import FileList, Named
-    from tissueid.study.partition import StudyParts
+    from tissueid.study.recordings import FileList, Named, StudyParts
     from tissueid.trial import Trial
 
 #: Names shown where a pattern fits none.
@@ -159,8 +158,7 @@ def read_in_order(
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
     """Files of all paths with the sheet that was named; a refusal stands where something was refused."""
     from tissueid.ingest.manifest import unmatched_files
-    from tissueid.study.file_list import FileList
-    from tissueid.study.recordings import picked_sheet
+    from tissueid.study.recordings import FileList, picked_sheet
 
     found = FileList([] if study is None else dict.fromkeys(unmatched_files(study)))
     seen: set[tuple[str, str | None] | Refusal] = set()
@@ -217,7 +215,7 @@ class PatternCheck:
         self._study = study
         self._parts: StudyParts | None = None
         if pattern is not None and study is not None:
-            from tissueid.study.partition import StudyParts
+            from tissueid.study.recordings import StudyParts
 
             self._parts = StudyParts(study)
         self._stated = 0

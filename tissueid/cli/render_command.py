@@ -20,12 +20,12 @@ from tissueid.errors import DeviceError, exit_code
 
 if TYPE_CHECKING:
     from tissueid.rendering.options import RenderOptions
+    from tissueid.rendering.recorder import SessionSummary
     from tissueid.rendering.scene import Scene
     from tissueid.rendering.servo import ServoProcess
     from tissueid.rendering.servo_spawn import SpawnedServo
     from tissueid.rendering.session import Outcome, Session, Wish
     from tissueid.rendering.session_plan import SessionPlan
-    from tissueid.rendering.summary import SessionSummary
     from tissueid.viewer.serving import ServedViewer
 
 EXAMPLES = """
@@ -306,7 +306,7 @@ def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
 
 def _write_key(flags: RenderFlags, plan: SessionPlan) -> None:
     """The answer key of a blind comparison, apart from the log."""
-    from tissueid.rendering.blind import write_key
+    from tissueid.rendering.session_plan import write_key
 
     if plan.order is None or flags.log is None:
         return
@@ -383,7 +383,7 @@ SMALLEST_SHARE = 5e-4
 
 def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     """Print what is to be agreed to, and ask; only motors and people need it."""
-    from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
+    from tissueid.rendering.session_plan import CONSENT_BLIND, CONSENT_HARDWARE
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
     texts += [CONSENT_BLIND] if plan.order is not None else []

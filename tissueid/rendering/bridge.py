@@ -1,19 +1,7 @@
-"""UDP bridge for other programs: positions and forces out, parameters in.
+"""UDP bridge for other programs: positions and forces out, parameters in; docs/render.md has the datagrams.
 
-One JSON object a datagram, at most 1,200 bytes.  Out, at most 250 a second::
-
-    {"v": 1, "tick": 5120, "time_s": 81.2, "position_m": [0, 0, 0.12], "force_N": [0, 0, 0.4],
-     "depth_mm": 1.93, "tissue_force_N": 31.6, "state": "engaged", "lamps": ["clipped"], "tissue": 0}
-
-In, any of these members, each checked, beside the token that the session printed::
-
-    {"v": 1, "token": "8f3a61c2", "tissue": 1}              take another tissue when nothing is touched
-    {..., "plane": {"point_m": [0, 0, 0.13], "normal": [0, 0, 1]}}       move the surface, likewise
-    {..., "engage": false}                                  no force; true asks for it again
-    {..., "stop": true}                                     end the session
-
-Forces are never taken from outside.  What comes in is heard on the loopback interface alone, at most
-32 datagrams a turn; what is none of these, or lacks the token, is counted and dropped.
+Forces are never taken from outside.  What comes in is heard on the loopback interface alone, is checked
+against the token that the session printed, and dropped and counted otherwise.
 """
 
 from __future__ import annotations
@@ -24,8 +12,9 @@ import math
 import secrets
 import socket
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,11 +44,24 @@ class BridgeRequest:
     stop: bool = False
 
 
-def parse_address(text: str) -> tuple[str, int]:
-    """Read ``HOST:PORT`` or ``PORT`` (then loopback).
+class _Plane(msgspec.Struct, forbid_unknown_fields=True):
+    point_m: tuple[float, float, float]
+    normal: tuple[float, float, float]
 
-    Raises UsageError: no port between 1 and 65535.
-    """
+
+class _Datagram(msgspec.Struct, forbid_unknown_fields=True):
+    """Members that a datagram may have."""
+
+    v: Literal[1]
+    token: str
+    tissue: Annotated[int, msgspec.Meta(ge=0, lt=65536)] | None = None
+    plane: _Plane | msgspec.UnsetType = msgspec.UNSET
+    engage: bool | None = None
+    stop: bool = False
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Read ``HOST:PORT`` or ``PORT``, then on loopback; UsageError without a port between 1 and 65535."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
         msg = f"--bridge {printable(text)!r}: give a port, or HOST:PORT, e.g. 5005"
@@ -68,64 +70,37 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def parse_request(data: bytes, token: str) -> BridgeRequest | None:
-    """Read a datagram; None for whatever is no request.
-
-    ``token``: what it has to carry.
-    """
+    """Read a datagram that carries the token; None for whatever is no request."""
     if len(data) > LARGEST_DATAGRAM:
         return None
     try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
+        found = msgspec.json.decode(data, type=_Datagram)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or found.get("v") != VERSION:
-        return None
-    if not found.keys() <= {"v", "token", "tissue", "plane", "engage", "stop"}:
-        return None
-    if not hmac.compare_digest(str(found.get("token")).encode(), token.encode()):
-        return None
-    tissue, engage, stop = found.get("tissue"), found.get("engage"), found.get("stop", False)
-    if tissue is not None and not (type(tissue) is int and 0 <= tissue < 65536):
-        return None
-    if engage is not None and type(engage) is not bool:
-        return None
-    if type(stop) is not bool:
+    if not hmac.compare_digest(found.token.encode(), token.encode()):
         return None
     plane = None
-    if "plane" in found:
-        plane = _plane(found["plane"])
+    if found.plane is not msgspec.UNSET:
+        plane = _plane(found.plane)
         if plane is None:
             return None
-    return BridgeRequest(tissue, plane, engage, stop)
+    return BridgeRequest(found.tissue, plane, found.engage, found.stop)
 
 
-def _plane(value: Any) -> Plane | None:
+def _plane(found: _Plane) -> Plane | None:
     """A plane within reach, None for anything else."""
-    if not isinstance(value, dict) or value.keys() != {"point_m", "normal"}:
-        return None
-    point, normal = _vector(value["point_m"]), _vector(value["normal"])
-    if point is None or normal is None or max(map(abs, point)) > REACH_M:
+    if not all(map(math.isfinite, (*found.point_m, *found.normal))) or max(map(abs, found.point_m)) > REACH_M:
         return None
     try:
-        return Plane(point, normal)
+        return Plane(found.point_m, found.normal)
     except ValueError:
         return None
 
 
-def _vector(value: Any) -> tuple[float, float, float] | None:
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    if not all(type(one) in {int, float} and math.isfinite(one) for one in value):
-        return None
-    return float(value[0]), float(value[1]), float(value[2])
-
-
 class UdpBridge:
-    """The two sockets of a bridge.
+    """Sockets of a bridge: positions go to a port, parameters are heard on the next one, on loopback.
 
-    ``send_to``: host and port that positions go to; parameters are heard on the next port, on loopback;
-    ``token``: what requests have to carry; drawn where it is not given.  Raises UsageError: the port to
-    listen on is taken, or there is no such host.
+    Raises UsageError: the port to listen on is taken, or there is no such host.
     """
 
     def __init__(self, send_to: tuple[str, int], token: str | None = None) -> None:
@@ -152,10 +127,7 @@ class UdpBridge:
         return str(host), int(port)
 
     def send(self, records: NDArray[Any]) -> None:
-        """Send the newest record, unless the last was sent a moment ago; never waits.
-
-        ``records`` (n,).
-        """
+        """Send the newest record, unless the last was sent a moment ago; never waits."""
         if not records.size or records["time_s"][-1] - self._last_s < INTERVAL_S:
             return
         newest = records[-1]

@@ -1,10 +1,7 @@
 """Choice of the felt tissue of a posterior, and the difference a hand could tell.
 
-All parameters at their 97.5 % is no tissue.  A quantile is that of one named number of the whole law, the
-force at a depth reached at a speed, and the posterior draw nearest to it is rendered: a tissue that the
-recordings allow.  Two tissues are compared by the same number at the device, against the just-noticeable
-difference of force: 7 % of it between 2.5 and 10 N (Pang, Tan & Durlach, Percept Psychophys 49:531, 1991);
-below 2.5 N it is taken not to shrink further than 7 % of 0.5 N (an assumption).
+A quantile is that of a force at a depth and a speed, and the nearest draw is rendered.  Just noticeable: 7 %
+of a force from 2.5 to 10 N (Pang, Tan & Durlach, Percept Psychophys 49:531, 1991), of 0.5 N at least.
 """
 
 from __future__ import annotations
@@ -63,10 +60,7 @@ class Picked:
 
 
 def parse_functional(text: str) -> Functional:
-    """Read what ``--of`` says.
-
-    Raises UsageError: it is nothing of the kind, or has no depth or speed.
-    """
+    """Read what ``--of`` says; UsageError for anything else, or no depth or speed."""
     found = _FUNCTIONAL.fullmatch(" ".join(text.split()))
     if found is None:
         msg = f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}"
@@ -79,11 +73,7 @@ def parse_functional(text: str) -> Functional:
 
 
 def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
-    """Tissue of a bundle, as a renderer needs it.
-
-    ``theta``: a draw; the fitted values where none is given.  Raises BundleError: its recordings were
-    normalised, or its model is none that can be rendered.
-    """
+    """Tissue of a bundle, fitted or a draw; BundleError where it is normalised, or has no such model."""
     bundle.require_renderable()
     model = bundle.contact_model()
     return Tissue(
@@ -98,10 +88,7 @@ def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
 
 
 def pick_draw(bundle: Bundle, number: int) -> Picked:
-    """Posterior draw by its number, counted from 0.
-
-    Raises UsageError: there is no such draw.
-    """
+    """Posterior draw by its number, counted from 0; UsageError where there is none."""
     draws = _draws(bundle, "--draw")
     if not 0 <= number < len(draws):
         msg = f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}"
@@ -110,11 +97,7 @@ def pick_draw(bundle: Bundle, number: int) -> Picked:
 
 
 def pick_specimen(bundle: Bundle, seed: str) -> Picked:
-    """One specimen drawn from a population.
-
-    ``bundle``: of a population; ``seed``: a whole number; :data:`NEW_SPECIMEN` takes another one each time,
-    which ``why`` tells.  Raises UsageError: the bundle is of one specimen, or the seed no number.
-    """
+    """One specimen drawn from a population's bundle, by a seed or :data:`NEW_SPECIMEN`; else UsageError."""
     if not bundle.is_population:
         msg = (
             f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` "
@@ -134,8 +117,7 @@ def pick_specimen(bundle: Bundle, seed: str) -> Picked:
 def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
     """The posterior draw whose functional is nearest to its quantile over all draws.
 
-    ``quantile``: 0 to 1.  Raises UsageError: no quantile, or a depth beyond what was identified: there the
-    draws say nothing.
+    Raises UsageError: no quantile, or a depth beyond what was identified: there the draws say nothing.
     """
     if not 0.0 <= quantile <= 1.0:
         msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
@@ -158,11 +140,7 @@ def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Pi
 def noticeable_ratio(
     one: Tissue, other: Tissue, functional: Functional, *, force_scale: float
 ) -> tuple[float, float, float]:
-    """Difference of two tissues at the device, in just-noticeable differences.
-
-    ``force_scale``: s_F.  Returns ``one_N, other_N, ratio``: forces at the device [N], and their difference
-    over the just-noticeable one.
-    """
+    """Forces of two tissues at the device [N], and their difference over the just-noticeable one."""
     a = functional.of(one.model, one.theta) * force_scale
     b = functional.of(other.model, other.theta) * force_scale
     noticeable = WEBER_SHARE * max(0.5 * (a + b), WEBER_FROM_N)

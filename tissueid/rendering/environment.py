@@ -1,19 +1,7 @@
-"""The force that is felt: a tool tip against a surface of identified tissue (compiled).
+"""The force that is felt: a tool tip against identified tissue, or a guided axis in its place (compiled).
 
-One step: penetration and normal of the tip in the surface, depth of the tissue by the motion scale,
-:func:`tissueid.model.kernels.tissue_step_in` (the law that was fitted), force by the force scale along
-the normal.  Unloading, loss of contact and recovery are the law's own; beyond the identified depth the
-law is continued and the tick is marked.  No friction: the force has the direction of the normal.
-
-A guided axis (:mod:`tissueid.rendering.guidance`) takes the place of the tissue where the block is one of it.
-
-Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_SIZE` numbers, written by
-:mod:`tissueid.rendering.tissue_block`) so that it can be exchanged while the loop runs, at zero penetration;
-what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
-
-A rupture, where the block has one, leaves a share of the force from that tick on until the tissue is put
-back at rest (criteria are readings: total work, weighted force, stored energy or depth).  The
-share multiplies the whole law: what is left is passive as the law is, and the fall only takes energy away.
+No friction; beyond the identified depth the law is continued and the tick is marked.  All parameters are one
+flat, versioned block, exchanged while the loop runs, at zero penetration.
 """
 
 from __future__ import annotations
@@ -37,69 +25,42 @@ from tissueid.rendering.guidance import (
 from tissueid.rendering.surface import touch
 
 #: Kinds of environment the compiled loop knows.
-FREE_AIR = 0
-TISSUE = 1
-GUIDANCE = 2
+FREE_AIR, TISSUE, GUIDANCE = range(3)
 
 # -- the block ------------------------------------------------------------------------------------
 BLOCK_VERSION = 3
 ENVIRONMENT_SIZE = 204
-VERSION = 0
-KIND = 1
-#: Which of the things to be compared this is: 0 for the first; copied to the info.
-LABEL = 2
-FORCE_SCALE = 3
-MOTION_SCALE = 4
-DEPTH_MM = 5
-FASTEST_MM_S = 6
-RUPTURE_KIND = 7
-RUPTURE_VALUE = 8
-#: Share of the force that is left after a rupture.
-RUPTURE_RESIDUAL = 9
-#: :data:`~tissueid.rendering.surface.SURFACE_SIZE` numbers.
-SURFACE = 10
-#: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
-LAW = 24
+#: Label: which of the things to be compared this is, 0 for the first; copied to the info.  Residual: share of
+#: the force that is left after a rupture.
+VERSION, KIND, LABEL, FORCE_SCALE, MOTION_SCALE, DEPTH_MM, FASTEST_MM_S = range(7)
+RUPTURE_KIND, RUPTURE_VALUE, RUPTURE_RESIDUAL = range(7, 10)
+#: :data:`~tissueid.rendering.surface.SURFACE_SIZE` and :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
+SURFACE, LAW = 10, 24
 #: w of the weighted force F_s + w F_d; behind the law.
 RUPTURE_WEIGHT = 200
-
 #: :data:`~tissueid.rendering.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
 GUIDED = 10
 
-#: Criteria of rupture: none; work done on the tissue [N mm]; weighted force on it [N]; energy stored in it
-#: [N mm]; depth [mm].
-RUPTURE_NONE = 0.0
-RUPTURE_WORK = 1.0
-RUPTURE_FORCE = 2.0
-RUPTURE_STORED = 3.0
-RUPTURE_DEPTH = 4.0
+#: Criteria of rupture, which are readings: none; work done on the tissue [N mm]; weighted force on it [N];
+#: energy stored in it [N mm]; depth [mm].
+RUPTURE_NONE, RUPTURE_WORK, RUPTURE_FORCE, RUPTURE_STORED, RUPTURE_DEPTH = 0.0, 1.0, 2.0, 3.0, 4.0
 
-# -- the memory -----------------------------------------------------------------------------------
+# -- the memory, all zero for tissue at rest --------------------------------------------------------
 MEMORY_SIZE = 66
 #: :data:`~tissueid.model.kernels.STATE_SIZE` numbers, the surface [mm] first.
 TISSUE_STATE = 0
-LAST_DEPTH = 50
-LAST_FORCE = 51
-SPEED = 52
-WORK = 53
-BROKEN = 54
+LAST_DEPTH, LAST_FORCE, SPEED, WORK, BROKEN = range(50, 55)
 #: :data:`~tissueid.rendering.surface.TOUCH_SIZE` numbers, the face first, then the normal.
-TOUCH = 55
-NORMAL = 56
+TOUCH, NORMAL = 55, 56
 #: What guidance says of a step; its own memory stands before it.
 SAID = GUIDANCE_MEMORY
 
 # -- what a step says -----------------------------------------------------------------------------
 INFO_SIZE = 8
-INFO_PENETRATION_M = 0
-INFO_DEPTH_MM = 1
-INFO_SPEED_MM_S = 2
-INFO_TISSUE_FORCE_N = 3
-INFO_DEVICE_FORCE_N = 4
+INFO_PENETRATION_M, INFO_DEPTH_MM, INFO_SPEED_MM_S, INFO_TISSUE_FORCE_N, INFO_DEVICE_FORCE_N = range(5)
 #: Bits of :class:`tissueid.haptics.states.Lamp`.
 INFO_FLAGS = 5
-INFO_SURFACE_MM = 6
-INFO_LABEL = 7
+INFO_SURFACE_MM, INFO_LABEL = 6, 7
 
 OUTSIDE_DEPTH = int(Lamp.OUTSIDE_DEPTH)
 OUTSIDE_SPEED = int(Lamp.OUTSIDE_SPEED)
@@ -136,14 +97,11 @@ def environment_step(
     force: FloatArray,
     info: FloatArray,
 ) -> None:
-    """Force of the environment on the tool at the end of a step.
+    """Write force [N, at the device] on the tool and ``info`` at the end of a step of ``dt`` seconds.
 
-    ``kind``: :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air;
-    ``parameters`` (ENVIRONMENT_SIZE,); ``memory`` (MEMORY_SIZE,): updated in place; ``position``,
-    ``velocity`` (3,): of the tool tip's centre [m], [m/s]; the velocity only judges whether the law was
-    identified there; ``dt``: measured step [s]; ``force`` (3,): written: force on the tool [N, at the
-    device]; ``info`` (INFO_SIZE,): written: penetration [m], depth [mm] (negative in air), tissue speed
-    [mm/s], tissue force [N], device force [N], lamps, tissue surface [mm], label.
+    ``kind``: any other number than :data:`TISSUE` and :data:`GUIDANCE` is free air; ``position``,
+    ``velocity`` [m], [m/s]: of the tip's centre; the velocity only judges whether the law was identified
+    there.
     """
     for i in range(3):
         force[i] = 0.0

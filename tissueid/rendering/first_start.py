@@ -1,11 +1,7 @@
 """The first start on a machine: the simulated device runs uncompiled while the loop is being compiled.
 
-numba compiles the servo once and keeps it on the disk; that takes 10 to 20 s of computing.  Nobody should
-wait for it to see a first force: on the simulated device the session begins at once with the same loop in
-plain Python, which skips ticks and says so, and a second process compiles for the next start.  A device with
+Compiling takes 10 to 20 s, in a second process (``python -m tissueid.rendering.first_start``); a device with
 motors waits for the compiled loop.
-
-``python -m tissueid.rendering.first_start`` compiles and ends.
 """
 
 from __future__ import annotations
@@ -43,11 +39,7 @@ def is_compiled() -> bool:
 
 @contextmanager
 def first_start(device: str, tell: Callable[[str], None]) -> Iterator[bool]:
-    """Let a servo that is started inside run uncompiled, where it is the first on this machine.
-
-    ``device``: only the simulated one begins uncompiled; ``tell``: told what happens.  Yields whether the
-    loop is uncompiled.
-    """
+    """Let a servo of the simulated device run uncompiled where it is the first; yields whether it does."""
     if device != _SIMULATED or is_compiled():
         yield False
         return
@@ -81,22 +73,14 @@ def _await(compiling: subprocess.Popen[bytes], tell: Callable[[str], None]) -> N
 
 def compile_loop() -> None:
     """Compile the servo's loop for the simulated device, or take it from the disk."""
-    from tissueid.haptics.device import compiled_io
-    from tissueid.haptics.parameter_block import ParameterBlock
-    from tissueid.haptics.ring import Ring
     from tissueid.haptics.sim import SimulatedDevice
     from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch
-    from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
+    from tissueid.rendering.servo_tick import servo_here
 
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-    try:
-        with SimulatedDevice() as device:
-            device.home()
-            io, servo = compiled_io(device.compiled()), new_servo(device, ring, block)
-            compiled_loop(io, servo, new_watch(), np.zeros(BINS + 1, np.int64), 1_000_000, 0)
-    finally:
-        ring.close()
-        block.close()
+    device = SimulatedDevice()
+    with servo_here(device) as (io, servo, _ring, _block):
+        device.home()
+        compiled_loop(io, servo, new_watch(), np.zeros(BINS + 1, np.int64), 1_000_000, 0)
 
 
 if __name__ == "__main__":

@@ -1,29 +1,8 @@
 """Guidance along a planned axis: a funnel, a pull to the axis, a bone that is drilled (compiled).
 
-The environment of Pires et al., Haptic Positioning Environment for the Hip Resurfacing Surgery.  Forces add
-up:
-
-funnel
-    Contact (1) of :mod:`tissueid.model.impact` with the surface of :mod:`tissueid.rendering.funnel`, along
-    its normal, without friction.
-pull
-    The paper's first order system (2): ``F = -K(z) (rho + tau rho')`` with rho the displacement from the
-    axis.  K rises as the height z falls, ``K = K_far + (K_near - K_far) exp(-(z/L)^2 / 2)`` above the entry
-    point and K_near below it (assumed: the paper prints no K(z)); the curve begins flat, so that no force
-    jumps at the entry.  A radial pull that changes with the height gives energy in a loop (out at a height,
-    down, in, up); the axial force ``-K'(z) rho^2 / 2`` makes its elastic part conservative.  The paper has
-    no such force; without it the environment is its variant.
-weight
-    A constant force, and its change with the position, that carries the tool (measured pose by pose).  It is
-    kept in contact as well: to take it away there would be a step of force.
-bone
-    An elastic ball whose surface the axis meets at the entry point.  A tip that meets it within the radius
-    of the guide hole drills: the front recedes by ``D' = F / R`` under the pressing force F = k (depth - D),
-    a spring on a dashpot, until it comes to the end of the drilling and the wire is through; the wall of
-    the hole holds the tip sideways with the same k (assumed: the paper does not say).
-
-The velocity is that of the straight line from tick to tick behind a first-order filter, which for such a
-motion is exact: a plain difference would make 1.6 N of one encoder count at 500 N/m.
+The environment of Pires et al., Haptic Positioning Environment for the Hip Resurfacing Surgery;
+docs/guidance.md says which parts are readings.  Forces add up; r is the distance from the axis, z the height
+out of the bone.
 """
 
 from __future__ import annotations
@@ -33,66 +12,135 @@ import math
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
-from tissueid.rendering.funnel import FUNNEL_SIZE, funnel_touch
+
+#: Readings of the printed ``z = c sqrt((x/a)^2 + (y/a)^2) - 1 - b``: with the 1 below the root, a sheet whose
+#: throat of radius a at z = -b goes on as a cylinder; as it is printed, with its apex at z = -(1 mm + b).
+HYPERBOLOID, CONE = 0, 1
+#: Numbers that describe a funnel.
+FUNNEL_SIZE = 4
+KIND, A, B, C = range(4)
+#: The length behind the printed "1" [m] (assumed).
+PRINTED_ONE_M = 1e-3
+#: Newton steps for the foot of the normal: from the height's own point it converges in 3 to 5.
+MOST_STEPS = 12
+#: Step of u below which the foot stands: times a few millimetres, far below a nanometre.
+SMALL_STEP = 1e-12
+
+
+def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tuple[float, float, float]:
+    """The constants a, b, c [m] of a hyperboloid: a = sqrt(radius^2 - (slope offset)^2), b, c = a / slope.
+
+    ``radius_m``: at the entry point; ``offset_m``: depth of the throat below it. Raises ValueError: no
+    hyperboloid has these numbers.
+    """
+    if not (radius_m > 0.0 and offset_m >= 0.0 and slope > 0.0):
+        msg = (
+            "a funnel needs a radius and a slope above 0 and an offset of 0 or more, "
+            f"got {radius_m}, {slope} and {offset_m}"
+        )
+        raise ValueError(msg)
+    square = radius_m**2 - (slope * offset_m) ** 2
+    if not square > 0.0:
+        closed = radius_m / slope
+        msg = (
+            f"a slope of {slope} closes a funnel of {radius_m} m at {closed:.4g} m, above offset {offset_m} m"
+        )
+        raise ValueError(msg)
+    throat = math.sqrt(square)
+    return throat, offset_m, throat / slope
+
+
+@tick_part
+def funnel_touch(funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int) -> float:
+    """Penetration [m] of a point into the wall; the unit normal (r, z) toward the free side is written.
+
+    Inside the funnel it is negative, there to first order in the gap.
+    """
+    if int(funnel[at + KIND]) == CONE:
+        return _from_cone(funnel, at, r, z, normal, first)
+    return _from_hyperboloid(funnel, at, r, z, normal, first)
+
+
+@tick_part
+def _from_cone(funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int) -> float:
+    slope = funnel[at + A] / funnel[at + C]
+    height = z + PRINTED_ONE_M + funnel[at + B]
+    if r * slope + height > 0.0:
+        length = math.sqrt(1.0 + slope * slope)
+        normal[first] = -1.0 / length
+        normal[first + 1] = slope / length
+        return float((r - slope * height) / length)
+    # below the apex, which is the nearest point
+    distance = math.sqrt(r * r + height * height)
+    normal[first] = -r / distance if distance > 0.0 else 0.0
+    normal[first + 1] = -height / distance if distance > 0.0 else 1.0
+    return float(distance)
+
+
+@tick_part
+def _from_hyperboloid(
+    funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int
+) -> float:
+    a, c = funnel[at + A], funnel[at + C]
+    height = z + funnel[at + B]
+    if height <= 0.0:
+        normal[first] = -1.0
+        normal[first + 1] = 0.0
+        return float(r - a)
+    u = math.asinh(height / c)
+    gap = r - a * math.cosh(u)
+    if gap > 0.0:
+        for _ in range(MOST_STEPS):
+            ch, sh = math.cosh(u), math.sinh(u)
+            along_r, along_z = r - a * ch, height - c * sh
+            value = -along_r * a * sh - along_z * c * ch
+            slope = a * a * sh * sh - along_r * a * ch + c * c * ch * ch - along_z * c * sh
+            step = value / slope
+            u -= step
+            if abs(step) < SMALL_STEP:
+                break
+    ch, sh = math.cosh(u), math.sinh(u)
+    length = math.sqrt(c * c * ch * ch + a * a * sh * sh)
+    normal[first] = -c * ch / length
+    normal[first + 1] = a * sh / length
+    if gap > 0.0:
+        return math.sqrt((r - a * ch) ** 2 + (height - c * sh) ** 2)
+    return float(gap * c * ch / length)
+
 
 # -- the block, from an index on ------------------------------------------------------------------
 #: Entry point [m], and unit vector of the axis out of the bone.
-ORIGIN = 0
-AXIS = 3
-FUNNEL = 6
+ORIGIN, AXIS, FUNNEL = 0, 3, 6
 CONTACT = FUNNEL + FUNNEL_SIZE
 PULL = CONTACT + IMPACT_SIZE
 #: K far above and at the entry point [N/m], L [m], tau [s], filter [s], 1 for the axial force.
-K_FAR = PULL
-K_NEAR = PULL + 1
-REACH = PULL + 2
-TAU = PULL + 3
-FILTER_S = PULL + 4
-AXIAL = PULL + 5
+K_FAR, K_NEAR, REACH, TAU, FILTER_S, AXIAL = range(PULL, PULL + 6)
 #: Force at the entry point [N], then its change along x, y, z [N/m], rows by component of the force.
 WEIGHT = PULL + 6
 WEIGHT_SLOPE = WEIGHT + 3
 BONE = WEIGHT_SLOPE + 9
-#: Radius of the ball [m] (0: no bone), stiffness [N/m], radius of the guide hole [m].
-RADIUS = BONE
-STIFFNESS = BONE + 1
-HOLE = BONE + 2
-#: Resistance of the drilling R [N s/m], depth at which it ends [m].
-RESISTANCE = BONE + 3
-DRILL_END = BONE + 4
+#: Radius of the ball [m] (0: no bone), stiffness [N/m], radius of the guide hole [m], resistance R of the
+#: drilling [N s/m], depth at which it ends [m].
+RADIUS, STIFFNESS, HOLE, RESISTANCE, DRILL_END = range(BONE, BONE + 5)
 GUIDANCE_SIZE = BONE + 5
 
 # -- the memory -----------------------------------------------------------------------------------
-STARTED = 0
-RHO = 1
-RATE = 4
-IMPACT = 7
-#: How far the drill front stands below the entry point [m].
-DRILLED = IMPACT + IMPACT_STATE
-LAST_DEPTH = DRILLED + 1
-#: How the tip came into the bone: not at all, by the guide hole, beside it.
-WAY_IN = DRILLED + 2
+STARTED, RHO, RATE, IMPACT = 0, 1, 4, 7
+#: How far the drill front stands below the entry point [m]; how the tip came into the bone: not at all, by
+#: the guide hole, beside it.
+DRILLED, LAST_DEPTH, WAY_IN = range(IMPACT + IMPACT_STATE, IMPACT + IMPACT_STATE + 3)
+OUTSIDE, BY_THE_HOLE, BESIDE_IT = 0.0, 1.0, 2.0
 #: Components along the radius and the axis: of the wall's normal, of the bone's force [N].
 WALL = DRILLED + 3
 FROM_BONE = DRILLED + 5
 GUIDANCE_MEMORY = DRILLED + 7
 
-OUTSIDE = 0.0
-BY_THE_HOLE = 1.0
-BESIDE_IT = 2.0
-
 M_TO_MM = 1000.0
 #: Distance from the axis below which it has no direction [m].
 ON_AXIS_M = 1e-9
 
-# -- what a step says, from an index on -----------------------------------------------------------
-SAID_HEIGHT_M = 0
-SAID_OFF_AXIS_M = 1
-SAID_WALL_N = 2
-SAID_PULL_N = 3
-SAID_BONE_N = 4
-#: How deep the tip is in wall or bone [m], negative in neither; the pull alone is no contact.
-SAID_PENETRATION_M = 5
+# -- what a step says, from an index on: penetration is into wall or bone [m], negative in neither
+SAID_HEIGHT_M, SAID_OFF_AXIS_M, SAID_WALL_N, SAID_PULL_N, SAID_BONE_N, SAID_PENETRATION_M = range(6)
 SAID_SIZE = 6
 
 
@@ -120,12 +168,9 @@ def guidance_step(
     said: FloatArray,
     first: int,
 ) -> None:
-    """Force on the tool at the end of a step.
+    """Write the force [N] on a tool tip at ``position`` [m], at the end of a step, and ``said``.
 
-    ``block``: :data:`GUIDANCE_SIZE` numbers from index ``at``; ``memory`` (GUIDANCE_MEMORY,): all zero before
-    the first step; updated in place; ``position`` (3,): of the tip [m]; ``dt``: measured step [s]; ``force``
-    (3,): written [N]; ``said``: :data:`SAID_SIZE` numbers, written from index ``first``: height [m], distance
-    from the axis [m], the magnitudes of wall, pull and bone [N], penetration [m].
+    The memory is all zero before the first step.
     """
     z = 0.0
     for i in range(3):

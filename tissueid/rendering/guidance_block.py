@@ -1,17 +1,24 @@
-"""The numbers of a guided axis, with a default for everything the paper does not print."""
+"""The numbers of a guided axis, with a default for all that the paper does not print, and their stability.
+
+Behind its filter the damping of pull and wall is a branch like a tissue's: ``K tau`` times the filtered
+velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and drilled bone a spring that relaxes in R / k.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.errors import DeviceError
 from tissueid.model.impact import Variant, damping_factor, pack_impact
+from tissueid.model.passivity import damping_bound
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.funnel import CONE, HYPERBOLOID, hyperboloid_constants
+from tissueid.rendering.guidance import CONE, HYPERBOLOID, hyperboloid_constants
+from tissueid.rendering.precheck import DAMPING_SHARE, Demands
 
 Vector = tuple[float, float, float]
 
@@ -30,7 +37,7 @@ ASSUMED = (
 class Funnel:
     """The guiding surface and its contact law."""
 
-    #: {"hyperboloid", "cone"}: how the printed equation is read (:mod:`tissueid.rendering.funnel`).
+    #: {"hyperboloid", "cone"}: how the printed equation is read (:mod:`tissueid.rendering.guidance`).
     kind: Literal["hyperboloid", "cone"] = "hyperboloid"
     #: Radius at the entry point [m], depth of throat or apex below it [m], growth of the radius with the
     #: height.  The radius of a cone follows from the other two.
@@ -45,10 +52,7 @@ class Funnel:
     slowest_m_s: float = 0.05  # floor of the speed at contact [m/s]
 
     def numbers(self) -> FloatArray:
-        """Shape of :mod:`tissueid.rendering.funnel`, shape (FUNNEL_SIZE,).
-
-        Raises ValueError: no surface has these numbers.
-        """
+        """Block of the funnel, shape (FUNNEL_SIZE,); ValueError where no surface has these numbers."""
         if self.kind == "cone":
             if not (self.slope > 0.0 and self.offset_m >= 0.0):
                 msg = f"a cone needs a slope above 0 and an offset from 0, got {self.slope}, {self.offset_m}"
@@ -83,10 +87,7 @@ class Bone:
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """A planned axis and everything that guides to it.
-
-    Raises ValueError: the axis has no direction, or a number is out of its range.
-    """
+    """A planned axis and everything that guides to it; ValueError where a number is out of its range."""
 
     entry_m: Vector  # entry point [m, device frame]
     axis: Vector = (0.0, 0.0, 1.0)  # out of the bone; made a unit vector
@@ -118,10 +119,7 @@ class Guidance:
             raise ValueError(msg)
 
     def unit_axis(self) -> FloatArray:
-        """Unit vector out of the bone, shape (3,).
-
-        Raises ValueError: the axis has no direction.
-        """
+        """Unit vector out of the bone, shape (3,); ValueError where the axis has no direction."""
         axis = np.asarray(self.axis, dtype=np.float64)
         length = float(np.linalg.norm(axis))
         if not (np.isfinite(length) and length > UNIT_TOLERANCE):
@@ -130,10 +128,7 @@ class Guidance:
         return np.asarray(axis / length)
 
     def numbers(self) -> FloatArray:
-        """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,).
-
-        Raises ValueError: the axis has no direction, or no surface has the funnel's numbers.
-        """
+        """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,)."""
         out = np.empty(gd.GUIDANCE_SIZE)
         out[gd.ORIGIN : gd.ORIGIN + 3] = self.entry_m
         out[gd.AXIS : gd.AXIS + 3] = self.unit_axis()
@@ -171,10 +166,7 @@ class Guidance:
 
 
 def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
-    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,).
-
-    ``label``: which of the things to be compared it is.
-    """
+    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,)."""
     block = np.zeros(env.ENVIRONMENT_SIZE)
     block[env.VERSION] = env.BLOCK_VERSION
     block[env.KIND] = env.GUIDANCE
@@ -183,3 +175,110 @@ def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
     block[env.FORCE_SCALE] = block[env.MOTION_SCALE] = 1.0
     block[env.GUIDED : env.GUIDED + gd.GUIDANCE_SIZE] = plan.numbers()
     return block
+
+
+#: Penetrations of the wall that are examined [m].
+DEEPEST_M = 0.010
+DEPTHS = 25
+#: Largest pull below which nobody is guided [N/m]: 0.2 N at 10 mm.
+LEAST_N_PER_M = 20.0
+#: Halvings in the search for the largest strength.
+HALVINGS = 30
+#: Below this a filter is none [s].
+SHORTEST_FILTER_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceCheck:
+    """Result of the check."""
+
+    #: Factor on every force of the plan but the weight; 1 where the device bears it as planned.
+    strength: float
+    #: That the plan would need, and that it needs at this strength.
+    planned_damping_N_s_per_m: float
+    required_damping_N_s_per_m: float
+    demands: Demands
+
+    def lines(self) -> list[str]:
+        """Lines printed before force is enabled."""
+        text = [self.demands.stability(self.required_damping_N_s_per_m)]
+        if self.strength < 1.0:
+            text.append(
+                f"weakened   to {self.strength:.3g} of the plan, which would need "
+                f"{self.planned_damping_N_s_per_m:.3g} N s/m"
+            )
+        return text
+
+
+def weaker(plan: Guidance, strength: float) -> Guidance:
+    """A plan with all forces but the weight times a factor; feed and times stay."""
+    return replace(
+        plan,
+        funnel=replace(plan.funnel, stiffness_N_per_m_n=strength * plan.funnel.stiffness_N_per_m_n),
+        pull=replace(
+            plan.pull,
+            far_N_per_m=strength * plan.pull.far_N_per_m,
+            near_N_per_m=strength * plan.pull.near_N_per_m,
+        ),
+        bone=replace(
+            plan.bone,
+            stiffness_N_per_m=strength * plan.bone.stiffness_N_per_m,
+            resistance_N_s_per_m=strength * plan.bone.resistance_N_s_per_m,
+        ),
+    )
+
+
+def needed_damping(plan: Guidance, demands: Demands) -> float:
+    """Device damping [N s/m] that renders a plan passively: of pull and wall, and of the bone."""
+
+    def bound(slope: float, stiffness: float, tau: float) -> float:
+        return damping_bound(
+            slope,
+            np.array([stiffness]),
+            np.array([tau]),
+            period_s=demands.period_s,
+            delay_ticks=demands.delay_ticks,
+        )
+
+    pull, funnel, bone = plan.pull, plan.funnel, plan.bone
+    filter_s = max(pull.filter_s, SHORTEST_FILTER_S)
+    depth = DEEPEST_M * np.arange(1, DEPTHS + 1) / DEPTHS
+    elastic = funnel.stiffness_N_per_m_n * depth**funnel.exponent
+    # beyond the clamp the force is constant; the last depth before it counts
+    felt = elastic <= max(demands.clamp_N, float(elastic[0]))
+    chi = damping_factor(funnel.restitution, funnel.law)
+    slope = funnel.exponent * elastic[felt] / depth[felt]
+    resistance = elastic[felt] * chi / funnel.slowest_m_s
+    walls = [
+        bound(pull.near_N_per_m + k, (pull.near_N_per_m * pull.tau_s + c) / filter_s, filter_s)
+        for k, c in zip(slope, resistance, strict=True)
+    ]
+    drilling = 0.0
+    if bone.radius_m > 0.0:
+        drilling = bound(0.0, bone.stiffness_N_per_m, bone.resistance_N_s_per_m / bone.stiffness_N_per_m)
+    return max(*walls, drilling)
+
+
+def check_guidance(plan: Guidance, demands: Demands) -> tuple[Guidance, GuidanceCheck]:
+    """The plan, made weaker until this device can render it; DeviceError where it could not be felt."""
+    offered = DAMPING_SHARE * demands.damping_N_s_per_m
+    planned = needed_damping(plan, demands)
+    if planned <= offered:
+        return plan, GuidanceCheck(1.0, planned, planned, demands)
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if needed_damping(weaker(plan, middle), demands) <= offered:
+            low = middle
+        else:
+            high = middle
+    if low * plan.pull.near_N_per_m < min(LEAST_N_PER_M, plan.pull.near_N_per_m):
+        msg = (
+            f"this guidance can't be rendered on this device: it needs {planned:.3g} N s/m of damping at "
+            f"{demands.delay_ticks:g} ticks, the device has {demands.damping_N_s_per_m:.3g}, and weakened to "
+            f"that its pull would be {low * plan.pull.near_N_per_m:.2g} N/m, under {LEAST_N_PER_M:g}; "
+            "measure the device's damping and delay (tissueid devices calibrate-damping, test), or soften it"
+        )
+        raise DeviceError(msg)
+    lowered = weaker(plan, low)
+    return lowered, GuidanceCheck(low, planned, needed_damping(lowered, demands), demands)

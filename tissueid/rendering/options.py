@@ -1,17 +1,4 @@
-"""Options of a session, as frozen data, and tissues that can be felt without a recording.
-
-Tissues that can be felt without a recording of one's own.
-``paper-a``
-    K = 63.62 N/mm and tau = 0.021 s of Sadeghnejad et al. (endoscopic sinus surgery), Table 2, with the cubic
-    through the peaks of Table 1 less the branch's force; [reading], see docs/model.md.
-``meat``
-    One cut of meat, indented at 1.2 mm/s and held for 10 s: two branches fitted to a public recording
-    (perineal_indentation, test 230403-RDG2B), rounded.  One speed: how F_s and K share the force is not
-    known from it, and its tip is not stated.
-
-Scales are those of :func:`tissueid.rendering.precheck.check_before_force` for the device that is assumed
-where nothing was measured: 5 N, 0.5 N s/m, 1.5 ticks.
-"""
+"""Options of a session, as frozen data, and tissues that can be felt without a recording."""
 
 from __future__ import annotations
 
@@ -109,10 +96,7 @@ PRESETS: Mapping[str, Callable[[], Tissue]] = MappingProxyType({"paper-a": _pape
 
 
 def preset_tissue(name: str) -> Tissue:
-    """The tissue of that name.
-
-    Raises UsageError: there is none.
-    """
+    """The tissue of that name; UsageError where there is none."""
     if name not in PRESETS:
         msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
         raise UsageError(msg)
@@ -120,8 +104,5 @@ def preset_tissue(name: str) -> Tissue:
 
 
 def preset_check(name: str) -> Precheck:
-    """Scale and numbers of a preset on the device that is assumed where nothing was measured.
-
-    Raises UsageError: there is none of that name.
-    """
+    """Scale and numbers of a preset on the device that is assumed where nothing was measured."""
     return check_before_force(preset_tissue(name), ASSUMED_DEVICE)

@@ -1,18 +1,7 @@
-"""Passivity observer and controller in the time domain (compiled).
+"""Passivity observer and controller in the time domain (compiled); Hannaford & Ryu, doi 10.1109/70.988969.
 
-The observer adds up what the rendered force took from the hand, exactly for a force that is held over a
-tick (Hannaford & Ryu, doi 10.1109/70.988969)::
-
-    E[k] = E[k-1] - f[k-1] . (x[k] - x[k-1])
-
-Positions are rounded to encoder counts, so a slow press shows a deficit that no hand ever got back; it is
-allowed for: 1 uJ and k q^2 / 2 for each count q travelled.  Where E falls further the controller brakes::
-
-    f_c = -alpha v,   alpha = (deficit beyond the allowance) / (|v|^2 dt)
-
-with alpha and |f_c| capped and f_c changing by at most 0.5 N in a tick: a controller that kicks is felt as
-what it should prevent.  The ledger of a touch begins with it: what one press dissipated does not pay for
-the next.
+The ledger E[k] = E[k-1] - f[k-1] . (x[k] - x[k-1]) of a touch begins with it: what one press dissipated does
+not pay for the next.
 """
 
 from __future__ import annotations
@@ -26,29 +15,16 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.guard import velocity_step
 
-# -- parameters -----------------------------------------------------------------------------------
+# -- parameters: without ON the observer counts, and nothing is corrected
 CONTROL_SIZE = 6
-#: 0: the observer counts, nothing is corrected.
-ON = 0
-COUNT_M = 1
-STIFFNESS = 2
-LARGEST_DAMPING = 3
-LARGEST_CORRECTION_N = 4
-LARGEST_CHANGE_N = 5
+ON, COUNT_M, STIFFNESS, LARGEST_DAMPING, LARGEST_CORRECTION_N, LARGEST_CHANGE_N = range(CONTROL_SIZE)
 
-# -- memory ---------------------------------------------------------------------------------------
+# -- memory
 CONTROL_MEMORY_SIZE = 20
-STARTED = 0
-POSITION = 1
-SENT = 4
-VELOCITY = 7
-CORRECTION = 10
-#: Energy taken from the hand since the touch began, and since the session began [J].
-TOUCH_J = 13
-TOTAL_J = 14
-ALLOWANCE_J = 15
-#: 1 in ticks that were corrected.
-ACTIVE = 16
+STARTED, POSITION, SENT, VELOCITY, CORRECTION = 0, 1, 4, 7, 10
+#: Energy taken from the hand since the touch began, and since the session began [J]; deficit that is allowed
+#: for [J]; 1 in ticks that were corrected.
+TOUCH_J, TOTAL_J, ALLOWANCE_J, ACTIVE = range(13, 17)
 
 #: Deficit that a single rounding of the ledger may show [J].
 SMALLEST_ALLOWANCE_J = 1e-6
@@ -94,9 +70,9 @@ def passivity_step(
 ) -> None:
     """Count the energy of the last tick and brake where the hand got back more than it gave.
 
-    ``memory`` (CONTROL_MEMORY_SIZE,): all zero at first; updated in place; ``parameters`` (CONTROL_SIZE,):
-    :meth:`PassivityLimits.block`; ``position`` (3,): [m], as the environment saw it; ``force`` (3,): force of
-    the environment [N]; **corrected in place**; ``dt``: measured step [s].
+    Positions are rounded to encoder counts: 1 uJ and k q^2 / 2 for each count q travelled are allowed
+    for. Beyond that f_c = -alpha v, alpha = deficit / (|v|^2 dt), is added to ``force`` [N], with alpha,
+    |f_c| and its change capped.
     """
     travelled = 0.0
     taken = 0.0

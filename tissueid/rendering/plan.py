@@ -1,7 +1,7 @@
 """Everything that is decided before any force: which tissue, device, scale, surface, order, log.
 
-:func:`plan_session` refuses what can't be rendered (damaged bundle, missing device, unstable scale, another
-tip) while nothing moves yet; what it returns is all that :mod:`tissueid.rendering.session` needs.
+What can't be rendered (damaged bundle, missing device, unstable scale, another tip) is refused while nothing
+moves yet; there are sessions without a tissue: an installed force law, a planned axis.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import check_present, choose_device, device_class, environment_law
 from tissueid.haptics.sim import carried
-from tissueid.rendering.blind import BlindOrder, check_pseudonym, draw_order
 from tissueid.rendering.choice import (
     Functional,
     Picked,
@@ -31,19 +31,32 @@ from tissueid.rendering.choice import (
     pick_quantile,
     pick_specimen,
 )
-from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.rendering.law_session import guided_session, law_session
+from tissueid.rendering.guidance_block import Guidance, check_guidance, guidance_block
 from tissueid.rendering.options import RenderOptions, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force, demands_of
-from tissueid.rendering.session_plan import RAMP_S, Script, SessionPlan, read_script, session_head
-from tissueid.rendering.surface import TOOL_RADIUS
+from tissueid.rendering.session_plan import (
+    RAMP_S,
+    BlindOrder,
+    Script,
+    SessionPlan,
+    check_pseudonym,
+    draw_order,
+    read_script,
+    session_head,
+)
+from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import (
     Plane,
     Sphere,
     Surface,
+    free_air_block,
+    parse_surface,
+    place_surface,
     surface_from,
+    surface_remarks,
     tissue_block,
+    travel_behind,
 )
 from tissueid.store.bundle import Bundle, load_bundle
 from tissueid.store.session_log import read_session_log
@@ -61,10 +74,7 @@ SIMULATED = "sim"
 
 
 def plan_session(options: RenderOptions) -> SessionPlan:
-    """Decide everything, or refuse.
-
-    Raises UsageError, BundleError, DeviceError: before anything moved, with the way out.
-    """
+    """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
     name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
@@ -99,23 +109,19 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         )
     led = options.led and script is None and choice[0] == SIMULATED
     if led:
-        rest_m = _touch_point(surface, radius_m) - REST_M * _inward(surface)
-        # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
-        given["limits"] = carried(GuardLimits.simulated())
-        given["hand"] = Hand((0.0,), ((float(rest_m[0]), float(rest_m[1]), float(rest_m[2])),), (1.0,))
-    plan = SessionPlan(
-        device=choice[0],
+        given |= _waiting_at(_touch_point(surface, radius_m) - REST_M * _inward(surface))
+    return _planned(
+        options,
+        choice,
+        device,
+        (surface.numbers(radius_m), hashes),
         device_options=given,
-        why=choice[1],
-        capabilities=device.capabilities,
         blocks=blocks,
         picked=picked,
         check=check,
         order=order,
-        head={},
         script=script,
         seconds=_seconds(options, script),
-        environment=None,
         virtual=options.virtual,
         lines=(
             choice[1],
@@ -123,9 +129,27 @@ def plan_session(options: RenderOptions) -> SessionPlan:
             *_lines(options, picked, check, functional),
         ),
         led=led,
-        scene=None if options.scene is None else options.scene.name,
     )
-    return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
+
+
+def _planned(
+    options: RenderOptions,
+    choice: tuple[str, str],
+    device: HapticDevice,
+    of_log: tuple[FloatArray, tuple[str | None, ...]],
+    **decided: Any,
+) -> SessionPlan:
+    """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
+    scene = None if options.scene is None else options.scene.name
+    plan = SessionPlan(choice[0], choice[1], device.capabilities, scene=scene, **decided)
+    return replace(plan, head=session_head(plan, *of_log))
+
+
+def _waiting_at(place_m: FloatArray) -> dict[str, Any]:
+    """Limits and hand of the simulated device where a pointer leads it from a place."""
+    x, y, z = place_m.tolist()
+    # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
+    return {"limits": carried(GuardLimits.simulated()), "hand": Hand((0.0,), ((x, y, z),), (1.0,))}
 
 
 def _tissues(
@@ -387,3 +411,82 @@ def _must_be_alone(options: RenderOptions) -> None:
         raise UsageError(msg)
     if options.environment is not None:
         environment_law(options.environment)
+
+
+#: Height above the entry point at which a simulated hand begins [m].
+BEGIN_M = 0.03
+
+
+def law_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+    """A session with an installed force law: no tissue, no scale, no precheck."""
+    block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
+    line = f"law        {options.environment}: nothing is known of its stability"
+    return _without_tissue(options, choice, device, block, (line,), environment=options.environment)
+
+
+def guided_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+    """A session with guidance along a planned axis; DeviceError where none that could be felt is stable.
+
+    The passivity controller only watches: what the pull stored before the hand engaged would count as
+    energy that was made.
+    """
+    scene = options.scene
+    assert scene is not None  # noqa: S101 -- asked by the caller
+    assert scene.guidance is not None  # noqa: S101 -- asked by the caller
+    plan = _carried(scene.guidance, device, assumed="weight" in scene.assumed)
+    guidance, check = check_guidance(plan, demands_of(device.capabilities))
+    block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
+    lines = (*scene.lines(), *_told_of(guidance), *check.lines())
+    given = dict(options.device_options)
+    if options.led:
+        given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
+    return _without_tissue(options, choice, device, block, lines, device_options=given, guided=True)
+
+
+def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
+    """The plan with the weight that was measured on this unit, unless the scene knows better."""
+    known = getattr(device, "calibration", None)
+    stated = any(guidance.weight_N) or any(map(any, guidance.weight_slope_N_per_m))
+    if (stated and not assumed) or known is None or not known.weight_measured:
+        return guidance
+    slope = np.array(known.weight_slope_N_per_m).reshape(3, 3)
+    there = np.array(known.weight_N) + slope @ (np.array(guidance.entry_m) - np.array(MIDDLE_M))
+    x, y, z = (float(value) for value in there)
+    rows = tuple((float(a), float(b), float(c)) for a, b, c in slope)
+    return replace(guidance, weight_N=(x, y, z), weight_slope_N_per_m=(rows[0], rows[1], rows[2]))
+
+
+def _told_of(guidance: Guidance) -> tuple[str, ...]:
+    pull, funnel = guidance.pull, guidance.funnel
+    axial = "conservative" if pull.conservative else "as printed, which gives energy in a loop"
+    stiffness = f"{pull.far_N_per_m:.3g} N/m far off, {pull.near_N_per_m:.3g} N/m at the entry"
+    weight = float(np.linalg.norm(guidance.weight_N))
+    carried = (f"weight     {weight:.2f} N carried at the entry, in contact too",) if weight > 0.0 else ()
+    width = f"{funnel.kind}, {1e3 * funnel.radius_m:g} mm in radius at the entry"
+    return (
+        f"pull       {stiffness} over {1e3 * pull.reach_m:g} mm; {axial}",
+        f"wall       {width}, {funnel.stiffness_N_per_m_n:.3g} N/m^{funnel.exponent:g}",
+        *carried,
+    )
+
+
+def _without_tissue(
+    options: RenderOptions,
+    choice: tuple[str, str],
+    device: HapticDevice,
+    block: FloatArray,
+    lines: tuple[str, ...],
+    **decided: Any,
+) -> SessionPlan:
+    return _planned(
+        options,
+        choice,
+        device,
+        (np.zeros(SURFACE_SIZE), (None,)),
+        blocks=(block,),
+        seconds=options.seconds,
+        lines=(choice[1], *lines),
+        led=options.led,
+        pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
+        **{"device_options": dict(options.device_options), **decided},
+    )

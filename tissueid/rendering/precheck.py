@@ -1,9 +1,7 @@
 """Before any force: whether this device can render this tissue, at which scale, and what will be felt.
 
-The tissue is scaled by the guard's own clamp (:mod:`tissueid.model.passivity`); the damping it then needs
-over all frequencies, with the device's delay (:mod:`tissueid.model.passivity`), is held against the damping
-the device has.  A scale that was computed is lowered until it fits; one that the user asked for is refused,
-with the largest that fits.
+The tissue is scaled by the guard's own clamp; the damping it then needs over all frequencies, with the
+device's delay (:mod:`tissueid.model.passivity`), is held against the damping the device has.
 """
 
 from __future__ import annotations
@@ -52,6 +50,13 @@ class Demands:
     period_s: float = 0.001  # of the servo
     travel_m: float = np.inf  # room along the normal behind the surface [m]
     known: str = "assumed, not measured on this unit"  # where damping and newton come from, in words
+
+    def stability(self, needed_N_s_per_m: float) -> str:
+        """Line on the damping that a rendering needs, and that the device has."""
+        return (
+            f"stability  needs {needed_N_s_per_m:.3g} N s/m of damping at {self.delay_ticks:g} ticks of "
+            f"{1e3 * self.period_s:g} ms; the device has {self.damping_N_s_per_m:.3g} N s/m ({self.known})"
+        )
 
 
 def demands_of(capabilities: Capabilities) -> Demands:
@@ -105,12 +110,8 @@ class Precheck:
             f"{self.depth_mm:g} mm of tissue ({self.depth_mm * scale.motion:.4g} mm of travel); clamp "
             f"{device.clamp_N:.3g} N, {100.0 * self.clipped_share:.3g} % of the depth clipped"
         )
-        stability = (
-            f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "
-            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m "
-            f"({device.known})"
-        )
-        text = [f"scale      {felt}", f"device     {limits}", f"stability  {stability}"]
+        text = [f"scale      {felt}", f"device     {limits}"]
+        text.append(device.stability(self.required_damping_N_s_per_m))
         if self.lowered:
             text.append(
                 f"lowered    from measured/{1.0 / self.wanted_force_scale:.4g}, which would need "
@@ -140,10 +141,7 @@ class Precheck:
 
 
 def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
-    """The numbers of a scale that is given.
-
-    ``force``, ``motion``: s_F and s_x.
-    """
+    """The numbers of a scale s_F, s_x that is given."""
     depth = np.array([tissue.model.depth_mm])
     peak = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
     tangent = largest_tangent(tissue.model, tissue.theta) * N_PER_MM_TO_N_PER_M
@@ -162,11 +160,10 @@ def check_before_force(
     force_scale: float | None = None,
     motion_scale: float | None = None,
 ) -> Precheck:
-    """Choose or check the scale of a rendering.
+    """Choose a scale of a rendering and lower it until it is stable, or check the one that was asked for.
 
-    ``demands``: of the device; ``force_scale``, ``motion_scale``: what the user asked for; a force scale that
-    was asked for is never changed.  Raises UsageError: a scale is outside what can be meant; DeviceError: the
-    device can't render this tissue stably: at the scale asked for, or at any that could be felt.
+    Raises UsageError: a scale is outside what can be meant; DeviceError: the device can't render this
+    tissue stably, at the scale asked for, or at any that could be felt.
     """
     motion = DEFAULT_MOTION_SCALE if motion_scale is None else motion_scale
     _must_lie("--motion-scale", motion, MOTION_RANGE)

@@ -1,8 +1,6 @@
-"""The recorder: every tick of the ring to a file that a killed process leaves whole.
+"""Records of a session: every tick of the ring to a file that a killed process leaves whole, and a summary.
 
-Records are appended to ``<log>.part`` and become ``<log>`` (HDF5) at the end.  A disk that is full, or any
-other failure to write, stops the recording and nothing else: the session goes on, says so and ends with
-exit code 7; what was recorded until then is kept.
+A failure to write, a full disk included, stops the recording and nothing else; what was recorded is kept.
 """
 
 from __future__ import annotations
@@ -14,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, RecordArray
 from tissueid.errors import UsageError
 from tissueid.haptics.ring import RECORD
+from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.store.session_log import convert_session_log, raw_head
 
 #: Added to the log's name while the session runs.
@@ -23,10 +23,9 @@ PART_SUFFIX = ".part"
 
 
 class Recorder:
-    """Writes one log.
+    """Writes one log: records to ``<log>.part``, which becomes ``<log>`` (HDF5) at the end.
 
-    ``path``: of the finished log; ``head``: see ``schemas/session.schema.json``; ``record`` and ``schema``
-    are added.  Raises UsageError: the file exists, or can't be written there.
+    Raises UsageError: the file exists, or can't be written there.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
@@ -58,19 +57,12 @@ class Recorder:
             raise UsageError(msg)
 
     def append(self, records: NDArray[Any]) -> None:
-        """Append records; after a failure to write nothing more is tried.
-
-        ``records`` (n,).
-        """
+        """Append records; after a failure to write nothing more is tried."""
         if self.stopped is None and records.size and self._write(np.ascontiguousarray(records).tobytes()):
             self.written += records.size
 
     def finish(self, summary: Mapping[str, Any]) -> Path:
-        """Close the log and turn it into HDF5.
-
-        ``summary``: of the session.  Returns where the log is: the HDF5 file, or the part where there was no
-        room for it; then :attr:`stopped` says why.
-        """
+        """Close the log and turn it into HDF5; where there was no room for it the part stays."""
         self._close()
         try:
             convert_session_log(self.part, self.path, {**summary, "recording_stopped": self.stopped})
@@ -95,3 +87,100 @@ class Recorder:
             self._stream.close()
         except OSError as error:
             self.stopped = self.stopped or f"{self.part}: {error.strerror or error}"
+
+
+#: A tick off by more than this share of the period is off ...
+OFF_SHARE = 0.10
+#: ... and with more than this share of such ticks the timing is called degraded.
+DEGRADED_SHARE = 0.01
+S_TO_US = 1e6
+
+
+def period_statistics(error_s: FloatArray) -> dict[str, float]:
+    """Median, p99, p99.9 and largest of absolute period errors [us]; zeros where there are none."""
+    if not error_s.size:
+        return {"median": 0.0, "p99": 0.0, "p99_9": 0.0, "max": 0.0}
+    median, p99, p999 = np.quantile(error_s, [0.5, 0.99, 0.999]) * S_TO_US
+    return {
+        "median": float(median),
+        "p99": float(p99),
+        "p99_9": float(p999),
+        "max": float(error_s.max()) * S_TO_US,
+    }
+
+
+class SessionSummary:
+    """Counts over all records of a session."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._errors: list[NDArray[np.float32]] = []
+        self._lit = {lamp: 0 for lamp in Lamp if lamp}
+        self._ticks = self._touched = self._lost = self._switches = self._missed = 0
+        self._first_s = self._last_s = 0.0
+        self._label: int | None = None
+        self._peak_N = self._peak_tissue_N = self._energy_J = 0.0
+        self._deepest_mm = -np.inf
+        #: State and fault of the newest record.
+        self.state = State.CLOSED
+        self.fault = Fault.NONE
+
+    @property
+    def ticks(self) -> int:
+        """Records counted."""
+        return self._ticks
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first record to the newest [s]."""
+        return self._last_s - self._first_s
+
+    def add(self, records: RecordArray, lost: int = 0) -> None:
+        """Count new records, and those that were overwritten before they could be read."""
+        self._lost += lost
+        if not records.size:
+            return
+        if not self._ticks:
+            self._first_s = float(records["time_s"][0])
+        self._ticks += records.size
+        self._last_s = float(records["time_s"][-1])
+        self._errors.append(np.abs(records["dt_s"] - self._period_s).astype(np.float32))
+        for lamp in self._lit:
+            self._lit[lamp] += int(np.count_nonzero(records["lamps"] & int(lamp)))
+        engaged = records[records["state"] == State.ENGAGED]
+        self._touched += int(np.count_nonzero(engaged["depth_mm"] > 0.0))
+        self._peak_N = max(self._peak_N, float(np.linalg.norm(records["force_N"], axis=1).max()))
+        self._peak_tissue_N = max(self._peak_tissue_N, float(records["tissue_force_N"].max()))
+        self._deepest_mm = max(self._deepest_mm, float(records["depth_mm"].max()))
+        self._energy_J = float(records["energy_J"][-1])
+        self._missed = int(records["missed"][-1])
+        labels = records["label"]
+        before = int(labels[0]) if self._label is None else self._label
+        self._switches += int(np.count_nonzero(np.diff(np.concatenate([[before], labels.astype(np.int64)]))))
+        self._label = int(labels[-1])
+        self.state, self.fault = State(int(records["state"][-1])), Fault(int(records["fault"][-1]))
+
+    def as_json(self, *, scheduling: str, virtual_time: bool) -> dict[str, Any]:
+        """The summary of ``schemas/session.schema.json``, ``recording_stopped`` left open."""
+        errors = np.concatenate(self._errors).astype(np.float64) if self._errors else np.zeros(0)
+        off = float(np.mean(errors > OFF_SHARE * self._period_s)) if errors.size else 0.0
+        ticks = max(self._ticks, 1)
+        return {
+            "ticks": self._ticks,
+            "seconds": self.seconds,
+            "skipped_ticks": self._missed,
+            "lost_records": self._lost,
+            "period_us": period_statistics(np.zeros(0) if virtual_time else errors),
+            "timing_degraded": bool(not virtual_time and off > DEGRADED_SHARE),
+            "scheduling": scheduling,
+            "shares": {str(lamp.name).lower(): count / ticks for lamp, count in self._lit.items()},
+            "contact_share": self._touched / ticks,
+            "peak_device_force_N": self._peak_N,
+            "peak_tissue_force_N": self._peak_tissue_N,
+            "deepest_mm": float(self._deepest_mm) if np.isfinite(self._deepest_mm) else 0.0,
+            "energy_J": self._energy_J,
+            "switches": self._switches,
+            "end_state": self.state.name.lower(),
+            "fault": FAULT_WORDS[self.fault],
+            "recording_stopped": None,
+        }

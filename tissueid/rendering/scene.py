@@ -1,8 +1,4 @@
-"""Scenes as files: what is felt, where, and on which device (``scene.toml``, schemas/scene.schema.json).
-
-A scene is a tissue on a surface, or guidance along a planned axis.  Some come along and are asked for by
-their name; what no source states is listed in the scene under ``assumed``, and printed.
-"""
+"""Scenes as files: what is felt, where, and on which device (``scene.toml``, schemas/scene.schema.json)."""
 
 from __future__ import annotations
 
@@ -55,10 +51,9 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(given: str, *, plan: Path | None = None) -> Scene:
-    """A scene by its name, or by the path of its file.
+    """A scene by its name or its file's path, with a patient's plan of axis and entry in place of its own.
 
-    ``plan``: a file with the axis and the entry point of a patient, in the place of the scene's own.  Raises
-    UsageError: there is none, or it says what can't be.
+    Raises UsageError: there is none, or it says what can't be.
     """
     if given in scene_names():
         text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
@@ -93,10 +88,7 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
 
 
 def read_plan(path: Path) -> dict[str, Any]:
-    """``entry_mm`` and ``axis`` of a file of their own.
-
-    Raises UsageError: it can't be read, or is no TOML.
-    """
+    """``entry_mm`` and ``axis`` of a file of their own; UsageError where it can't be read."""
     return _parsed(_text_of(path), str(path))
 
 

@@ -1,7 +1,4 @@
-"""The figures of this machine: how punctual its servo is, and how long a tick takes.
-
-Measured on the simulated device, so that nothing moves; a real device adds its wire.
-"""
+"""The figures of this machine, on the simulated device: punctuality of its servo, time of a tick."""
 
 from __future__ import annotations
 
@@ -13,18 +10,15 @@ import numpy as np
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import compiled_io
 from tissueid.haptics.guard import guard
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, SimulatedIO
 from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo import PeriodStatistics, ServoPlan, ServoProcess
 from tissueid.rendering.servo_loop import CLOCK_SIZE, monotonic_ns, new_watch, virtual_loop
-from tissueid.rendering.servo_plan import PeriodStatistics, ServoPlan
-from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
+from tissueid.rendering.servo_tick import Servo, compiled_tick, servo_here
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: Bars: of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
@@ -92,11 +86,7 @@ class SelfTest:
 def run_selftest(
     seconds: float = DEFAULT_SECONDS, progress: Callable[[float], None] = lambda _share: None
 ) -> SelfTest:
-    """Measure this machine.
-
-    ``seconds``: how long the servo runs [s]; ``progress``: told the share that is done.  Raises DeviceError:
-    the servo process can't be started, or took the force away.
-    """
+    """Measure this machine for some seconds; DeviceError where the servo can't run."""
     begun = time.monotonic()
     with ServoProcess(ServoPlan("sim", {"real_time": True})) as servo:
         start_s = time.monotonic() - begun
@@ -113,24 +103,16 @@ def run_selftest(
 
 def time_ticks() -> TickTimes:
     """Time the force step and the whole tick, compiled, in this process."""
-    device = SimulatedDevice()
-    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
-    try:
-        with device:
-            servo = new_servo(device, ring, block)
-            block.write(_tissue_at(-DEPTH_M))
-            block.order(COMMAND_ENGAGE)
-            io = compiled_io(device.compiled())
-            # past homing and the start-up ramp with a free tool, then with tissue around it
-            virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
-            block.write(_tissue_at(DEPTH_M))
-            took = np.zeros(TICKS, np.int64)
-            _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
-            force_step = _force_step_ns(servo)
-        return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
-    finally:
-        ring.close()
-        block.close()
+    with servo_here(SimulatedDevice()) as (io, servo, _ring, block):
+        block.write(_tissue_at(-DEPTH_M))
+        block.order(COMMAND_ENGAGE)
+        # past homing and the start-up ramp with a free tool, then with tissue around it
+        virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
+        block.write(_tissue_at(DEPTH_M))
+        took = np.zeros(TICKS, np.int64)
+        _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
+        force_step = _force_step_ns(servo)
+    return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
 
 
 def _tissue_at(height_m: float) -> FloatArray:

@@ -1,13 +1,7 @@
-"""The owner's side of the servo process: spawn, parameters, heartbeat, end.
+"""The owner's side of the servo process: spawn, parameters, heartbeat, end, and the messages between both.
 
-::
-
-    with ServoProcess(ServoPlan("sim")) as servo:
-        servo.block.write(parameters)
-        servo.engage()
-        while (end := servo.poll()) is None:
-            servo.beat()
-            records, overrun = servo.records.read_new()
+Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose end of
+file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or ``failed``.
 """
 
 from __future__ import annotations
@@ -15,12 +9,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pickle
 import select
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
+import msgspec
+import numpy as np
+
 from tissueid import errors
+from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.parameter_block import (
     COMMAND_DISENGAGE,
@@ -30,21 +32,175 @@ from tissueid.haptics.parameter_block import (
 )
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
-from tissueid.rendering.servo_plan import ServoEnd, ServoPlan, ServoReady, send_plan
+from tissueid.haptics.states import FAULT_WORDS, Fault, State
+from tissueid.rendering.servo_loop import BIN_NS, LATE_SHARE
 from tissueid.rendering.servo_spawn import REAP_S, SpawnedServo, spawn_servo
 from tissueid.rendering.servo_tick import BLOCK_SIZE
+
+#: Share of late ticks above which a session is labelled.
+DEGRADED_SHARE = 0.01
+_US = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodStatistics:
+    """Absolute period errors of a session."""
+
+    #: Ticks run, and deadlines skipped.
+    ticks: int
+    missed: int
+    period_us: float
+    #: Of |measured period - period|; quantiles to 1 us.
+    median_us: float
+    p99_us: float
+    p999_us: float
+    max_us: float
+    late_share: float  # share of ticks off by more than a tenth of the period; a skipped tick counts as one
+    scheduling: str  # scheduling class the servo really had
+
+    @property
+    def degraded(self) -> bool:
+        """True where the session is labelled "timing degraded"."""
+        return self.late_share > DEGRADED_SHARE
+
+    @property
+    def label(self) -> str:
+        """Label in console, viewer and log: "timing degraded" or "timing good"."""
+        return "timing degraded" if self.degraded else "timing good"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The figures for a log, with the label."""
+        return {**asdict(self), "label": self.label}
+
+
+def period_statistics(histogram: IntArray, missed: int, period_ns: int, scheduling: str) -> PeriodStatistics:
+    """Figures from a loop's histogram, shape (BINS + 1,), and the deadlines it skipped."""
+    counts = histogram[:-1]
+    total = int(counts.sum())
+    passed = np.cumsum(counts)
+
+    def quantile(share: float) -> float:
+        """Lower end of the bin that holds this share [us]."""
+        return float(np.searchsorted(passed, share * total)) * BIN_NS * _US if total else 0.0
+
+    # errors above a tenth of the period, counted from the first bin that lies wholly above it
+    first = period_ns // LATE_SHARE // BIN_NS + 1
+    late = int(counts[first:].sum()) + missed
+    return PeriodStatistics(
+        ticks=total,
+        missed=missed,
+        period_us=period_ns * _US,
+        median_us=quantile(0.5),
+        p99_us=quantile(0.99),
+        p999_us=quantile(0.999),
+        max_us=float(histogram[-1]) * _US,
+        late_share=late / (total + missed) if total else 0.0,
+        scheduling=scheduling,
+    )
+
+
+#: Why a loop ended, by the numbers of :mod:`tissueid.rendering.servo_loop`.
+REASONS = ("fault", "stopped", "signal", "ticks")
+_LENGTH_BYTES = 8
+#: At 1 kHz more ticks than anybody's session: 24 days.
+NO_END = 2**31
+
+
+@dataclass(frozen=True, slots=True)
+class ServoPlan:
+    """One session of the servo."""
+
+    device: str  # name in the registry; never ``auto``, which the owner resolves and says
+    options: dict[str, Any] = field(default_factory=dict)  # arguments of the device's class; must pickle
+    #: Name of a force law of another distribution, in the place of the compiled environment.
+    law: str | None = None
+    period_ns: int = 1_000_000
+    ticks: int = NO_END  # most ticks to run
+    alive_wanted: bool = True  # whether 500 ms without a sign of life take the force away
+    #: Whether the hand of the simulated device lies in shared memory, for a pointer; no other device's does.
+    shared_hand: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ServoReady:
+    """The servo runs."""
+
+    #: False for a device or a law in Python, and where compiling is switched off: the loop runs uncompiled.
+    compiled: bool
+    scheduling: str  # scheduling class
+    remedies: tuple[str, ...]  # what was refused, and how to get it
+
+
+@dataclass(frozen=True, slots=True)
+class ServoEnd:
+    """End of a session."""
+
+    reason: str  # one of REASONS
+    fault: Fault
+    state: State  # before the device was closed
+    statistics: PeriodStatistics
+    #: Of the ticks with tissue touched: outside the identified range, and at the clamp.
+    outside_share: float
+    clipped_share: float
+
+    @property
+    def message(self) -> str:
+        """One sentence for the console and the log."""
+        if self.fault is not Fault.NONE:
+            return f"the servo took the force away: {FAULT_WORDS[self.fault]}"
+        return {"signal": "the servo was told to end by a signal"}.get(self.reason, "the servo ended")
+
+
+def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: int) -> None:
+    """Send a plan and the descriptors of the shared memories through the owner's socket."""
+    data = pickle.dumps(plan)
+    with _socket(descriptor) as there:
+        socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block, *hand])
+        there.sendall(data)
+
+
+def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
+    """The plan and this process's own descriptors (ring, block, hand); EOFError where the owner died."""
+    data = b""
+    with _socket(descriptor) as there:
+        head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 3)
+        if len(head) < _LENGTH_BYTES:
+            raise EOFError
+        size = int.from_bytes(head, "little")
+        while len(data) < size:
+            got = there.recv(size - len(data))
+            if not got:
+                raise EOFError
+            data += got
+    # the sender is the process that spawned this one, over a socket nobody else has
+    plan: ServoPlan = pickle.loads(data)  # noqa: S301
+    return plan, shared
+
+
+@contextmanager
+def _socket(descriptor: int) -> Iterator[socket.socket]:
+    """The socket behind a descriptor, which stays open."""
+    there = socket.socket(fileno=descriptor)
+    try:
+        yield there
+    finally:
+        there.detach()
+
+
+def send_line(descriptor: int, **words: Any) -> None:
+    """One line of JSON; nothing happens where nobody reads any more."""
+    try:
+        os.write(descriptor, json.dumps(words).encode() + b"\n")
+    except BrokenPipeError:
+        return
+
 
 #: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.
 START_TIMEOUT_S = 60.0
 
 
 class ServoProcess:
-    """A servo in its own process.
-
-    ``start_timeout_s``: until the loop runs; a device that a user must home needs more; ``tell``: told what
-    the device says to its user while it is opened and homed; ``spawned``: a process that waits for a plan;
-    without it one is spawned by ``start``.
-    """
+    """A servo in its own process; ``spawned``: one that waits for a plan."""
 
     def __init__(
         self,
@@ -71,11 +227,7 @@ class ServoProcess:
         self._text = b""
 
     def start(self) -> ServoReady:
-        """Send the plan and wait until the loop runs, with zero force.
-
-        Raises DeviceError, UsageError, BundleError: what the process refused, or DeviceError where it died or
-        took too long.
-        """
+        """Send the plan and wait until the loop runs, with zero force; raises what the process refused."""
         try:
             self.ready = self._started()
         except BaseException:
@@ -109,10 +261,7 @@ class ServoProcess:
         self.block.order(COMMAND_DISENGAGE)
 
     def poll(self) -> ServoEnd | None:
-        """End of the servo, or None while it runs.
-
-        Raises DeviceError: the process died without a word.
-        """
+        """End of the servo, or None while it runs; DeviceError where it died without a word."""
         if self.end is None:
             words = self._next_line(0.0)
             if words is not None:
@@ -123,10 +272,7 @@ class ServoProcess:
         return self.end
 
     def stop(self) -> ServoEnd:
-        """Ramp down, end the loop, close the device.
-
-        Raises DeviceError: it did not end in time (and was killed), or died without a word.
-        """
+        """Ramp down, end the loop, close the device; DeviceError where it did not end in time."""
         self.block.order(COMMAND_STOP)
         deadline = time.monotonic() + REAP_S
         while self.poll() is None and time.monotonic() < deadline:
@@ -191,7 +337,7 @@ class ServoProcess:
             if not patient:
                 raise self._failure(None, "died without a word")
         elif words.pop("event") == "ended":
-            self.end = ServoEnd.from_dict(words)
+            self.end = msgspec.convert(words, ServoEnd)
         else:
             raise self._failure({"event": "failed", **words}, "")
 

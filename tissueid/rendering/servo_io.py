@@ -1,11 +1,7 @@
 """Access of the servo to a device: one reading and one command a tick, compiled for the devices it knows.
 
-:func:`sense` and :func:`command` take one of the tuples below.  Compiled, the tuple's type decides what is
-built into the loop, so that a simulated device never loads a driver; a plug-in device with methods in
-Python (:class:`PythonIO`) runs through the same two functions uncompiled.
-
-:func:`command` is called by :func:`tissueid.rendering.servo_tick.send` alone, with what the guard let
-through.
+The type of the tuple decides what is built into the loop; a plug-in with methods in Python
+(:class:`PythonIO`) runs uncompiled.
 """
 
 from __future__ import annotations
@@ -44,21 +40,13 @@ def _sense_python(io: PythonIO, dt: float, position: FloatArray, counts: IntArra
 
 
 def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
-    """Read a device once, without waiting.
-
-    ``io``: one of this module's and its neighbours'; ``dt``: time since the last reading [s]; ``position``
-    (3,): **Written** where a valid reply came [m]; ``counts`` (3,): **Written** likewise; ``words``
-    (WORDS_SIZE,): **Written**: REPLY, HOMED, PRESSED; UNANSWERED where the device answers each command.
-    """
+    """Read a device once, without waiting: ``position`` [m] and ``counts`` of a valid reply, ``words``."""
     way = _sense_python if isinstance(io, PythonIO) else access_of(type(io)).sense
     way(io, dt, position, counts, words)
 
 
 def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
-    """Send a force that passed the guard.
-
-    ``guard_memory``, ``limits``: of the guard; a device shows its state; ``force`` (3,): [N].
-    """
+    """Send a force [N] that passed the guard; called by :func:`tissueid.rendering.servo_tick.send` alone."""
     access_of(type(io)).command(io, guard_memory, limits, force)
 
 

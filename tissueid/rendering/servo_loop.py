@@ -1,8 +1,7 @@
 """The servo's loops and their clock: absolute deadlines in real time, and virtual time; both call one tick.
 
-Deadlines that were missed are skipped, never replayed in a burst; the tick gets the time that was measured.
-The loop asks every 5 ms whether the owner still lives (its end of a pipe), wants an end, gives signs of
-life, or a signal came; each of them ends in zero force.
+Missed deadlines are skipped, never replayed in a burst; a dead or silent owner, its wish to end and a signal
+are looked for every 5 ms, and end in zero force.
 """
 
 from __future__ import annotations
@@ -90,12 +89,7 @@ _LATE = int(Lamp.LATE)
 
 
 def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False) -> IntArray:
-    """Watch of a loop on all besides the device.
-
-    ``owner``: descriptor of a pipe whose other end the owner holds; its end of file is the owner's death;
-    ``signals``: descriptor that becomes readable when a signal came; ``alive_wanted``: whether signs of life
-    are asked for.
-    """
+    """Watch of a loop on the owner's pipe, a descriptor of signals and signs of life; -1 is none."""
     watch = np.zeros(WATCH_SIZE, np.int64)
     watch[OWNER], watch[SIGNALS], watch[ALIVE_WANTED] = owner, signals, alive_wanted
     return watch
@@ -136,11 +130,9 @@ def _count(histogram: IntArray, error_ns: int) -> None:
 def realtime_loop(
     io: Any, servo: Servo, watch: IntArray, histogram: IntArray, period_ns: int, ticks: int
 ) -> int:
-    """Run in real time until something ends it.
+    """Run in real time until something ends it; ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
 
-    ``io``: the device, of :mod:`tissueid.rendering.servo_io`; ``watch``: :func:`new_watch`; ``histogram``
-    (BINS + 1,): absolute period errors by microsecond, then the largest [ns]; added to; ``ticks``: most ticks
-    to run.  Returns ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
+    ``histogram`` (BINS + 1,): absolute period errors by microsecond, then the largest [ns]; added to.
     """
     room = watch[ROOM:]
     last = monotonic_ns(room)
@@ -176,12 +168,7 @@ compiled_loop = tick_kernel(realtime_loop)
 
 @tick_kernel
 def virtual_loop(io: Any, servo: Servo, watch: IntArray, start_s: float, steps: FloatArray) -> int:
-    """Run in virtual time, as fast as it goes.
-
-    ``io``: a simulated device; its arm moves by each step; ``watch``: :func:`new_watch`; nothing outside is
-    looked at; ``start_s``: time before the first tick [s]; ``steps`` (n,): time from tick to tick [s]: all
-    equal, or as jittery as wanted.  Returns ENDED_FAULT, ENDED_STOPPED or ENDED_TICKS.
-    """
+    """Run a simulated device through steps of time [s] as fast as it goes; nothing outside is looked at."""
     now = start_s
     for k in range(steps.size):
         now += steps[k]

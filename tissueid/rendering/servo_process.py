@@ -1,8 +1,7 @@
 """The servo process: nothing but the loop, spawned, with zero force on every way out.
 
-It ends when the owner says so, dies (end of file on a pipe) or falls silent, when a fault was handled, and
-on SIGTERM, SIGINT or SIGHUP.  SIGKILL can't be caught: then the device keeps the last force until its own
-firmware or its power plug takes it away.
+SIGKILL can't be caught: then the device keeps the last force until its own firmware or its power plug takes
+it away.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+from dataclasses import asdict
 from types import FrameType
 from typing import Any, Self
 
@@ -28,9 +28,7 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
-from tissueid.rendering.servo_io import PythonIO
-from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
-from tissueid.rendering.servo_plan import (
+from tissueid.rendering.servo import (
     REASONS,
     ServoEnd,
     ServoPlan,
@@ -38,6 +36,8 @@ from tissueid.rendering.servo_plan import (
     receive_plan,
     send_line,
 )
+from tissueid.rendering.servo_io import PythonIO
+from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
@@ -78,10 +78,7 @@ class SignalWatch:
 
 
 def _must_be_owned(owner: int) -> None:
-    """Refuse to wait for anything once the owner is dead.
-
-    Raises DeviceError: nothing but the end of file ever comes after the plan.
-    """
+    """Refuse to wait once the owner is dead: nothing but the end of file ever comes after the plan."""
     if select.select([owner], [], [], 0.0)[0]:
         raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
 
@@ -96,10 +93,7 @@ def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
 
 
 def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
-    """Let a pointer lead a simulated hand.
-
-    Raises DeviceError: the device is another: only a hand of a real person moves it.
-    """
+    """Let a pointer lead a simulated hand; DeviceError for another device, which a real hand moves."""
     if not isinstance(device, SimulatedDevice):
         msg = f"{device.name}: a pointer leads the simulated device alone"
         raise DeviceError(msg)
@@ -129,12 +123,7 @@ def run_plan(
     report: int,
     hand: SharedHand | None = None,
 ) -> ServoEnd:
-    """Open the device, run the loop, close the device.
-
-    ``ring``, ``block``: shared with the owner; ``owner``: descriptor whose end of file is the owner's death;
-    ``report``: descriptor for lines of JSON; ``hand``: through which a pointer leads the simulated device.
-    Raises DeviceError, UsageError: the device can't be used, or is none that a pointer may lead.
-    """
+    """Open the device, run the loop, close the device; DeviceError or UsageError where it can't be used."""
     with SignalWatch() as signals:
         device = device_class(plan.device)(**plan.options)
         if hand is not None:
@@ -171,10 +160,7 @@ def run_plan(
 
 
 def main(arguments: list[str]) -> int:
-    """The spawned process: two descriptors, the owner's socket and the report's pipe.
-
-    Returns exit code of :mod:`tissueid.errors`.
-    """
+    """The spawned process, with the owner's socket and the report's pipe; its exit code."""
     owner, report = (int(word) for word in arguments)
     # numba sets itself up at the first call: while the owner decides, not when it waits
     with without_scipy():
@@ -189,5 +175,5 @@ def main(arguments: list[str]) -> int:
         return error.exit_status
     except (EOFError, Signalled):
         return DeviceError.exit_status
-    send_line(report, event="ended", **end.as_dict())
+    send_line(report, event="ended", **asdict(end))
     return 0 if end.fault == 0 else DeviceError.exit_status

@@ -1,7 +1,4 @@
-"""Real-time scheduling: try what makes a loop punctual, and say exactly what was refused and how to get it.
-
-Nothing here is needed to render; without it the tail of the period errors is longer and the log says so.
-"""
+"""Real-time scheduling: try what makes a loop punctual, and say what was refused and how to get it."""
 
 from __future__ import annotations
 
@@ -33,10 +30,9 @@ class Schedule:
 
 
 def settled(*, collect: bool = False) -> bool:
-    """Clear up and lock the memory of this process, a tenth of a second: before a device is homed, not after.
+    """Clear up and lock the memory of this process before a device is homed, 0.1 s; True where it is locked.
 
     ``collect``: keep Python's garbage collection: a loop in Python makes garbage, a compiled one none.
-    Returns the memory is locked.
     """
     gc.collect()
     if not collect:
@@ -45,10 +41,7 @@ def settled(*, collect: bool = False) -> bool:
 
 
 def make_punctual(*, locked: bool) -> Schedule:
-    """Ask for SCHED_FIFO, one processor and exact timers for this process.
-
-    ``locked``: what :func:`settled` found.  Returns refusals are no errors.
-    """
+    """Ask for SCHED_FIFO, one processor and exact timers for this process; refusals are no errors."""
     remedies = []
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
     cpu = _bind()

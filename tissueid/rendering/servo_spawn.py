@@ -1,10 +1,7 @@
-"""The servo's process before it has a plan: spawned early, it loads while its owner decides.
+"""The entry of the servo's process, which imports nothing slow: it loads while its owner decides.
 
-Loading numba and the compiled loop takes most of a second, reading a bundle and choosing a scale another;
-both at once, a session begins in half the time.  A process without a plan has no device and waits: nothing
-can move before the plan passed its checks and was sent.
-
-This module is the entry of that process, and imports nothing slow.
+A process without a plan has no device and waits: nothing can move before the plan passed its checks and was
+sent.
 """
 
 from __future__ import annotations
@@ -56,10 +53,7 @@ class SpawnedServo:
 
 
 def spawn_servo() -> SpawnedServo:
-    """Start a servo's process, without a plan.
-
-    Raises UsageError: numba isn't installed.
-    """
+    """Start a servo's process, without a plan; UsageError where numba isn't installed."""
     require("numba")
     theirs, ours = socket.socketpair()
     report, reporting = os.pipe()

@@ -1,15 +1,13 @@
 """One tick of the servo: read, velocity, force law, passivity, watchdogs, guard, command, record.
 
-Every loop (real time, virtual time, compiled or not) calls :func:`tick`, so that what is tested in virtual
-time is what runs on a device.  It allocates nothing.
-
-The force law sees the measured time since the last tick: the law's recursion is exact for any step, so that
-a late tick is no wrong force.
+Every loop calls :func:`tick`, so that what is tested in virtual time is what runs on a device; it allocates
+nothing.  The law sees the measured time since the last tick: a late tick is no wrong force.
 """
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE, HapticDevice
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE, HapticDevice, compiled_io
 from tissueid.haptics.foreign import store_release
 from tissueid.haptics.guard import (
     DISENGAGE,
@@ -124,11 +122,7 @@ class Servo(NamedTuple):
 
 
 def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
-    """A servo at rest in free air, until parameters are published.
-
-    ``device``: its guard's memory and limits are used; ``ring``, ``block``: shared with the owner; ``block``
-    for BLOCK_SIZE parameters.
-    """
+    """A servo at rest in free air, until parameters are published."""
     return Servo(
         guard_memory=device.guard_memory,
         limits=device.limits.block(),
@@ -156,16 +150,35 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     )
 
 
+class ServoHere(NamedTuple):
+    """A servo in this process, and what it shares with its owner."""
+
+    io: Any
+    servo: Servo
+    ring: Ring
+    block: ParameterBlock
+
+
+@contextlib.contextmanager
+def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
+    """Open a device that the compiled loop knows and put a servo on it; all is closed afterwards."""
+    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+    try:
+        with device:
+            given = device.compiled()
+            assert given is not None  # noqa: S101 -- asked of the simulated device alone
+            yield ServoHere(compiled_io(given), new_servo(device, ring, block), ring, block)
+    finally:
+        ring.close()
+        block.close()
+
+
 # Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
 
 
 @tick_part
 def publish(head: IntArray, count: int) -> None:
-    """Say that ``count`` records are whole.
-
-    ``head`` (8,): :attr:`tissueid.haptics.ring.Ring.head`; ``count``: records written since the ring was
-    made.
-    """
+    """Say that ``count`` records since the ring was made are whole."""
     store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)
 
 
@@ -293,11 +306,9 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
 
 
 def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
-    """One tick.
+    """One tick, with its time, the time since the last one, and after its deadline [s].
 
-    ``io``: the device, of :mod:`tissueid.rendering.servo_io`; ``now_s``, ``dt``, ``late_s``: time of the
-    tick, since the last one, and after its deadline [s]; ``late_lamp``: ``Lamp.LATE`` where the tick's period
-    was off by more than a tenth, else 0.
+    ``late_lamp``: ``Lamp.LATE`` where the tick's period was off by more than a tenth, else 0.
     """
     memory, limits, environment = servo.guard_memory, servo.limits, servo.environment
     position, velocity, force, info, words = (

@@ -1,8 +1,7 @@
 """One session from its plan to its summary: servo, records, switches, and zero force at the end.
 
-The loop of the owner does little and often: read what is new in the ring, hand it to recorder, summary,
-bridge and display, give a sign of life, exchange the tissue where that was asked for.  Nothing here touches
-a force.
+The owner's loop hands on what is new in the ring, gives a sign of life and exchanges the tissue; it touches
+no force.
 """
 
 from __future__ import annotations
@@ -25,12 +24,10 @@ from tissueid.rendering.bridge import BridgeRequest, UdpBridge
 from tissueid.rendering.environment import KIND as BLOCK_KIND
 from tissueid.rendering.environment import SURFACE, TISSUE
 from tissueid.rendering.first_start import first_start
-from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.recorder import Recorder, SessionSummary
+from tissueid.rendering.servo import ServoPlan, ServoProcess
 from tissueid.rendering.servo_spawn import SpawnedServo
 from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
-from tissueid.rendering.summary import SessionSummary
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import Plane
 
@@ -63,12 +60,10 @@ class Outcome:
 
 
 class Session:
-    """Runs a plan.
+    """Runs a plan; ``spawned``: a process that waits for it, closed by its owner whether it was taken or not.
 
-    ``ask``: what the person wants now; asked every turn, must not wait; ``show``: ``show(newest record,
-    summary)``, every turn in which something is new; ``tell``: told what a device asks of its user while it
-    is homed; ``spawned``: a process that waits for the plan; its owner closes it, whether it was taken or
-    not; ``watch``: given the servo before its first tick, for its records and, in a simulation, its hand.
+    ``ask`` and ``show`` are called every turn and must not wait; ``watch`` is given the servo before its
+    first tick.
     """
 
     def __init__(
@@ -101,10 +96,7 @@ class Session:
         self._switches_s = list(() if plan.script is None else plan.script.switches_s)
 
     def run(self) -> Outcome:
-        """Run to the end.
-
-        Raises DeviceError, UsageError, BundleError: the device could not be used.
-        """
+        """Run to the end; DeviceError, UsageError or BundleError where the device could not be used."""
         try:
             if self.plan.virtual:
                 return self._virtual()
@@ -221,37 +213,26 @@ class Session:
 
     def _virtual(self) -> Outcome:
         """The same loop without a clock: ticks are computed as fast as they go."""
-        from tissueid.haptics.device import compiled_io
-        from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+        from tissueid.haptics.parameter_block import COMMAND_ENGAGE
         from tissueid.haptics.registry import device_class
-        from tissueid.haptics.ring import Ring
         from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
-        from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
+        from tissueid.rendering.servo_tick import servo_here
 
-        ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
         device = device_class(self.plan.device)(**self.plan.device_options)
-        interrupted = False
-        try:
-            with device:
-                given = device.compiled()
-                assert given is not None  # noqa: S101 -- the simulated device is compiled
-                io, servo, watch = compiled_io(given), new_servo(device, ring, block), new_watch()
-                block.write(self._blocks[0])
-                block.order(COMMAND_ENGAGE)
-                reader = ring.reader(from_start=True)
-                now, steps = 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
-                try:
-                    while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
-                        now += VIRTUAL_TICKS * PERIOD_S
-                        self._take(reader)
-                        self._exchange(block)
-                except KeyboardInterrupt:
-                    interrupted = True
-                self._take(reader)
-                fault = device.fault
-        finally:
-            ring.close()
-            block.close()
+        interrupted, now, steps = False, 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
+        with servo_here(device) as (io, servo, ring, block):
+            watch, reader = new_watch(), ring.reader(from_start=True)
+            block.write(self._blocks[0])
+            block.order(COMMAND_ENGAGE)
+            try:
+                while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
+                    now += VIRTUAL_TICKS * PERIOD_S
+                    self._take(reader)
+                    self._exchange(block)
+            except KeyboardInterrupt:
+                interrupted = True
+            self._take(reader)
+            fault = device.fault
         return self._finish(
             scheduling="virtual time",
             fault=fault,

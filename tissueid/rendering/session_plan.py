@@ -1,32 +1,106 @@
-"""A session that is ready to begin, its script, and what its log says of it first.
-
-A script of a session: strokes of the simulated grip, and switches between tissues at their ends.
-
-::
-
-    indent 4 mm at 250 mm/min; hold 1 s; retract at 250 mm/min; switch; indent 4 mm at 250 mm/min
-
-Strokes are those of :mod:`tissueid.haptics.hand`, in tissue units.  ``switch`` goes to the next tissue; the
-servo takes it when nothing is touched, so it must stand where the tool is out of the tissue.
-"""
+"""A session that is ready to begin: its script, its blind order, and what its log says of it first."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+import os
+import re
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissueid import __version__
 from tissueid.arrays import FloatArray
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, printable
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
-from tissueid.rendering.blind import BlindOrder
 from tissueid.rendering.choice import Picked
 from tissueid.rendering.precheck import MOST_DAMPING, Precheck
+
+#: Read and agreed to before a motor moves.
+CONSENT_HARDWARE = """\
+This moves the grip of a haptic device with force. No real unit has confirmed this software.
+ - Keep hair, cables and fingers away from the arms; hold the grip, and nothing else.
+ - The force acts only while the dead-man button is held; let go of the button to end it.
+ - Whatever happens: pull the device's power plug. It always ends the force.
+ - Do not take part with a pacemaker, or with an injury of hand or arm.
+ - tissueid is not a medical device; nothing felt here is a finding about a patient."""
+
+#: Read and agreed to before a blind comparison.
+CONSENT_BLIND = """\
+You will feel several tissues without being told which is which. Recorded are the movement of the grip and the
+forces, under a pseudonym; no name is asked for or stored, and your answers stay on the sheet of whoever asks.
+You may stop at any time, without giving a reason, and have the recording deleted. The order of the tissues is
+kept in a file apart."""
+
+_PSEUDONYM = re.compile(r"[A-Za-z]{1,3}-?\d{1,5}")
+MOST_PRESENTATIONS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class BlindOrder:
+    """The order of one session."""
+
+    pseudonym: str
+    tissues: tuple[int, ...]  # index of the tissue of each presentation
+    seed: int  # it was drawn with
+
+
+def check_pseudonym(text: str | None) -> str:
+    """A pseudonym that is no name, as P17; drawn where none is given, UsageError for anything else."""
+    if text is None:
+        return f"P{secrets.randbelow(90000) + 10000}"
+    if _PSEUDONYM.fullmatch(text) is None:
+        msg = f"--pseudonym {printable(text)!r} could be a name; use letters and a number as in P17"
+        raise UsageError(msg)
+    return text
+
+
+def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | None = None) -> BlindOrder:
+    """A random order in which every tissue comes equally often; UsageError where it can't be balanced."""
+    if count < 2:
+        msg = (
+            "--blind compares tissues: give a second one with --against, --against-draw or --against-quantile"
+        )
+        raise UsageError(msg)
+    if not (count <= presentations <= MOST_PRESENTATIONS and presentations % count == 0):
+        msg = (
+            f"--presentations is {presentations}: {count} tissues come equally often, so it must be a "
+            f"multiple of {count}, at most {MOST_PRESENTATIONS}"
+        )
+        raise UsageError(msg)
+    seed = secrets.randbits(63) if seed is None else seed
+    order = np.random.default_rng(seed).permutation(np.repeat(np.arange(count), presentations // count))
+    return BlindOrder(pseudonym, tuple(int(value) for value in order), seed)
+
+
+def write_key(path: Path, order: BlindOrder, tissues: Sequence[dict[str, Any]]) -> None:
+    """Write what each presentation is, readable by the owner only; UsageError where it can't be."""
+    document = {
+        "pseudonym": order.pseudonym,
+        "seed": order.seed,
+        "tissues": list(tissues),
+        "presentations": [
+            {"number": number, "tissue": tissue} for number, tissue in enumerate(order.tissues, 1)
+        ],
+    }
+    text = json.dumps(document, ensure_ascii=False, indent=2) + "\n"
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+    except FileExistsError as error:
+        msg = f"{path}: exists already; an answer key is never overwritten, choose another --key"
+        raise UsageError(msg) from error
+    except OSError as error:
+        msg = f"{path}: the answer key can't be written ({error.strerror}); choose another --key"
+        raise UsageError(msg) from error
+
 
 SWITCH = "switch"
 #: Start-up ramp of the simulated device under a script [s]: the shortest that the guard knows.
@@ -60,10 +134,7 @@ class Script:
 
 
 def read_script(text: str) -> Script:
-    """Read a script.
-
-    Raises UsageError: a part is no stroke, leads nowhere, or switches inside the tissue.
-    """
+    """Read a script; UsageError where a part is no stroke, leads nowhere, or switches inside the tissue."""
     parts = [" ".join(part.split()) for part in text.split(";") if part.strip()]
     stroke_texts = [part for part in parts if part != SWITCH]
     strokes = parse_script("; ".join(stroke_texts))
@@ -92,20 +163,20 @@ class SessionPlan:
     """A session, ready to begin."""
 
     device: str
-    device_options: Mapping[str, Any]
     why: str  # why this device
     capabilities: Capabilities
+    device_options: Mapping[str, Any]
     #: Parameter blocks (environment, then passivity controller), in the order of presentation.
     blocks: tuple[FloatArray, ...]
-    picked: tuple[Picked, ...]  # the tissues, first and second
-    check: Precheck | None  # none for an installed force law
-    order: BlindOrder | None
-    head: Mapping[str, Any]  # of the log
-    script: Script | None
-    seconds: float | None  # when the session ends by itself
-    environment: str | None
-    virtual: bool
     lines: tuple[str, ...]  # what is printed before force
+    seconds: float | None  # when the session ends by itself
+    picked: tuple[Picked, ...] = ()  # the tissues, first and second
+    check: Precheck | None = None  # none for an installed force law
+    order: BlindOrder | None = None
+    head: Mapping[str, Any] = field(default_factory=dict)  # of the log
+    script: Script | None = None
+    environment: str | None = None
+    virtual: bool = False
     led: bool = False  # whether a pointer on a screen leads the hand of the simulated device
     guided: bool = False  # whether the block is a guided axis
     pseudonym: str | None = None  # of the person who is guided; a blind order has its own
@@ -113,10 +184,7 @@ class SessionPlan:
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
-    """Head of the log; in a blind session it knows numbers of presentations alone.
-
-    ``surface`` (SURFACE_SIZE,); ``hashes``: SHA-256 of the bundle of each tissue, or None.
-    """
+    """Head of the log; in a blind session it knows numbers of presentations alone."""
     capabilities = plan.capabilities
     return {
         "tissueid": __version__,

@@ -1,15 +1,6 @@
 """Surfaces that a spherical tool tip touches: how deep, and which way is out (compiled).
 
-A surface is described by :data:`SURFACE_SIZE` numbers in metres, device frame::
-
-    kind, point[3], normal[3], size[3], tool_radius
-
-plane   point on it and unit normal out of the tissue; size unused
-sphere  point is the centre, size[0] the radius
-box     point is the centre, size the half widths along x, y, z
-
-The tip is a sphere around the device position: it penetrates by its radius less its centre's distance
-from the surface, so that edges of a box are felt rounded by the tip.
+The tip penetrates by its radius less its centre's distance from the surface: edges of a box are felt rounded.
 """
 
 from __future__ import annotations
@@ -21,22 +12,14 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 
-PLANE = 0
-SPHERE = 1
-BOX = 2
-
-#: Numbers that describe a surface.
+#: The normal is that of a plane; the size is the radius of a sphere, or the half widths of a box.
+PLANE, SPHERE, BOX = range(3)
+#: Numbers that describe a surface: kind, point[3], normal[3], size[3], radius of the tip.
 SURFACE_SIZE = 11
+KIND, POINT, NORMAL, SIZE, TOOL_RADIUS = 0, 1, 4, 7, 10
 #: Numbers that a touch remembers: the face of a box it came in by, and the normal it wrote.
 TOUCH_SIZE = 4
-FACE = 0
-OUTWARD = 1
-
-KIND = 0
-POINT = 1
-NORMAL = 4
-SIZE = 7
-TOOL_RADIUS = 10
+FACE, OUTWARD = 0, 1
 
 #: Distance from a centre below which the direction out of it has no digits [m].
 AT_CENTRE_M = 1e-9
@@ -46,13 +29,10 @@ NO_FACE = 0.0
 
 @tick_part
 def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
-    """Depth of the tool tip in a surface.
+    """Depth [m] of the tool tip in a surface, negative in air; the face and the normal out go to ``memory``.
 
-    ``surface``: holds the :data:`SURFACE_SIZE` numbers of the surface from index ``at``; ``position`` (3,):
-    centre of the tip [m]; ``memory``: holds :data:`TOUCH_SIZE` numbers from index ``first``, **updated in
-    place**: the face of a box by which the tip came in, then the unit vector out of the tissue.  The tip
-    stays with its face as long as its centre is inside, or a push through the middle would turn the force
-    around.  Returns penetration [m]: positive in contact, negative in air.
+    The tip stays with the face of a box by which it came in as long as its centre is inside, or a push
+    through the middle would turn the force around.
     """
     kind = int(surface[at + KIND])
     if kind == SPHERE:

@@ -1,12 +1,20 @@
-"""The flat block of an environment, written from an identified tissue, its scale and a surface."""
+"""The flat block of an environment, written from an identified tissue, its scale and a surface.
+
+On a curved surface two spheres touch with 1/R = 1/r_tip + 1/R_surface and Hertz's stiffness falls by sqrt(R /
+r_tip).
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.errors import BundleError, UsageError, printable
+from tissueid.haptics.device import Capabilities
 from tissueid.model.channels import ChannelModel
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
@@ -33,10 +41,7 @@ RUPTURE_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Half space below a plane.
-
-    Raises ValueError: the normal has no direction, or a number is not finite.
-    """
+    """Half space below a plane; ValueError where the normal has no direction, or a number is not finite."""
 
     point_m: Vector = WORKSPACE_CENTRE_M  # a point on the plane
     normal: Vector = TOWARD_USER  # out of the tissue; made a unit vector
@@ -56,10 +61,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball.
-
-    Raises ValueError: the radius is not positive, or a number is not finite.
-    """
+    """A ball; ValueError where the radius is not positive, or a number is not finite."""
 
     centre_m: Vector
     radius_m: float
@@ -77,10 +79,7 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A block with faces along the axes.
-
-    Raises ValueError: a half width is not positive, or a number is not finite.
-    """
+    """A block with faces along the axes; ValueError where a half width is not positive and finite."""
 
     centre_m: Vector
     half_widths_m: Vector
@@ -102,10 +101,7 @@ Surface = Plane | Sphere | Box
 
 
 def surface_from(numbers: FloatArray) -> Surface:
-    """The surface behind the numbers that it wrote, :data:`~tissueid.rendering.surface.SURFACE_SIZE` of them.
-
-    Raises ValueError: they describe none.
-    """
+    """The surface behind the numbers that it wrote; ValueError where they describe none."""
     point = (float(numbers[1]), float(numbers[2]), float(numbers[3]))
     size = (float(numbers[7]), float(numbers[8]), float(numbers[9]))
     if numbers[0] == srf.SPHERE:
@@ -137,12 +133,9 @@ def tissue_block(
     tool_radius_m: float = 0.0,
     label: int = 0,
 ) -> FloatArray:
-    """Write the block of a tissue behind a surface.
+    """Write the block of a tissue behind a surface, shape (ENVIRONMENT_SIZE,).
 
-    ``force_scale``, ``motion_scale``: device force over tissue force, device travel over tissue depth;
-    ``tool_radius_m``: of the tip that is drawn at the device [m]; 0 is a point; ``label``: which of several
-    tissues this is.  Returns (ENVIRONMENT_SIZE,).  Raises ValueError: a number is not finite, a scale is not
-    positive, or the tissue is not passive.
+    Raises ValueError: a number is not finite, a scale is not positive, or the tissue is not passive.
     """
     numbers = (force_scale, motion_scale)
     if not (np.isfinite(numbers).all() and min(numbers) > 0.0 and 0.0 <= tool_radius_m < np.inf):
@@ -174,3 +167,112 @@ def free_air_block(*, label: int = 0) -> FloatArray:
     block[env.KIND] = env.FREE_AIR
     block[env.LABEL] = label
     return block
+
+
+MM = 1e-3
+#: Tips that differ by less are the same [share].
+SAME_TIP = 0.01
+#: Loss of stiffness by curvature that is remarked, and that is refused.
+REMARKED_LOSS = 0.02
+REFUSED_LOSS = 0.25
+#: A surface must be this many depths large, or the tool comes out on the other side.
+SMALLEST_DEPTHS = 2.0
+#: An edge nearer than this many tip radii (or depths, where the tip is not known) is felt.
+EDGE_DISTANCE = 3.0
+
+_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_SPHERE = re.compile(rf"sphere\s+{_NUMBER}\s*mm")
+_BOX = re.compile(rf"box\s+{_NUMBER}\s*x\s*{_NUMBER}\s*x\s*{_NUMBER}\s*mm")
+
+#: A surface in tissue units: kind, and sizes [mm]: radius, or full widths.
+Shape = tuple[str, tuple[float, ...]]
+
+
+def parse_surface(text: str) -> Shape:
+    """Read ``plane``, ``sphere R mm`` or ``box X x Y x Z mm``, in tissue millimetres; else UsageError."""
+    line = " ".join(text.split())
+    if line == "plane":
+        return "plane", ()
+    for kind, pattern in (("sphere", _SPHERE), ("box", _BOX)):
+        found = pattern.fullmatch(line)
+        if found is not None and all(float(size) > 0.0 for size in found.groups()):
+            return kind, tuple(float(size) for size in found.groups())
+    msg = f"--surface {printable(text)!r}: write 'plane', 'sphere 60 mm' or 'box 60 x 60 x 40 mm'"
+    raise UsageError(msg)
+
+
+def place_surface(
+    shape: Shape, device: Capabilities, *, depth_mm: float, motion_scale: float, tool_radius_m: float
+) -> Surface:
+    """Put a surface into a device's workspace, so that the identified depth lies around its middle."""
+    middle = [0.5 * (low + high) for low, high in device.workspace_m]
+    half_m = 0.5 * (device.workspace_m[2][1] - device.workspace_m[2][0])
+    touch_m = middle[2] + min(0.5 * depth_mm * MM * motion_scale, half_m)
+    top_m = touch_m - tool_radius_m
+    kind, sizes = shape
+    if kind == "sphere":
+        radius_m = sizes[0] * MM * motion_scale
+        return Sphere((middle[0], middle[1], top_m - radius_m), radius_m)
+    if kind == "box":
+        x, y, z = (0.5 * size * MM * motion_scale for size in sizes)
+        return Box((middle[0], middle[1], top_m - z), (x, y, z))
+    return Plane((middle[0], middle[1], top_m))
+
+
+def travel_behind(surface: Surface, device: Capabilities, *, tool_radius_m: float) -> float:
+    """Room of the device behind the highest point of a surface, along z [m]."""
+    if isinstance(surface, Plane):
+        top_m = surface.point_m[2]
+    elif isinstance(surface, Sphere):
+        top_m = surface.centre_m[2] + surface.radius_m
+    else:
+        top_m = surface.centre_m[2] + surface.half_widths_m[2]
+    return top_m + tool_radius_m - device.workspace_m[2][0]
+
+
+def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -> list[str]:
+    """Remarks on tip and curvature; BundleError for another tip, or a surface too curved or too small."""
+    remarks = _tip_remarks(tissue, tip_radius_mm)
+    depth = tissue.model.depth_mm
+    kind, sizes = shape
+    if kind == "plane":
+        return remarks
+    if min(sizes) < SMALLEST_DEPTHS * depth:
+        msg = (
+            f"a {kind} of {min(sizes):g} mm is too small for a tissue identified to {depth:.3g} mm; "
+            f"make it at least {SMALLEST_DEPTHS * depth:.3g} mm"
+        )
+        raise BundleError(msg)
+    length = tissue.tip_radius_mm or tip_radius_mm or depth
+    if kind == "sphere":
+        loss = 1.0 - math.sqrt(sizes[0] / (sizes[0] + length))
+        if loss > REFUSED_LOSS:
+            msg = (
+                f"on a sphere of {sizes[0]:g} mm the contact would be {100.0 * loss:.0f} % softer (Hertz) "
+                "than on the flat specimen it was identified on; choose a larger one"
+            )
+            raise BundleError(msg)
+        if loss > REMARKED_LOSS:
+            remarks.append(
+                f"identified on a flat specimen: on a sphere of {sizes[0]:g} mm real tissue would be about "
+                f"{100.0 * loss:.0f} % softer (Hertz)"
+            )
+    elif 0.5 * min(sizes[:2]) < EDGE_DISTANCE * length:
+        remarks.append("identified far from edges: near the edges of the box real tissue would be softer")
+    return remarks
+
+
+def _tip_remarks(tissue: Tissue, tip_radius_mm: float | None) -> list[str]:
+    known = tissue.tip_radius_mm
+    if known is None and tissue.tip is not None:
+        # of a cone: it has no radius
+        return []
+    if known is None:
+        return ["the bundle does not say with which tip it was identified: what is felt is that tip's force"]
+    if tip_radius_mm is not None and abs(tip_radius_mm - known) > SAME_TIP * known:
+        msg = (
+            f"the tissue was identified with a tip of {known:g} mm radius: its law does not hold for "
+            f"{tip_radius_mm:g} mm; leave --tip-radius out, or fit recordings made with that tip"
+        )
+        raise BundleError(msg)
+    return []

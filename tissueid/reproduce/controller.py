@@ -12,10 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.rendering.control.document import Measures, measured
-from tissueid.rendering.control.mechanics import Mechanics
-from tissueid.rendering.control.settings import ControlSettings
+from tissueid.rendering.control.settings import ControlSettings, Mechanics, virtual_mass_bound
 from tissueid.rendering.control.simulation import ControlRun, simulate
-from tissueid.rendering.control.virtual_mass import virtual_mass_bound
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.reproduce.published import (
     PUBLISHED,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, damping_factor, impact_step, pack_impact
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.funnel import hyperboloid_constants
+from tissueid.rendering.guidance import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.reproduce.published import (
     PIRES,

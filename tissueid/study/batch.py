@@ -1,14 +1,7 @@
 """A cohort: files to specimens, specimens to files of their own, those to the set that is public.
 
-Three passes, each over whatever is not known yet: a survey (which recording belongs to which specimen), one
-job a specimen, and the assembly.  Every result is written and put down in the index as it comes, so that a
-run that ends early, for whatever reason, is gone on with by the same command.  Results are taken in the order
-of the files whichever order they came in, and a specimen's numbers depend on its own recordings only: who
+Results are put down as they come, so that a run that ended early is gone on with by the same command; who
 computed them, and how many at a time, changes nothing.
-
-The common case: all recordings are of one specimen, which is fitted while they are read.
-Whether there is one specimen is known when the last file was read, and by then its recordings are segmented
-already: nothing is read twice.  A second specimen ends the attempt; what was read stays known.
 """
 
 from __future__ import annotations
@@ -20,28 +13,229 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
-from tissueid.collection import display_names
+from tissueid.collection import (
+    Collected,
+    Refit,
+    display_names,
+    exclusion_rows,
+    study_document,
+    unmatched_sheets,
+    without_excluded,
+)
 from tissueid.errors import BundleError, InputError
-from tissueid.pipeline import identify
-from tissueid.result import Identification, Refusal
-from tissueid.store.files import sha256_of, write_file
+from tissueid.manifest import Study
+from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
+from tissueid.result import Exit, Identification, Refusal
+from tissueid.store.files import (
+    IDENTIFICATION,
+    TEMPORARY_PREFIX,
+    JsonList,
+    plain_json,
+    replace_file,
+    sha256_of,
+    write_file,
+    write_json,
+)
 from tissueid.store.index import Index, JobRow
-from tissueid.store.merged import SPECIMENS
+from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, merge_files
 from tissueid.store.outputs import OutputSet
-from tissueid.store.specimen_file import specimen_bytes
-from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
-from tissueid.study.inventory import Inventory
+from tissueid.store.schema import check
+from tissueid.store.specimen_file import load_record, specimen_bytes
+from tissueid.study.inventory import (
+    Inventory,
+    Progress,
+    RecentTrials,
+    Request,
+    Workplace,
+    expected_seconds,
+    found_in,
+    recording_rows,
+)
 from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
-from tissueid.study.partition import StudyParts
-from tissueid.study.recordings import read_decided, read_decided_one
-from tissueid.study.request import Progress, Request, Workplace, expected_seconds
-from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, chain_file, fit_here, result_of
-from tissueid.study.survey import found_in, recording_rows
+from tissueid.study.recordings import StudyParts, read_decided, read_decided_one
+from tissueid.study.specimen_job import FIT, SpecimenJob, chain_file, fit_here, result_of
 from tissueid.study.tasks import Fault, Outcome, Task, packed, perform, unpacked
 from tissueid.trial import Source, Trial
+
+#: Specimens from which on a set has no merged files and its report has pages.
+LARGE = 200
+
+
+@dataclass(slots=True)
+class Assembled:
+    """Results of a run, in few words."""
+
+    document: Path  # identification.json, in the folder of the run
+    #: Specimens looked at, and specimens with a model.
+    jobs: int = 0
+    fitted: int = 0
+    refused: list[Refusal] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)  # what was asked for and is not identified
+    exclusions: list[Mapping[str, Any]] = field(default_factory=list)
+    #: Trials that the study does not name, of all.
+    beside: int = 0
+    trials: int = 0
+    exit: Exit = field(default_factory=lambda: Exit(0))
+
+    @property
+    def large(self) -> bool:
+        """True where the set has no merged files."""
+        return self.jobs > LARGE
+
+
+def specimen_path(out: Path, key: str) -> Path:
+    """The file of a key."""
+    return out / SPECIMENS / f"{key}.h5"
+
+
+class _Lists:
+    """The lists of the document, each written down as it grows."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        def new(level: int) -> JsonList:
+            return stack.enter_context(JsonList(level))
+
+        self.specimens, self.refused, self.cycles = new(2), new(2), new(2)
+        self.trials, self.exclusions, self.inputs = new(3), new(3), new(3)
+
+
+def assemble(
+    run: OutputSet,
+    index: Index,
+    *,
+    study: Study | None,
+    options: IdentifyOptions,
+    provenance: Mapping[str, Any],
+) -> Assembled:
+    """Write the document, and the merged files of a set that is not large, into an open output set.
+
+    Raises BundleError: a specimen's file is damaged, or the document breaks its schema.
+    """
+    found = Assembled(run.path(IDENTIFICATION), jobs=index.count("done") + index.count("failed"))
+    files: dict[str, Path] = {}
+    inputs: dict[str, Any] = {}
+    names: list[str] = []
+    with ExitStack() as stack:
+        lists = _Lists(stack)
+        kept, taken_out = _refusals_of_readers(index, study)
+        for refusal in kept:
+            _refuse(found, lists, refusal)
+        temporary = run.path(LISTED).with_name(TEMPORARY_PREFIX + LISTED)
+        with temporary.open("w", encoding="utf-8", newline="") as stream:
+            list_specimens(_gather(run.out, index, found, lists, files, inputs, names), stream)
+        replace_file(temporary, run.path(LISTED))
+        for job in index.jobs("failed"):
+            _refuse(found, lists, Refusal(**json.loads(job.reason or "{}")))
+        for refusal in _unmatched(index, study):
+            _refuse(found, lists, refusal)
+        for row in taken_out:
+            lists.exclusions.add(row)
+            found.exclusions.append(row)
+        found.exit = exit_of(found.fitted, [str(one) for one in found.refused], found.reasons)
+        record = None if study is None else study_document(study, names, lists.trials, lists.exclusions)
+        document = {
+            "schema": "tissueid/identification/1",
+            "specimens": lists.specimens,
+            "refused": lists.refused,
+            "unfitted_cycles": lists.cycles,
+            "study": record,
+            "provenance": run_provenance(options, lists.inputs, record, provenance),
+            "exit": found.exit.as_json(),
+        }
+        _check_frame(document)
+        temporary = found.document.with_name(TEMPORARY_PREFIX + IDENTIFICATION)
+        with temporary.open("wb") as file:
+            write_json(file, document)
+        replace_file(temporary, found.document)
+    if files and not found.large:
+        merge_files(run, files, inputs, run_provenance(options, [], record, provenance))
+    return found
+
+
+def _refuse(found: Assembled, lists: _Lists, refusal: Refusal) -> None:
+    found.refused.append(refusal)
+    lists.refused.add(refusal.as_json())
+
+
+def _gather(
+    out: Path,
+    index: Index,
+    found: Assembled,
+    lists: _Lists,
+    files: dict[str, Path],
+    inputs: dict[str, Any],
+    names: list[str],
+) -> Iterator[ListedSpecimen]:
+    """Every result in its order into the lists; of a large cohort nothing else is remembered."""
+    for job in index.jobs("done"):
+        path = specimen_path(out, job.key)
+        record = load_record(path)
+        fitted = record["fitted"]
+        if fitted is not None:
+            found.fitted += 1
+            lists.specimens.add(fitted)
+            names.append(job.specimen)
+            if not found.large:
+                files[job.specimen], inputs[job.specimen] = path, record["inputs"]
+        for name, target in (
+            ("unfitted_cycles", lists.cycles),
+            ("inputs", lists.inputs),
+            ("trials", lists.trials),
+            ("exclusions", lists.exclusions),
+        ):
+            for row in record[name]:
+                target.add(row)
+        for row in record["refused"]:
+            _refuse(found, lists, Refusal(row["path"], row["sheet"], **row["error"]))
+        found.exclusions += record["exclusions"]
+        found.reasons += record["reasons"]
+        found.trials += len(record["trials"])
+        found.beside += sum(not row["listed"] for row in record["trials"])
+        yield _listed(index, job, path, fitted=fitted is not None)
+
+
+def _listed(index: Index, job: JobRow, path: Path, *, fitted: bool) -> ListedSpecimen:
+    digest, size = index.result(job.key) or ("", 0)
+    return ListedSpecimen(job.specimen, path.name, fitted, digest, size)
+
+
+def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusal], list[Mapping[str, Any]]]:
+    """Refusals of what could not be read, and rows for those of them that the user had taken out anyway."""
+    refused = [Refusal(**row.refusal) for row in index.refused() if row.refusal is not None]
+    collected = Collected()
+    kept = without_excluded(refused, collected, study)
+
+    def never(*_: Any) -> Any:
+        raise AssertionError
+
+    rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, Refit(never))
+    return kept, [plain_json(row) for row in rows]
+
+
+def _unmatched(index: Index, study: Study | None) -> list[Refusal]:
+    if study is None or all(entry.sheet is None for entry in study.entries):
+        return []
+    decisions: Any = dict.fromkeys(index.named())
+    return unmatched_sheets(study, Collected(decisions=decisions), ())
+
+
+def _check_frame(document: Mapping[str, Any]) -> None:
+    """The document without its lists, whose elements were checked where they were made."""
+
+    def bare(value: Any) -> Any:
+        if isinstance(value, JsonList):
+            return []
+        if isinstance(value, Mapping):
+            return {key: bare(child) for key, child in value.items()}
+        return plain_json(value)
+
+    check(bare(document), "identification", where=IDENTIFICATION)
 
 
 class SeveralSpecimensError(Exception):
@@ -51,12 +245,7 @@ class SeveralSpecimensError(Exception):
 def fit_while_read(
     inventory: Inventory, chains: Path, recent: RecentTrials, progress: Progress
 ) -> Identification:
-    """Read every file of a request and fit its one specimen.
-
-    ``inventory``: told of every file; ``chains``: folder for chains that are being sampled; ``recent``: told
-    of every trial, for the jobs where there are several specimens.  Raises SeveralSpecimensError: there is
-    more than one.
-    """
+    """Read every file and fit its one specimen, or raise SeveralSpecimensError; what was read stays known."""
     request = inventory.request
     names: dict[str, str] = {}
     return identify(
@@ -103,9 +292,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assembled:
     """Fit every specimen among some files and put the public set together, without committing it.
 
-    ``run``: open; its folder keeps the index and the files of specimens whether or not it is committed;
-    ``progress``: ``progress(message, done, total)``.  Raises BundleError: the output can't be written, a full
-    disk included; what is finished is kept.
+    Raises BundleError: the output can't be written, a full disk included; what is finished is kept.
     """
     with Index(run.out) as index:
         process = {"pid": os.getpid(), "host": platform.node()}
@@ -307,5 +494,4 @@ class _Cohort:
         _, path, sheet = self.specimens[job.position]
         message = f"specimen {job.specimen!r} could not be fitted: {fault.message}"
         refusal = Refusal(path, sheet, fault.code, message)
-        fields = {name: getattr(refusal, name) for name in refusal.__dataclass_fields__}
-        self.index.fail(job.position, json.dumps(fields))
+        self.index.fail(job.position, json.dumps(asdict(refusal)))

@@ -1,9 +1,7 @@
-"""Deflection of machine, load cell and fixture: a curve of deflection from recordings of a rigid block.
+"""Deflection of machine, load cell and fixture, from recordings of a rigid block: all travel is the frame's.
 
-In a loading of a rigid block all travel is the frame's: ``x = x_0 + u(F)``, with u as in
-:mod:`tissueid.model.frame`, linear in the compliances at knots of force.  They are found by non-negative
-least squares (Lawson & Hanson) through all loadings, each with its own x_0.  Means over short stretches of
-time stand for the samples: the noise of F would otherwise flatten the slope of x over F.
+``x = x_0 + u(F)`` is linear in the compliances at knots of force: non-negative least squares through means of
+short stretches, since the noise of F would flatten the slope of x over F.
 """
 
 from __future__ import annotations
@@ -96,10 +94,7 @@ def _refuse_relaxing(trial: Trial, segmentation: Segmentation) -> None:
 
 
 def loadings_of(trial: Trial) -> list[Loading]:
-    """Every loading of one recording of a rigid block: ramps, and the way in of cycles.
-
-    Raises InputError: ``not_rigid``: no contact, no loading, or a force that relaxes.
-    """
+    """Every ramp, and way in of a cycle, of a rigid block; InputError ``not_rigid`` where there is none."""
     segmentation = segment(trial)
     if segmentation.contact is None:
         raise _refuse(trial, "no contact with a block was found: the force never rises with the travel")
@@ -166,11 +161,10 @@ def _repeatability(
 
 
 def calibrate_frame(trials: Sequence[Trial]) -> dict[str, Any]:
-    """The frame file of some recordings of a rigid block.
+    """The document of ``schemas/frame.schema.json`` of recordings of a rigid block; InputError ``not_rigid``.
 
-    ``trials``: at least one; every ramp and cycle counts as a loading.  Returns the document of
-    ``schemas/frame.schema.json``.  The covariance holds the noise of the mean curve and the scatter of single
-    loadings about it: a test is one more loading.  Raises InputError: ``not_rigid``.
+    The covariance holds the noise of the mean curve and the scatter of single loadings about it: a test
+    is one more loading.
     """
     every = [one for trial in trials for one in loadings_of(trial)]
     top = max(float(one.force_N.max()) for one in every)

@@ -1,9 +1,7 @@
 """Tasks on a Dask cluster: a few in hand for every worker, and nothing kept by the scheduler.
 
-A task is one bytes object, so that the scheduler sees neither studies nor results.  A worker that dies is
-Dask's to replace; a task that takes several with it comes back as a fault.  A scheduler that is lost is
-waited for: the tasks it had are submitted again once it is back, and given up after a minute, with what was
-finished kept.  Workers must have the versions of this process, and see the files where it sees them.
+A scheduler that is lost is waited for, and given up after a minute with what was finished kept.  Workers must
+have the versions of this process, and see the files where it sees them.
 """
 
 from __future__ import annotations
@@ -15,13 +13,11 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.own_process import one_processor
-from tissueid.study.processes import Started
-from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, unpacked, versions
+from tissueid.study.tasks import Fault, Outcome, Started, Task, attempt, packed, unpacked, versions
 
 #: Tasks in hand for every worker: one is computed while the next waits beside it.
 IN_HAND = 2
@@ -36,11 +32,7 @@ LOOK_S = 1.0
 
 
 def compute(content: bytes, folder: str, wanted: dict[str, str]) -> bytes:
-    """Work of a worker: a packed task in, a packed outcome out.
-
-    ``folder``: working folder of who asked, from which relative paths are meant; ``wanted``: versions of who
-    asked.
-    """
+    """Work of a worker: a packed task in, a packed outcome out; relative paths are those of ``folder``."""
     from distributed import get_worker
 
     worker = str(get_worker().address)
@@ -63,10 +55,10 @@ class _SchedulerLostError(Exception):
 
 
 class DaskWorkers:
-    """The workers of a Dask scheduler.
+    """The workers of a Dask scheduler at ``tcp://HOST:8786`` or ``tls://HOST:8786``.
 
-    ``address``: as ``tcp://HOST:8786`` or ``tls://HOST:8786``.  Raises UsageError: Dask is not installed,
-    there is no scheduler or no worker there, or a worker has other versions.
+    Raises UsageError: Dask is not installed, there is no scheduler or no worker there, or a worker has
+    other versions.
     """
 
     def __init__(self, address: str) -> None:
@@ -98,9 +90,7 @@ class DaskWorkers:
         self._check_versions()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     @property
@@ -138,10 +128,7 @@ class DaskWorkers:
             raise UsageError(msg)
 
     def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
-        """Outcomes as they come; tasks of a scheduler that was lost are submitted again.
-
-        Raises BundleError: the scheduler stayed away.
-        """
+        """Outcomes as they come; BundleError where a scheduler that was lost stays away."""
         source = iter(tasks)
         again: deque[Task] = deque()
         while True:

@@ -60,9 +60,8 @@ def write_population(
 ) -> WrittenPopulation:
     """Draw the population of the specimens in an output folder and write it beside them.
 
-    ``out``: of a finished fit; its other files stay as they are; ``progress``: ``progress(message, done,
-    total)``.  Raises NotIdentifiedError: there are too few specimens with a posterior; each that takes no
-    part is named; BundleError: the folder is not whole, or another process writes into it.
+    Raises NotIdentifiedError: there are too few specimens with a posterior; each that takes no part is
+    named; BundleError: the folder is not whole, or another process writes into it.
     """
     with OutputSet(out) as run:
         identification = read_identification(out)

@@ -1,18 +1,7 @@
-"""Completeness of a study's description: what a reviewer asks for, what is missing, and a grade.
+"""Completeness of a study's description: what a reviewer asks for, what is missing, and a grade A to F.
 
-Every item has a weight: 3 where the numbers can't be compared with anybody's without it, 2 where a reviewer
-asks for it, 1 where it helps.  An item of the specimens counts by the share of specimens that state it.
-
-===== ============================================================
-grade share of the weights that is stated
-===== ============================================================
-A     95 % and more, and nothing of weight 3 missing
-B     80 % and more, and nothing of weight 3 missing
-C     60 % and more
-D     40 % and more
-E     20 % and more
-F     less
-===== ============================================================
+Weight 3: numbers can't be compared without it; 2: a reviewer asks for it; 1: it helps.  An item of the
+specimens counts by the share of specimens that state it.
 """
 
 from __future__ import annotations
@@ -137,10 +126,7 @@ def _without(item: Item, tables: Mapping[str, Mapping[str, Any]]) -> tuple[str, 
 
 
 def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completeness:
-    """Grade a study file.
-
-    ``unmatched``: files that it names in vain.
-    """
+    """Grade a study file; ``unmatched``: files that it names in vain."""
     calibration = dict(study.calibration.values)
     if study.calibration.frame is not None:
         calibration["frame"] = study.calibration.frame
@@ -158,10 +144,7 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
 
 
 def completeness_of_result(study: StudyRecord | None) -> Completeness:
-    """Grade what a result knows of its study.
-
-    ``study``: the ``study`` of identification.json; without one nothing is stated.
-    """
+    """Grade the ``study`` of identification.json; without one nothing is stated."""
     if study is None:
         return _graded({"study": {}, "calibration": {}, "tip": {}}, {"specimen": {}, "trial": {}}, ())
     about = _stated(asdict(study.study))

@@ -1,13 +1,6 @@
-"""A study as an RO-Crate, with names of people and places or without, for others to find and cite.
+"""A study as an RO-Crate 1.1 (doi 10.5281/zenodo.4541002), with names of people and places or without.
 
-RO-Crate Metadata Specification 1.1 (doi 10.5281/zenodo.4541002): ``ro-crate-metadata.json`` describes itself,
-the root data set with name, description, date and licence, and every file with size, type and hash.
-
-A study without the names of people, animals and places, and recordings without their headers.
-Names of specimens and donors become keyed hashes (HMAC-SHA256 under a salt that stays with the owner): one
-name gives one hash in every export of a laboratory, and nobody without the salt can try names out.  A header
-may hold anything, so recordings are not cleaned but written anew: time, displacement, force, in s, mm and N,
-every digit kept.  Names that were taken out are blackened in all text that stays.
+A header may hold anything, so that recordings without names are written anew, every digit kept.
 """
 
 from __future__ import annotations
@@ -63,10 +56,7 @@ def recording_text(trial: Trial) -> str:
 
 
 class Anonymiser:
-    """Takes names out of one study.
-
-    ``specimens``: names of specimens in use, listed or not.
-    """
+    """Takes names out of one study: specimens and donors become keyed hashes, other names are blackened."""
 
     def __init__(self, study: Study, specimens: Iterable[str], salt: bytes) -> None:
         self._salt = salt
@@ -132,11 +122,7 @@ class CrateFile:
 def crate_files(
     study: Study, trials: Sequence[Trial], anonymiser: Anonymiser | None = None
 ) -> list[CrateFile]:
-    """Files of a crate beside its metadata.
-
-    ``trials``: every recording of the study; ``anonymiser``: recordings are then written anew under numbers,
-    and the study file without names.
-    """
+    """Files of a crate beside its metadata; an anonymiser has recordings written anew under numbers."""
     if anonymiser is None:
         return _as_they_are(study, trials)
     names = {trial: f"trial-{i:03d}.csv" for i, trial in enumerate(map(_key, trials), start=1)}
@@ -240,11 +226,7 @@ def _licence(text: str) -> dict[str, Any]:
 def crate_metadata(
     study: Study, files: Sequence[CrateFile], *, published: str, anonymiser: Anonymiser | None = None
 ) -> dict[str, Any]:
-    """The document of ``ro-crate-metadata.json``.
-
-    ``published``: day of publication, ISO 8601.  Raises UsageError: the study has no licence: nobody could
-    use the crate.
-    """
+    """The document of ``ro-crate-metadata.json``; UsageError where the study has no licence."""
     about = dict(study.about) if anonymiser is None else anonymiser.table(study.about)
     if "licence" not in about:
         msg = f'{study.path}: a crate needs a licence: write licence = "CC-BY-4.0" (or yours) under [study]'
@@ -292,10 +274,7 @@ def crate_metadata(
 
 
 def write_crate(out: Path, files: Sequence[CrateFile], metadata: Mapping[str, Any]) -> None:
-    """Write a crate into a folder that is empty or not there; the metadata last.
-
-    Raises UsageError: the folder holds something already.
-    """
+    """Write a crate into a folder that is empty or not there, the metadata last; else UsageError."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         msg = f"{out} is not an empty folder: choose another"
         raise UsageError(msg)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,252 @@ import numpy as np
 import tomlkit
 
 from tissueid.collection import display_names
+from tissueid.digits import number
+from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.ingest.quality import capacity_in
+from tissueid.inspection import measured_of, segmented
 from tissueid.result import Refusal
 from tissueid.store.schema import load_schema
-from tissueid.study.programs import programs_of
-from tissueid.trial import Trial
+from tissueid.trial import Segmentation, Trial
+
+#: Speeds and holds within this share of each other are one program; machines keep them to a per cent or two.
+SAME = 0.05
+#: Depths that agree to this share are one commanded depth; others end by contact, force or hand.
+SAME_DEPTH = 0.03
+#: Steps that are told one by one.
+MOST_STEPS_TOLD = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One move and what came after it."""
+
+    speed_mm_s: float
+    travel_mm: float
+    hold_s: float | None = None  # ``None`` where nothing was held
+    control: str = "position"  # what was held: ``position`` or ``force``
+
+    def held_like(self, other: Step) -> bool:
+        """True where two steps are held alike."""
+        return self.control == other.control and _near(self.hold_s, other.hold_s)
+
+    def like(self, other: Step) -> bool:
+        """True where two steps are one of a program; how far they go is left open."""
+        return self.held_like(other) and _near(self.speed_mm_s, other.speed_mm_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One recording's program, and what the comments count."""
+
+    steps: tuple[Step, ...]
+    cycles: int
+    travel_mm: float
+    depth_mm: float | None
+    peak_N: float | None
+    preloaded: bool
+    broken: bool
+    stated_speed: float | None
+    stated_hold: float | None
+    units: tuple[str, str]
+
+    @property
+    def kind(self) -> str:
+        if any(step.hold_s is not None for step in self.steps):
+            return "creep" if all(step.control == "force" for step in self.steps) else "ramp-hold"
+        return "cyclic" if self.cycles else "ramp"
+
+    def like(self, other: _Run) -> bool:
+        # a header's speed is what the machine was told, whatever a soft frame made of it
+        alike = Step.like if self.stated_speed is None else Step.held_like
+        return (
+            self.kind == other.kind
+            and len(self.steps) == len(other.steps)
+            and _near(self.cycles, other.cycles)
+            and _near(self.stated_speed, other.stated_speed)
+            and self.units == other.units
+            and all(alike(mine, its) for mine, its in zip(self.steps, other.steps, strict=True))
+        )
+
+
+@dataclass(slots=True)
+class Program:
+    """Recordings of one program."""
+
+    trials: list[int] = field(default_factory=list)  # their positions among those that were given
+    specimens: set[str] = field(default_factory=set)
+    _runs: list[_Run] = field(default_factory=list)
+
+    def takes(self, run: _Run) -> bool:
+        """True where a recording is one more of it; the first one is the measure."""
+        return not self._runs or self._runs[0].like(run)
+
+    def add(self, position: int, specimen: str, run: _Run) -> None:
+        """Count one more recording."""
+        self.trials.append(position)
+        self.specimens.add(specimen)
+        self._runs.append(run)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Median steps of its recordings."""
+        return tuple(_median_step(each) for each in zip(*(run.steps for run in self._runs), strict=True))
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """Its ``[[protocol]]``, without a name; what differs between recordings is left to the comments."""
+        first, steps = self._runs[0], self.steps
+        table: dict[str, Any] = {"kind": first.kind}
+        speeds = [step.speed_mm_s for step in steps]
+        if first.stated_speed or _all_near(speeds):
+            table["speed_mm_s"] = first.stated_speed or float(np.median(speeds))
+        travels = [run.travel_mm for run in self._runs]
+        if _all_near(travels, SAME_DEPTH):
+            table["depth_mm"] = float(np.median(travels))
+        holds = [step.hold_s for step in steps if step.hold_s is not None]
+        if _all_near(holds):
+            table["hold_s"] = first.stated_hold or float(np.median(holds))
+        if first.cycles:
+            table["cycles"] = round(float(np.median([run.cycles for run in self._runs])))
+        if len(steps) > 1:
+            table["notes"] = self._steps_told()
+        return table
+
+    @property
+    def name(self) -> str:
+        """The program in a few words."""
+        first, steps, table = self._runs[0], self.steps, self.table
+        length = first.units[0]
+        parts = [first.kind if len(steps) < 2 else f"{first.kind} in {len(steps)} steps"]
+        if "speed_mm_s" in table:
+            parts.append(f"{table['speed_mm_s']:.3g} {length}/s")
+        if "depth_mm" in table:
+            parts.append(f"to {table['depth_mm']:.3g} {length}")
+        if "hold_s" in table:
+            parts.append(f"hold {table['hold_s']:.3g} s")
+        if first.cycles:
+            parts.append(f"{table['cycles']} cycles")
+        return " ".join(parts)
+
+    def comments(self) -> list[str]:
+        """Observations, with their counts."""
+        length, force = self._runs[0].units
+        count = len(self._runs)
+        lines = [f"{_counted(count, 'recording')} of {_counted(len(self.specimens), 'specimen')}"]
+        lines += self._counts()
+        steps = self.steps
+        if len(steps) == 1:
+            lines.append(_step_words(steps[0], length))
+        depths = [run.depth_mm for run in self._runs if run.depth_mm is not None]
+        peaks = [run.peak_N for run in self._runs if run.peak_N is not None]
+        for words, values, unit in (
+            ("travel", [run.travel_mm for run in self._runs], length),
+            ("depth below contact", depths, length),
+            ("peak force", peaks, force),
+        ):
+            if values:
+                lines.append(f"{words} {_range(values)} {unit}")
+        return lines
+
+    def _counts(self) -> list[str]:
+        preloaded, broken = (
+            sum(getattr(run, name) for run in self._runs) for name in ("preloaded", "broken")
+        )
+        said = ((preloaded, "starts in contact", "start in contact"), (broken, "breaks", "break"))
+        return [f"{count} {one if count == 1 else more}" for count, one, more in said if count]
+
+    def _steps_told(self) -> str:
+        """The steps in words: once where they are alike."""
+        length, steps = self._runs[0].units[0], self.steps
+        if all(step.like(steps[0]) and _near(step.travel_mm, steps[0].travel_mm) for step in steps):
+            return f"{len(steps)} steps, each {_step_words(steps[0], length)}"
+        told = "; ".join(_step_words(step, length) for step in steps[:MOST_STEPS_TOLD])
+        more = f"; and {len(steps) - MOST_STEPS_TOLD} more" if len(steps) > MOST_STEPS_TOLD else ""
+        return f"{len(steps)} steps: {told}{more}"
+
+
+def programs_of(trials: Sequence[Trial]) -> list[Program]:
+    """Group recordings by what was run, in the order of their first; what can't be segmented is in none."""
+    found: list[Program] = []
+    for position, trial in enumerate(trials):
+        divided = segmented(trial)
+        if isinstance(divided, Refusal):
+            continue
+        run = _run(trial, divided, measured_of(trial, divided))
+        program = next((one for one in found if one.takes(run)), None)
+        if program is None:
+            program = Program()
+            found.append(program)
+        program.add(position, trial.specimen, run)
+    return found
+
+
+def _run(trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
+    steps = [
+        _step(hold.push, hold.length_s, hold.control) for hold in measured.holds if hold.push is not None
+    ]
+    if not steps and measured.push is not None:
+        steps = [_step(measured.push)]
+    travel = divided.compression_sign * (trial.displacement_mm - trial.displacement_mm[0])
+    shown = trial.axes.as_json()
+    contact = divided.contact
+    push = measured.push
+    return _Run(
+        steps=tuple(steps),
+        cycles=len(divided.of_kind("cycle")),
+        travel_mm=float(travel.max()),
+        depth_mm=None if push is None else push.depth_mm,
+        peak_N=None if push is None else push.peak.force_N,
+        preloaded=contact is not None and not contact.in_record,
+        broken=any(event.kind == "rupture" for event in divided.events),
+        stated_speed=trial.protocol.speed_mm_s,
+        stated_hold=trial.protocol.hold_s,
+        units=(shown["length"], shown["force"]),
+    )
+
+
+def _step(push: MeasuredPush, hold_s: float | None = None, control: str = "position") -> Step:
+    return Step(push.speed_mm_s, push.travel_mm, hold_s, control)
+
+
+def _median_step(steps: Sequence[Step]) -> Step:
+    holds = [step.hold_s for step in steps if step.hold_s is not None]
+    return Step(
+        float(np.median([step.speed_mm_s for step in steps])),
+        float(np.median([step.travel_mm for step in steps])),
+        float(np.median(holds)) if holds else None,
+        steps[0].control,
+    )
+
+
+def _near(one: float | None, other: float | None, share: float = SAME) -> bool:
+    if one is None or other is None:
+        return one is other
+    return abs(one - other) <= share * max(abs(one), abs(other))
+
+
+def _all_near(values: Sequence[float], share: float = SAME) -> bool:
+    """True where there are values, and they are one."""
+    return bool(values) and min(values) > 0.0 and _near(min(values), max(values), share)
+
+
+def _step_words(step: Step, length: str) -> str:
+    moved = f"{number(step.travel_mm, 3)} {length} at {number(step.speed_mm_s, 3)} {length}/s"
+    if step.hold_s is None:
+        return moved
+    held = "held" if step.control == "position" else "force held"
+    return f"{moved}, {held} {number(step.hold_s, 3)} s"
+
+
+def _counted(count: int, word: str) -> str:
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = number(min(values), 3), number(max(values), 3)
+    return low if low == high else f"{low} to {high}"
+
 
 _PEOPLE = {
     "operator": re.compile(
@@ -110,11 +351,7 @@ def _rate(trial: Trial) -> float | None:
 
 
 def draft_study(folder: Path, trials: Sequence[Trial], refused: Sequence[Refusal] = ()) -> str:
-    """The text of a study file for the recordings of a folder.
-
-    ``folder``: where the file will stand; names are relative to it; ``refused``: recordings that could not be
-    read; named in comments.  Returns TOML that :func:`tissueid.ingest.manifest.read_study` reads.
-    """
+    """TOML of a study file for the recordings of a folder; those that could not be read are in comments."""
     protocols, of_trial = _protocols(trials)
     names = display_names([(trial.specimen, trial.source) for trial in trials])
     capacity = [capacity_in(trial.source.metadata, decimal=trial.source.decimal) for trial in trials]

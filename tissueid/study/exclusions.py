@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -14,17 +13,15 @@ from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.store.files import write_file
+from tissueid.study.recordings import picked_sheet
 
 
 def find_manifest(trial: str, named: str | None = None) -> Path:
-    """The study file of a recording: the named one, else the nearest above it, else that of this folder.
-
-    Raises UsageError: there is none.
-    """
+    """The study file of a recording: named, nearest above it, or of this folder; UsageError without any."""
     if named is not None:
         path = Path(named)
         return path / MANIFEST if path.is_dir() else path
-    file = Path(_split(trial)[0]).absolute()
+    file = Path(picked_sheet(trial)[0]).absolute()
     for folder in (*(file.parents if file.exists() else ()), Path.cwd(), *file.parents):
         if (folder / MANIFEST).is_file():
             return folder / MANIFEST
@@ -34,18 +31,9 @@ def find_manifest(trial: str, named: str | None = None) -> Path:
     raise UsageError(msg)
 
 
-def _split(trial: str) -> tuple[str, str | None]:
-    """``"meat.xlsx::Sheet 1"`` as file and sheet; a file of that whole name comes first."""
-    name, mark, sheet = trial.rpartition("::")
-    return (name, sheet) if mark and not Path(trial).exists() else (trial, None)
-
-
 def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
-    """File relative to the manifest's folder, and sheet.
-
-    Raises UsageError: there is no such recording.
-    """
-    name, sheet = _split(trial)
+    """File relative to the manifest's folder, and sheet; UsageError where there is no such recording."""
+    name, sheet = picked_sheet(trial)
     for file in (Path(name), manifest.parent / name):
         if file.is_file():
             relative = os.path.relpath(os.path.realpath(file), os.path.realpath(manifest.parent))
@@ -77,27 +65,27 @@ def _write(manifest: Path, document: tomlkit.TOMLDocument, *, crlf: bool) -> Non
     write_file(manifest, (text.replace("\n", "\r\n") if crlf else text).encode("utf-8"))
 
 
-def _same(document: tomlkit.TOMLDocument, file: str, sheet: str | None) -> Iterator[Any]:
-    """The [[exclude]] tables of exactly this recording."""
-    for entry in document.get("exclude", []):
-        if entry.get("file") == file and entry.get("sheet") == sheet:
-            yield entry
+def _is(entry: Any, file: str, sheet: str | None) -> bool:
+    """True for the [[exclude]] table of exactly this recording."""
+    return bool(entry.get("file") == file and entry.get("sheet") == sheet)
+
+
+def _named(file: str, sheet: str | None) -> str:
+    return file if sheet is None else f"{file}::{sheet}"
 
 
 def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | None]:
-    """Add ``[[exclude]]`` for a recording, or change its reason.
+    """Add ``[[exclude]]`` for ``file`` or ``file::sheet``; its name in the manifest, and the reason before.
 
-    ``trial``: file, or ``file::sheet``; relative to here or to the manifest; ``because``: the reason, shown
-    wherever the recording is missed.  Returns ``named``: the recording as the manifest names it;
-    ``replaced``: the reason that stood there before.  Raises UsageError: no such recording, or no reason;
-    InputError: the manifest is not valid; it is left as it was.
+    Raises UsageError: no such recording, or no reason; InputError: the manifest is not valid; it is left
+    as it was.
     """
     if not because.strip():
         msg = "an exclusion needs a reason: --because TEXT"
         raise UsageError(msg)
     file, sheet = _located(trial, manifest)
     _, document, crlf = _document(manifest)
-    known = next(_same(document, file, sheet), None)
+    known = next((one for one in document.get("exclude", []) if _is(one, file, sheet)), None)
     replaced = None if known is None else str(known["because"])
     if known is not None:
         known["because"] = because
@@ -114,22 +102,20 @@ def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | Non
         tables: Any = document["exclude"]
         tables.append(entry if isinstance(tables, tomlkit.items.AoT) else entry.unwrap())
     _write(manifest, document, crlf=crlf)
-    return (file if sheet is None else f"{file}::{sheet}"), replaced
+    return _named(file, sheet), replaced
 
 
 def include(trial: str, *, manifest: Path) -> str:
-    """Take a recording's ``[[exclude]]`` out again; its parameters are those of :func:`exclude`.
+    """Take a recording's ``[[exclude]]`` out again; its name in the manifest.
 
-    Returns the recording as the manifest names it.  Raises UsageError: it is not excluded, or by a glob or
-    for a whole workbook, which is for people to change.
+    Raises UsageError: it is not excluded, or by a glob or for a whole workbook, which is for people to
+    change.
     """
     file, sheet = _located(trial, manifest)
     study, document, crlf = _document(manifest)
     tables: Any = document.get("exclude", [])
-    left = [
-        i for i, entry in enumerate(tables) if not (entry.get("file") == file and entry.get("sheet") == sheet)
-    ]
-    if len(left) == len(tables):
+    own = [i for i, entry in enumerate(tables) if _is(entry, file, sheet)]
+    if not own:
         decision = study.decision(str(manifest.parent / file), sheet)
         if decision.excluded is None:
             msg = f"{trial} is not excluded in {manifest}"
@@ -138,10 +124,9 @@ def include(trial: str, *, manifest: Path) -> str:
         line = next(entry.line for entry in study.exclusions if entry.names(real, sheet))
         msg = f"{trial} is excluded with others by line {line} of {manifest}: change that table"
         raise UsageError(msg)
-    for i in reversed(range(len(tables))):
-        if i not in left:
-            del tables[i]
+    for i in reversed(own):
+        del tables[i]
     if not tables:
         document.remove("exclude")
     _write(manifest, document, crlf=crlf)
-    return file if sheet is None else f"{file}::{sheet}"
+    return _named(file, sheet)

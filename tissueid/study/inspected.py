@@ -69,7 +69,7 @@ class _Made:
 class Inspection:
     """Inspection of recordings, in their order; each is let go as soon as it is described.
 
-    ``options``: of the run; ``root``: folder of study.toml; ``drawn``: keep the curves, thinned, for a page.
+    ``drawn``: keep the curves, thinned, for a page.
     """
 
     def __init__(self, options: SegmentOptions, study: Study | None, root: Path, *, drawn: bool) -> None:
@@ -106,10 +106,7 @@ class Inspection:
             self.shown.append(made.drawn)
 
     def remade(self, trial: Trial, study: Study) -> InspectedRecording:
-        """A recording described anew, as another study has it; nothing changes before :meth:`put`.
-
-        Raises UsageError: it can't be segmented so.
-        """
+        """A recording described anew, as another study has it; UsageError where it can't be segmented so."""
         made = self._made(trial, study)
         if isinstance(made, Refusal) or made.drawn is None:
             msg = str(made) if isinstance(made, Refusal) else "this inspection draws nothing"

@@ -1,36 +1,260 @@
-"""Every file of a request looked into: what it holds is put down in the index, in the order of files."""
+"""Request of a cohort, and every file of it looked into: what it holds goes into the index in their order.
+
+A file whose bytes are those that an earlier run saw, read in the same way, is hashed and not parsed.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import hashlib
+import os
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any, Self
 
+from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions
 from tissueid.manifest import Study
+from tissueid.pipeline import IdentifyOptions
 from tissueid.result import Refusal
-from tissueid.store.index import Index
-from tissueid.study.partition import StudyParts
-from tissueid.study.request import Progress, Request, Workplace
-from tissueid.study.specimen_job import RecentTrials
-from tissueid.study.survey import (
-    SURVEY,
-    Found,
-    NamedFile,
-    found_again,
-    look_into,
-    reading_key,
-    recording_rows,
+from tissueid.store.files import json_bytes, sha256_of
+from tissueid.store.index import Index, RecordingRow
+from tissueid.study.recordings import READING, StudyParts, read_decided
+from tissueid.study.tasks import (
+    Fault,
+    InThisProcess,
+    LocalProcesses,
+    Task,
+    Workforce,
+    packed,
+    unpacked,
+    versions,
 )
-from tissueid.study.tasks import Fault, Task, packed, unpacked
+from tissueid.trial import Trial
 
+#: The scheduler that is no scheduler.
+LOCAL = "local"
+#: Processes are worth their start from so much work on [s]: each imports for two seconds.
+WORTH_PROCESSES_S = 8.0
+#: What a job is expected to cost: reading, segmenting and fitting [s a sample], and sampling [s].
+SECONDS_A_SAMPLE = 5e-6
+SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "none": 0.2}
+
+Progress = Callable[[str, int, int], None]
+
+
+def _nothing(*_: Any) -> None:
+    """Told, and silent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Request for a fit."""
+
+    #: Files in their order; a refusal stands in the place of what was refused.  A
+    #: :class:`tissueid.study.recordings.FileList` is small however many they are.
+    found: Sequence[tuple[Path, str | None] | Refusal]
+    reading: ReadOptions
+    study: Study | None
+    options: IdentifyOptions
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # added to the provenance of the run
+    #: Processes; ``None`` takes as many as there are processors, where the work is worth their start.
+    workers: int | None = None
+    scheduler: str = LOCAL  # ``local``, or the address of a Dask scheduler
+    read: Callable[[str, str | None], None] = _nothing  # told path and sheet of every recording
+    #: Told once, when every file was looked into and nothing is fitted yet.
+    all_read: Callable[[], None] = _nothing
+
+
+def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> float:
+    """Roughly what some specimens cost on one processor [s]."""
+    sampler = "none" if options.posterior is None else options.posterior.sampler
+    return samples * SECONDS_A_SAMPLE + specimens * SECONDS_SAMPLING.get(sampler, 1.0)
+
+
+class Workplace:
+    """Workplace of a run; processes and connections are opened when they are first needed."""
+
+    def __init__(self, workers: int | None, scheduler: str) -> None:
+        self._workers, self._scheduler = workers, scheduler
+        self._stack = ExitStack()
+        self._opened: Workforce | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def shared_disk(self) -> bool:
+        """True where workers see the folders of this process."""
+        return self._scheduler == LOCAL
+
+    def workforce(
+        self, tasks: int, seconds: float, function: Callable[[str, bytes], bytes], *, asked: bool
+    ) -> Workforce:
+        """Who computes some tasks that cost ``seconds`` together; ``function``: how this process does.
+
+        ``asked``: the number of processes that the user asked for is meant for these tasks, however
+        small.
+        """
+        if self._opened is None and self._scheduler != LOCAL:
+            from tissueid.study.cluster import DaskWorkers
+
+            self._opened = self._stack.enter_context(DaskWorkers(self._scheduler))
+        if self._scheduler == LOCAL and self._opened is None:
+            workers = min(self._workers or os.cpu_count() or 1, tasks)
+            small = seconds < WORTH_PROCESSES_S and (self._workers is None or not asked)
+            if workers < 2 or small:
+                return InThisProcess(function, one=self._workers == 1)
+            most = self._workers or os.cpu_count() or 1
+            self._opened = self._stack.enter_context(LocalProcesses(most))
+        assert self._opened is not None  # noqa: S101  (opened above)
+        return self._opened
+
+
+#: The task of this module.
+SURVEY = "tissueid.study.inventory:survey_files"
+
+
+@dataclass(frozen=True, slots=True)
+class NamedFile:
+    """One file to look into."""
+
+    position: int  # its place in the order of files
+    path: str  # as the user named it
+    options: ReadOptions  # with the sheet that was named, if one was
+    study: Study | None  # what the study says of this file
+    known: str | None = None  # SHA-256 it had when it was last read in this way
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Contents of a file: one recording, or the refusal in its place."""
+
+    sheet: str | None
+    sha256: str
+    specimen: str  # as the file was read
+    samples: int
+    refusal: Refusal | None = None
+
+
+def refusal_of(error: InputError) -> Refusal:
+    """The refusal that an error of a reader stands for."""
+    return Refusal(error.path, error.sheet, error.code, error.message, error.line, error.column)
+
+
+def found_in(item: Trial | InputError) -> Found:
+    """Contents of a file by one item of its reader."""
+    if isinstance(item, InputError):
+        return Found(item.sheet, "", "", 0, refusal_of(item))
+    return Found(item.source.sheet, item.source.sha256, item.specimen, int(item.time_s.size))
+
+
+def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[Found] | None:
+    """Everything a file holds; ``None`` where it is the file that was known."""
+    if file.known:
+        try:
+            if sha256_of(Path(file.path)) == file.known:
+                return None
+        except OSError:
+            # the reader says what is wrong with it
+            pass
+    found = []
+    for item in read_decided(Path(file.path), file.options, file.study):
+        found.append(found_in(item))
+        if keep is not None and isinstance(item, Trial):
+            keep(item)
+    return found
+
+
+def survey_files(payload: bytes) -> bytes:
+    """The task: a list of :class:`NamedFile` in, a list of (position, what each holds) out."""
+    files: Sequence[NamedFile] = unpacked(payload)
+    return packed([(file.position, look_into(file)) for file in files])
+
+
+def reading_key(options: ReadOptions, study: Study | None) -> str:
+    """Hash of everything that decides how a file is read."""
+    said: list[Any] = []
+    if study is not None:
+        said = [
+            [entry.sheet, {key: entry.values[key] for key in READING if key in entry.values}]
+            for entry in study.overrides
+            if any(key in entry.values for key in READING)
+        ]
+    asked = {name: getattr(options, name) for name in sorted(options.__dataclass_fields__)}
+    text = json_bytes({"asked": asked, "said": said, "versions": versions()})
+    return hashlib.sha256(text).hexdigest()[:32]
+
+
+def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) -> Iterator[RecordingRow]:
+    """Rows of a file's contents, with the study's decisions on them."""
+    study = None if parts is None else parts.of_file(path)
+    for one in found:
+        specimen, kind = one.specimen, "trial"
+        decision = None if study is None else study.decision(path, one.sheet)
+        if one.refusal is not None:
+            kind = "refused" if decision is None or decision.excluded is None else "refused_excluded"
+        elif study is not None and decision is not None:
+            frame = study.calibration.frame
+            specimen = str(decision.trial.get("specimen", specimen))
+            if decision.excluded is not None or (frame is not None and one.sha256 in frame.sources):
+                kind = "excluded"
+            elif study.only_listed and not decision.listed:
+                kind = "unlisted"
+        refusal = None if one.refusal is None else asdict(one.refusal)
+        yield RecordingRow(path, one.sheet, one.sha256, one.specimen, one.samples, kind, specimen, refusal)
+
+
+def found_again(rows: Sequence[RecordingRow]) -> list[Found]:
+    """Contents of a file as an earlier run put them down."""
+    refusals = (None if row.refusal is None else Refusal(**row.refusal) for row in rows)
+    return [
+        Found(row.sheet, row.sha256, row.raw, row.samples, refusal)
+        for row, refusal in zip(rows, refusals, strict=True)
+    ]
+
+
+#: Samples kept between a survey and the jobs of one process [bytes].
+RECENT_BYTES = 16 * 2**20
 #: Files a task looks into: few of long recordings, more of short ones, as far as every worker has its share.
 FEW_FILES, MANY_FILES, TASKS = 8, 64, 100
 #: Bytes of the files of a task that looks into more than a few.
 BYTES_A_TASK = 2**20
 #: What reading a file is expected to cost [s a byte].
 SECONDS_A_BYTE = 1e-7
+
+
+class RecentTrials:
+    """Trials that were just read, up to a number of bytes, so that a small study is read once."""
+
+    def __init__(self) -> None:
+        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
+        self._bytes = 0
+
+    def keep(self, trial: Trial) -> None:
+        """Remember a trial; the oldest give way."""
+        self._trials[trial.source.path, trial.source.sheet] = trial
+        self._bytes += 3 * trial.time_s.nbytes
+        while self._bytes > RECENT_BYTES:
+            _, oldest = self._trials.popitem(last=False)
+            self._bytes -= 3 * oldest.time_s.nbytes
+
+    def take(self, path: str, sheet: str | None) -> Trial | None:
+        """Give a trial away."""
+        trial = self._trials.pop((path, sheet), None)
+        if trial is not None:
+            self._bytes -= 3 * trial.time_s.nbytes
+        return trial
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._trials.clear()
+        self._bytes = 0
 
 
 class Inventory:
@@ -148,11 +372,7 @@ class Inventory:
 
 
 def files_a_task(files: int, size: float) -> int:
-    """Files a task looks into, of so many of that size [bytes].
-
-    A task costs some 12 ms of handing out on a cluster, and a scheduler keeps its name; a short recording
-    takes less to look into.
-    """
+    """Files a task looks into, of so many of that size [bytes]; a task costs a cluster some 12 ms."""
     if size <= 0.0:
         return FEW_FILES
     return max(FEW_FILES, min(MANY_FILES, files // TASKS, int(BYTES_A_TASK / size)))

@@ -1,12 +1,6 @@
 """The report of a set, one page or an index with a page a specimen, and the rendering of its tissues.
 
-Pages stand in ``OUT/pages/`` under the keys of the files they were made from, so that a page is made once;
-the drawing library stands beside them once for all.  Whoever fits a specimen makes its page as well: its file
-is at hand there, and need not travel to be drawn.
-
-Rendering of a specimen's tissue: scales, stability, and what lies outside its validity.
-The same check that ``tissueid render`` makes before any force, on the presets of the devices that are known;
-nothing is opened and nothing moves.
+Pages stand in ``OUT/pages/`` under the keys of the files they were made from, so that a page is made once.
 """
 
 from __future__ import annotations
@@ -53,9 +47,8 @@ from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.specimen_file import load_record, load_specimen
 from tissueid.study.completeness import completeness_of_result
-from tissueid.study.processes import Workforce
 from tissueid.study.specimen_job import fit_specimen_job
-from tissueid.study.tasks import Task, attempt, packed
+from tissueid.study.tasks import Task, Workforce, attempt, packed
 
 #: A hand that explores moves a grip at some 0.1 m/s.
 EXPLORING_MM_S = 100.0
@@ -83,10 +76,7 @@ def _row(name: str, check: Precheck, speeds_mm_s: tuple[float, float]) -> Render
 
 
 def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Rendering | str | None:
-    """Rendering of one specimen; ``None`` where its model is not all there, a word where it has no mm and N.
-
-    ``specimen``: one of ``specimens`` of identification.json.
-    """
+    """Check before force on the known devices; ``None`` without a whole model, a word without mm and N."""
     if (specimen.units.length, specimen.units.force) != ("mm", "N"):
         return NORMALISED
     tissue = tissue_of(specimen, stored)
@@ -175,9 +165,7 @@ def report_page(
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
-    ``plain``: identification.json; ``curves``, ``posteriors``: as
-    :func:`tissueid.store.results.read_results` gives them; ``graded``: whether the document knows of the
-    study, so that its description can be graded; ``twin``: of its bundle; ``**more``: of
+    ``plain``: identification.json; ``graded``: it knows of the study; ``**more``: of
     :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
@@ -205,10 +193,7 @@ def begin_pages(out: Path) -> None:
 
 
 def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[int]:
-    """Make the pages that are not there, after :func:`begin_pages`; yields how many are made, one by one.
-
-    ``files``: files of specimens.
-    """
+    """Make the pages of specimens' files that are not there; yields how many are made, one by one."""
     names: dict[int, Path] = {}
 
     def tasks() -> Iterator[Task]:
@@ -226,11 +211,7 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
 
 
 def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
-    """Write the report of an assembled set into it.
-
-    ``run``: that holds the other files of the set already; ``refused``: what was left out, where the caller
-    knows it; read from the document else.
-    """
+    """Write the report into a set that holds the other files already."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
     if run.path(CURVES).is_file():
         sampled = run.path(POSTERIORS)

@@ -1,35 +1,35 @@
-"""Recordings of a study, and the options each is read with.
+"""Recordings of a study in their order, the options each is read with, and the study's words on some of them.
 
-A folder that holds ``study.toml`` is read with it, and so is a file of that folder.  The files that the
-manifest names come first, in its order; recordings beside them are read as well, unless the study says
-``only_listed = true``.
+Files that the manifest names come first; those beside them are read as well, unless it says ``only_listed =
+true``.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import ReadOptions, each_input, read_each, read_one
 from tissueid.ingest.manifest import MANIFEST, read_study
-from tissueid.manifest import Study
+from tissueid.manifest import Entry, Study
+from tissueid.result import Refusal
 from tissueid.trial import Trial
 
-_READING = ("columns", "units", "axes")
+#: Keys of ``[[override]]`` that decide how a file is read.
+READING = ("columns", "units", "axes")
 
 
 def locate_study(
     paths: Sequence[str], *, named: str | None = None, ignore: bool = False
 ) -> tuple[Study | None, tuple[str, ...]]:
-    """The study behind some paths, and what is to be read.
+    """The study behind some paths, and what is to be read in place of a manifest among them.
 
-    ``paths``: recordings, folders, or a manifest itself; ``named``: a manifest named apart from the paths;
-    ``ignore``: look for none.  Returns ``study``; ``paths``: with the manifest's own files in place of the
-    manifest.  Raises UsageError: two studies at once, or one that is both named and ignored; InputError: the
+    Raises UsageError: two studies at once, or one that is both named and ignored; InputError: the
     manifest is not valid.
     """
     manifests = [path for path in paths if path.casefold().endswith(".toml")]
@@ -117,7 +117,7 @@ def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | 
         return base
     override = study.decision(path, sheet).override
     said: dict[str, Any] = {
-        key: {**getattr(base, key), **override[key]} for key in _READING if key in override
+        key: {**getattr(base, key), **override[key]} for key in READING if key in override
     }
     return replace(base, **said) if said else base
 
@@ -140,3 +140,117 @@ def read_decided(path: Path, base: ReadOptions, study: Study | None) -> Iterator
 def read_decided_one(path: str, sheet: str | None, base: ReadOptions, study: Study | None) -> Trial:
     """One trial again, read as the study says."""
     return read_one(path, sheet, options_for(study, base, path, sheet))
+
+
+_TABLES = ("trials", "overrides", "exclusions")
+
+
+class StudyParts:
+    """Gives parts of a study without looking through all of it each time."""
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        # table -> file -> the entries that name it, each with the file's place among those it names
+        self._naming: dict[str, dict[str, list[tuple[int, int]]]] = {table: {} for table in _TABLES}
+        for table in _TABLES:
+            for number, entry in enumerate(getattr(study, table)):
+                for place, file in enumerate(entry.files):
+                    self._naming[table].setdefault(file, []).append((number, place))
+
+    def of_file(self, path: str) -> Study:
+        """Remarks on one file, all its sheets included."""
+        return self._part({self.study.real_path(path)}, None, ())
+
+    def of_specimen(self, specimen: str, recordings: Iterable[tuple[str, str | None]]) -> Study:
+        """Remarks on one specimen (by its name as shown) and of its recordings (path and sheet)."""
+        own = [(self.study.real_path(path), sheet) for path, sheet in recordings]
+        return self._part({path for path, _ in own}, own, (specimen,))
+
+    def _part(
+        self, files: set[str], own: list[tuple[str, str | None]] | None, specimens: tuple[str, ...]
+    ) -> Study:
+        tables: dict[str, Any] = {}
+        for table in _TABLES:
+            entries: tuple[Entry, ...] = getattr(self.study, table)
+            named: dict[int, list[tuple[int, str]]] = {}
+            for file in files:
+                for number, place in self._naming[table].get(file, ()):
+                    named.setdefault(number, []).append((place, file))
+            parts = [
+                replace(entries[number], files=tuple(file for _, file in sorted(named[number])))
+                for number in sorted(named)
+            ]
+            tables[table] = tuple(
+                part for part in parts if own is None or any(part.names(*one) for one in own)
+            )
+        rows = {name: self.study.specimens[name] for name in specimens if name in self.study.specimens}
+        return replace(self.study, specimens=rows, **tables)
+
+
+def facts_of(part: Study) -> dict[str, Any]:
+    """Everything in a part of a study that may change a number or a remark, as JSON; not its path or hash."""
+    frame = part.calibration.frame
+    return {
+        "tip": dict(part.tip),
+        "calibration": dict(part.calibration.values),
+        "frame": None if frame is None else frame.as_json() | {"sources": list(frame.sources)},
+        "priors": part.priors.as_json(),
+        "specimens": {name: dict(row) for name, row in part.specimens.items()},
+        "protocols": {name: dict(row) for name, row in part.protocols.items()},
+        **{table: [_plain(entry) for entry in getattr(part, table)] for table in _TABLES},
+    }
+
+
+def _plain(entry: Entry) -> dict[str, Any]:
+    # the line moves when tables are added above it, and says nothing of the recording
+    return {"files": list(entry.files), **dict(entry.values)}
+
+
+#: A file, and the sheet that the user named with it.
+Named = tuple[Path, str | None]
+
+
+class FileList(Sequence["Named | Refusal"]):
+    """Paths in one block of bytes, 8 beside each; sheets and refusals, which are few, in tables."""
+
+    def __init__(self, items: Iterable[Named | Refusal] = ()) -> None:
+        self._text = bytearray()
+        self._end = array("Q", [0])
+        self._sheets: dict[int, str] = {}
+        self._refusals: dict[int, Refusal] = {}
+        for item in items:
+            self.add(item)
+
+    def add(self, item: Named | Refusal) -> None:
+        """Put a file, or the refusal in its place, at the end."""
+        number = len(self)
+        if isinstance(item, Refusal):
+            self._refusals[number] = item
+        else:
+            path, sheet = item
+            self._text += os.fsencode(path)
+            if sheet is not None:
+                self._sheets[number] = sheet
+        self._end.append(len(self._text))
+
+    def __len__(self) -> int:
+        return len(self._end) - 1
+
+    @overload
+    def __getitem__(self, number: int) -> Named | Refusal: ...
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[Named | Refusal]: ...
+    def __getitem__(self, number: int | slice) -> Named | Refusal | Sequence[Named | Refusal]:
+        if isinstance(number, slice):
+            return FileList(self[one] for one in range(*number.indices(len(self))))
+        if number < 0:
+            number += len(self)
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        if number in self._refusals:
+            return self._refusals[number]
+        name = bytes(self._text[self._end[number] : self._end[number + 1]])
+        return Path(os.fsdecode(name)), self._sheets.get(number)
+
+    def __iter__(self) -> Iterator[Named | Refusal]:
+        return (self[number] for number in range(len(self)))

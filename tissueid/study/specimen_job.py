@@ -1,13 +1,11 @@
 """The job of a cohort: one specimen from its recordings to the bytes of its file.
 
-A job is everything :func:`tissueid.pipeline.identify` needs to know of one specimen; its key is a hash of all
-that may change the result, so that what is there already is not computed again.
+Its key is a hash of all that may change the result, so that what is there already is not computed again.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -25,14 +23,11 @@ from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
-from tissueid.study.partition import facts_of
-from tissueid.study.recordings import read_decided, read_decided_one
-from tissueid.study.survey import refusal_of
+from tissueid.study.inventory import RecentTrials, refusal_of
+from tissueid.study.recordings import facts_of, read_decided, read_decided_one
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
 
-#: Samples kept between a survey and the jobs of one process [bytes].
-RECENT_BYTES = 16 * 2**20
 #: The task of this module.
 FIT = "tissueid.study.specimen_job:fit_specimen_job"
 #: What the readers would say of a sheet that another job reads.
@@ -76,34 +71,6 @@ class SpecimenJob:
         return hashlib.sha256(json_bytes(document)).hexdigest()
 
 
-class RecentTrials:
-    """Trials that were just read, up to a number of bytes, so that a small study is read once."""
-
-    def __init__(self) -> None:
-        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
-        self._bytes = 0
-
-    def keep(self, trial: Trial) -> None:
-        """Remember a trial; the oldest give way."""
-        self._trials[trial.source.path, trial.source.sheet] = trial
-        self._bytes += 3 * trial.time_s.nbytes
-        while self._bytes > RECENT_BYTES:
-            _, oldest = self._trials.popitem(last=False)
-            self._bytes -= 3 * oldest.time_s.nbytes
-
-    def take(self, path: str, sheet: str | None) -> Trial | None:
-        """Give a trial away."""
-        trial = self._trials.pop((path, sheet), None)
-        if trial is not None:
-            self._bytes -= 3 * trial.time_s.nbytes
-        return trial
-
-    def clear(self) -> None:
-        """Forget all of them."""
-        self._trials.clear()
-        self._bytes = 0
-
-
 def chain_file(folder: str | Path, specimen: str) -> Path:
     """Place of a specimen's chain while it is sampled."""
     return Path(folder) / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
@@ -136,11 +103,7 @@ def fit_here(
     recent: RecentTrials | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SpecimenResult:
-    """Fit the specimen of a job in this process.
-
-    ``recent``: trials that need not be read again; ``progress``: ``progress(message, done, total)`` of this
-    job.  Raises InputError: a file is not the one that was looked at.
-    """
+    """Fit the specimen of a job in this process; InputError where a file is not the one that was known."""
     refused: list[Refusal] = []
 
     def trials() -> Iterator[Trial]:
@@ -171,10 +134,7 @@ def result_of(
     shown: str,
     options: IdentifyOptions,
 ) -> SpecimenResult:
-    """Stored part of an identification of one specimen.
-
-    Raises BundleError: the result breaks its schema.
-    """
+    """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
     document = plain_json(identification.as_json())
     check(document, "identification", where=shown)
     study = document["study"]

@@ -1,13 +1,7 @@
 """Measures of attempts: the tip's way from the cone's entry to the end of the drilling; practice.
 
-A device with three degrees of freedom knows no orientation: the angle of a track is that of the chord between
-two places of the tip, with a standard error that follows from how well a short stretch of the record places
-each of them.  The noise of a record has a memory: its samples are counted by their lag-one correlation.
-
-Practice of one person: a power law over attempts.
-``y = a n^b`` over the number n of the attempt, fitted to ln y by least squares (Newell & Rosenbloom 1981,
-Mechanisms of skill acquisition and the law of practice).  A few attempts do not tell a power from an
-exponential; b with its interval is a description.
+The angle of a track is that of the chord between two places of the tip.  Practice is a power law ``y = a
+n^b`` (Newell & Rosenbloom 1981, Mechanisms of skill acquisition and the law of practice).
 """
 
 from __future__ import annotations
@@ -40,12 +34,7 @@ TRACK_POINTS = 300
 
 
 def measured(head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM) -> Way:
-    """Measures of a session's log.
-
-    ``head``: of the log; ``records``: of the log; ``cone_entry_mm``: where an attempt begins, above the entry
-    point of the bone.  Raises ValueError: the session was not guided, or the tip never came from the cone's
-    entry toward the bone.
-    """
+    """Measures of a session's log; ValueError where it was not guided, or there is no attempt in it."""
     if head["environment"] != "guidance":
         msg = (
             f"the session was not guided (it was {head['environment']}): there is no plan to compare it with"
@@ -83,11 +72,7 @@ def measured(head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: f
 def track(
     head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM
 ) -> tuple[FloatArray, FloatArray]:
-    """The smoothed way of an attempt, in at most :data:`TRACK_POINTS` points.
-
-    ``head``, ``records``, ``cone_entry_mm``: as for :func:`measured`, which has to accept them.  Returns
-    ``height_mm, distance_mm`` (n,): above the entry point, and from the axis.
-    """
+    """Smoothed way of an attempt that :func:`measured` accepts: height and distance from the axis [mm]."""
     felt, place, drill_mm = _felt(head, records)
     first, last, _ = _ends(place[:, 2], cone_entry_mm, drill_mm)
     way = _smoothed(felt["time_s"], place)[first : last + 1]
@@ -172,10 +157,7 @@ FEWEST = 4
 
 
 def learning_curve(values: Sequence[float | None]) -> Curve | None:
-    """The curve through a measure of attempts in their order; None for fewer than four positive ones.
-
-    ``values``: none where an attempt has none.
-    """
+    """The curve through a measure of attempts in their order; None for fewer than four positive ones."""
     y = np.asarray(values, dtype=np.float64)
     number = np.arange(1, y.size + 1)
     known = np.isfinite(y) & (y > 0.0)

@@ -22,7 +22,7 @@ from tissueid.haptics.states import FAULT_WORDS, Lamp, State
 from tissueid.model.channels import loading_force
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
-from tissueid.rendering.funnel import CONE, PRINTED_ONE_M
+from tissueid.rendering.guidance import CONE, PRINTED_ONE_M
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import load_bundle

@@ -1,7 +1,13 @@
 """An adaptive controller for admittance-type rendering: equations (14) to (22) of Sadeghnejad et al."""
 
-from tissueid.rendering.control.mechanics import Mechanics, PlanarArm, Signal
-from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
+from tissueid.rendering.control.settings import (
+    ControlSettings,
+    Gains,
+    Mechanics,
+    PlanarArm,
+    Signal,
+    VirtualTool,
+)
 from tissueid.rendering.control.simulation import ControlRun, simulate
 
 __all__ = [

@@ -1,11 +1,7 @@
 """Admittance rendering on a device: the controller of variant B behind the device's own guard.
 
-The virtual tool is led by the measured force of the hand, so the device needs a force sensor.  A Falcon has
-none, nor has any device of the Force Dimension family; the simulated one has.  Along the axis into the tissue
-the device is controlled, along the others the hand is left alone.
-
-What limits it here is the device: its encoders round (their speed is low-passed), the command arrives late,
-and the guard lets no more than its clamp through.
+The virtual tool is led by the measured force of the hand, along the axis into the tissue; no device of Novint
+or Force Dimension measures it, the simulated one does.
 """
 
 from __future__ import annotations
@@ -24,8 +20,7 @@ from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.rendering.control.law import adapt, command
-from tissueid.rendering.control.mechanics import Mechanics
-from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
+from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, VirtualTool
 from tissueid.rendering.control.simulation import loop_block, tissue_law
 from tissueid.rendering.options import ASSUMED_DEVICE
 from tissueid.rendering.precheck import check_before_force
@@ -50,10 +45,7 @@ SETTLED_S = 1.0
 
 
 def require_force_sensor(name: str) -> str:
-    """The device that a name stands for, if it has a force sensor.
-
-    Raises DeviceError: it has none, with the reason and the way out; UsageError: there is no such device.
-    """
+    """The device that a name stands for; DeviceError where it has no force sensor, UsageError without it."""
     found = choose_device(name).name
     if not hasattr(device_class(found), "sensed_force_N"):
         msg = (
@@ -125,11 +117,7 @@ def device_settings(tissue: Tissue, device: SimulatedDevice, *, stiffness_scale:
 
 
 def render_on_simulated(tissue: Tissue, *, stiffness_scale: float = 1.0) -> DeviceRun:
-    """Press a simulated hand into a tissue on the simulated device, in virtual time.
-
-    ``stiffness_scale``: as in :class:`~tissueid.rendering.control.settings.ControlSettings`.  Raises
-    DeviceError: the guard tripped.
-    """
+    """Press a simulated hand into a tissue in virtual time; DeviceError where the guard tripped."""
     device = simulated_device()
     settings = device_settings(tissue, device, stiffness_scale=stiffness_scale)
     with device:

@@ -9,10 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, TASKS, Mechanics
-from tissueid.rendering.control.settings import ControlSettings
+from tissueid.rendering.control.settings import (
+    MARGIN,
+    TABLE_3_DEVICE,
+    TABLE_3_OPERATOR,
+    TASKS,
+    ControlSettings,
+    Mechanics,
+    virtual_mass_bound,
+)
 from tissueid.rendering.control.simulation import ControlRun
-from tissueid.rendering.control.virtual_mass import MARGIN, virtual_mass_bound
 
 #: Errors are taken over the last seconds of a run, when the push has risen.
 LAST_S = 5.0
@@ -111,10 +117,7 @@ def _parts(one: Mechanics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
-    """Every number of a loop of one axis with its unit, its kind and its source.
-
-    Kinds: reading (a published number whose meaning was lost), derived, assumed, stated.
-    """
+    """Every number of a loop of one axis: unit, kind (reading, derived, assumed or stated) and source."""
     default = ControlSettings(settings.tissue, variant=settings.variant)
     gains, plain = settings.gains, default.gains
 
@@ -181,11 +184,7 @@ def _run(name: str, run: ControlRun) -> dict[str, Any]:
 def as_document(
     runs: Mapping[str, ControlRun], *, source: str, device: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """The document of ``schemas/control.schema.json``.
-
-    ``runs``: name -> run of one axis; the first is what was asked for; ``source``: where the tissue is from;
-    ``device``: what a device run said of itself.
-    """
+    """The document of ``schemas/control.schema.json`` on runs of one axis, the asked for one first."""
     settings = next(iter(runs.values())).settings
     bound = virtual_mass_bound(settings)
     low, high = settings.tissue.speeds_mm_s

@@ -1,58 +1,320 @@
-"""Control law, adaptation and Lyapunov function (compiled): equations (16) to (22), (I-1) and (I-4).
+"""Control law, adaptation, plant and virtual tool of a controlled loop (compiled), in SI units.
 
-Of the equations of Sadeghnejad et al. the text kept the numbers alone: what stands here is a set that
-satisfies each of their sentences (docs/control.md says which parts are readings)::
-
-    (17) vr  = ve + L (xe - x)                  ar = ae + L (ve - v)
-    (16) rho = vr - v
-    (20) u   = Y th + Kr rho + ur               variant B: less the measured force of the hand
-    (21) ur  = delta^2 rho / (delta |rho| + sigma(t))
-    (22) sigma(t) = sigma0 exp(-g t), not below a floor in a sampled loop
-         th' = Gamma Y' rho, kept within bounds
+Of the equations (14) to (22) of Sadeghnejad et al. the text kept the numbers alone: what stands here
+satisfies each of their sentences (docs/control.md).  The tissue's law stays in mm and N, a block of its own.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.rendering.control.block import (
-    ADAPTATION_SIGN,
-    DAMPING,
-    DISTURBANCE_BOUND,
-    PERIOD,
-    PROJECTION,
-    REFERENCE_RATE,
-    SATURATION,
-    SIGMA_FLOOR,
-    SIGMA_RATE,
-    SIGMA_START,
-    TOUCHED_BY_DEVICE,
-    VARIANT,
-    VARIANT_B,
+from tissueid.model.kernels import tissue_step_in
+
+#: Axes that a loop may have.
+MOST_AXES = 3
+
+#: Parameters of an arm of two links in front of theta: p1 = I1 + I2 + m1 c1^2 + m2 (l1^2 + c2^2),
+#: p2 = I2 + m2 c2^2, p3 = m2 l1 c2, c being where a link's centre of mass lies; M(x) obeys
+#: the skew symmetry of M' - 2 C (Slotine & Li, Applied Nonlinear Control, 1991, 9.1).
+ARM_PARAMETERS = 3
+
+
+class LoopBlock(NamedTuple):
+    """Numbers of a controlled loop, for compiled code."""
+
+    tool_mass_kg: float
+    tool_damping_N_s_per_m: float
+    reference_rate_per_s: float
+    damping_N_s_per_m: float
+    disturbance_bound_N: float  # of what the estimates don't cover
+    sigma_start: float
+    sigma_rate_per_s: float
+    sigma_floor: float
+    adaptation_sign: float  # 1 adapts, 0 is frozen, -1 is wrong on purpose
+    projection: bool
+    saturation_N: float  # largest control force; infinite without one
+    variant_B: bool
+    touched_by_device: bool  # the environment is touched by the device itself and not by the virtual tool
+    force_scale: float
+    motion_scale: float
+    inward: FloatArray  # unit vector into the tissue, 3 numbers
+    period_s: float
+    substeps: int
+    rise_s: float
+    arm: FloatArray  # lengths of two links, 0 without an arm; where the work begins, from its base
+
+
+#: A number each, in this order, after the vectors.
+SCALARS = ("environment_force_N", "sigma", "lyapunov", "lyapunov_rate")
+#: n numbers each, in this order, after the time.
+VECTORS = (
+    "position_m",
+    "velocity_m_s",
+    "tool_position_m",
+    "tool_velocity_m_s",
+    "hand_force_N",
+    "control_force_N",
+    "rho_m_s",
+    "push_N",
+    "disturbance_N",
 )
-from tissueid.rendering.control.drive import advance_tool, environment_force, tool_acceleration
-from tissueid.rendering.control.plant import damping_form, inertia, regress
+
+
+def row_size(axes: int, parameters: int) -> int:
+    """Numbers a row: time, vectors, scalars, estimates."""
+    return 1 + axes * len(VECTORS) + len(SCALARS) + parameters
+
+
+@tick_kernel
+def record_row(
+    row: FloatArray,
+    time: float,
+    vectors: tuple[FloatArray, ...],
+    scalars: tuple[float, float, float, float],
+    estimates: FloatArray,
+) -> None:
+    """Write a row: the time, :data:`VECTORS`, :data:`SCALARS`, the estimates."""
+    row[0] = time
+    at = 1
+    for vector in vectors:
+        for i in range(vector.size):
+            row[at] = vector[i]
+            at += 1
+    for scalar in scalars:
+        row[at] = scalar
+        at += 1
+    for k in range(estimates.size):
+        row[at] = estimates[k]
+        at += 1
+
+
+@tick_kernel
+def _arm_columns(
+    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+) -> None:
+    """Columns of p1, p2, p3: the joint regressor, seen from the tip; elbow to the left."""
+    l1, l2 = arm[0], arm[1]
+    px, py = x[0] + arm[2], x[1] + arm[3]
+    cosine = (px * px + py * py - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
+    q2 = math.acos(min(max(cosine, -1.0), 1.0))
+    s2, c2 = math.sin(q2), math.cos(q2)
+    q1 = math.atan2(py, px) - math.atan2(l2 * s2, l1 + l2 * c2)
+    s1, c1 = math.sin(q1), math.cos(q1)
+    s12, c12 = math.sin(q1 + q2), math.cos(q1 + q2)
+    j00, j01, j10, j11 = -l1 * s1 - l2 * s12, -l2 * s12, l1 * c1 + l2 * c12, l2 * c12
+    det = j00 * j11 - j01 * j10
+    w1, w2 = (j11 * v[0] - j01 * v[1]) / det, (-j10 * v[0] + j00 * v[1]) / det
+    r1, r2 = (j11 * vr[0] - j01 * vr[1]) / det, (-j10 * vr[0] + j00 * vr[1]) / det
+    turn = w1 + w2
+    # acceleration of the joints: J^-1 (ar - J' r)
+    d01, d11 = -l2 * c12 * turn, -l2 * s12 * turn
+    d00, d10 = d01 - l1 * c1 * w1, d11 - l1 * s1 * w1
+    g0, g1 = ar[0] - d00 * r1 - d01 * r2, ar[1] - d10 * r1 - d11 * r2
+    a1, a2 = (j11 * g0 - j01 * g1) / det, (-j10 * g0 + j00 * g1) / det
+    first = (a1, a2, c2 * (2.0 * a1 + a2) - s2 * (w2 * r1 + turn * r2))
+    second = (0.0, a1 + a2, c2 * a1 + s2 * w1 * r1)
+    for k in range(3):
+        # torques to forces at the tip: J^-T
+        Y[0, k] = (j11 * first[k] - j10 * second[k]) / det
+        Y[1, k] = (-j01 * first[k] + j00 * second[k]) / det
+
+
+@tick_kernel
+def regress(
+    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
+) -> None:
+    """Write the regressor, shape (n, p), of velocity ``v`` and reference ``vr``, ``ar``.
+
+    p is 3 n (n + 1) / 2, and 3 more with an arm; the device's own velocity and acceleration as reference
+    give the force that it needs.
+    """
+    n, size = Y.shape
+    for i in range(n):
+        for k in range(size):
+            Y[i, k] = 0.0
+    at = 0
+    if arm[0] > 0.0:
+        _arm_columns(arm, x, v, vr, ar, Y)
+        at = ARM_PARAMETERS
+    entries = n * (n + 1) // 2
+    column = at
+    for i in range(n):
+        for j in range(i, n):
+            Y[i, column] += ar[j]
+            Y[i, column + entries] += vr[j]
+            Y[i, column + 2 * entries] += x[j]
+            if i != j:
+                Y[j, column] += ar[i]
+                Y[j, column + entries] += vr[i]
+                Y[j, column + 2 * entries] += x[i]
+            column += 1
+
+
+@tick_kernel
+def generalised_force(
+    arm: FloatArray,
+    theta: FloatArray,
+    x: FloatArray,
+    v: FloatArray,
+    vr: FloatArray,
+    ar: FloatArray,
+    Y: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write Y(x, v, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
+    regress(arm, x, v, vr, ar, Y)
+    for i in range(out.size):
+        total = 0.0
+        for k in range(theta.size):
+            total += Y[i, k] * theta[k]
+        out[i] = total
+
+
+@tick_kernel
+def inertia(
+    arm: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
+) -> None:
+    """Write M(x) [kg], shape (n, n), into ``M``; ``Y`` and ``spare``, shape (2, n), are room to work in."""
+    n = x.size
+    nothing, unit = spare[0], spare[1]
+    for j in range(n):
+        nothing[j] = 0.0
+        unit[j] = 0.0
+    for j in range(n):
+        unit[j] = 1.0
+        regress(arm, x, nothing, nothing, unit, Y)
+        unit[j] = 0.0
+        for i in range(n):
+            # stiffness is the only part that a plant at rest still has: its columns are the last third
+            total = 0.0
+            for k in range(theta.size - n * (n + 1) // 2):
+                total += Y[i, k] * theta[k]
+            M[i, j] = total
+
+
+@tick_kernel
+def damping_form(theta: FloatArray, r: FloatArray) -> float:
+    """Power [W] that the damping B among the parameters takes at a velocity r: r' B r."""
+    n = r.size
+    entries = n * (n + 1) // 2
+    column = theta.size - 2 * entries
+    total = 0.0
+    for i in range(n):
+        for j in range(i, n):
+            total += theta[column] * r[i] * r[j] * (1.0 if i == j else 2.0)
+            column += 1
+    return float(total)
+
+
+@tick_kernel
+def solve(A: FloatArray, b: FloatArray) -> None:
+    """Solve A y = b by elimination with pivots; the answer takes the place of ``b``, A is destroyed."""
+    n = b.size
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if pivot != k:
+            for j in range(k, n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+            b[k], b[pivot] = b[pivot], b[k]
+        for i in range(k + 1, n):
+            factor = A[i, k] / A[k, k]
+            for j in range(k, n):
+                A[i, j] -= factor * A[k, j]
+            b[i] -= factor * b[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            b[k] -= A[k, j] * b[j]
+        b[k] /= A[k, k]
+
+
+#: Rows of a drive, a column an axis: offset, amplitude, frequency of the hand's push; then of what disturbs.
+DRIVE_ROWS = 6
+M_TO_MM = 1000.0
+
+
+@tick_kernel
+def hand_push(block: LoopBlock, drive: FloatArray, time: float, out: FloatArray) -> None:
+    """Write F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
+    share = min(1.0, time / block.rise_s) if block.rise_s > 0.0 else 1.0
+    for i in range(out.size):
+        out[i] = share * (drive[0, i] + drive[1, i] * math.sin(2.0 * math.pi * drive[2, i] * time))
+
+
+@tick_kernel
+def disturbance(drive: FloatArray, time: float, out: FloatArray) -> None:
+    """Write d(t) [N]."""
+    for i in range(out.size):
+        out[i] = drive[3, i] + drive[4, i] * math.sin(2.0 * math.pi * drive[5, i] * time)
+
+
+@tick_kernel
+def environment_force(
+    block: LoopBlock, law: FloatArray, state: FloatArray, place: FloatArray, h: float
+) -> float:
+    """Step the tissue with a tool at ``place`` [m] and give its force along the outward normal [N]."""
+    depth = 0.0
+    for i in range(place.size):
+        depth += block.inward[i] * place[i]
+    force = tissue_step_in(law, 0, state, 0, depth / block.motion_scale * M_TO_MM, h)
+    return float(force * block.force_scale)
+
+
+@tick_kernel
+def tool_acceleration(
+    block: LoopBlock, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
+) -> None:
+    """Write the acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
+    for i in range(v.size):
+        out[i] = (
+            hand[i] - block.inward[i] * touched - block.tool_damping_N_s_per_m * v[i]
+        ) / block.tool_mass_kg
+
+
+@tick_kernel
+def advance_tool(
+    block: LoopBlock,
+    law: FloatArray,
+    state: FloatArray,
+    tool: tuple[FloatArray, FloatArray, FloatArray],
+    hand: FloatArray,
+    touched: float,
+) -> float:
+    """Move the virtual tool over one period under a held force of the hand; tissue's force at its end [N].
+
+    Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
+    The tissue is stepped along, unless the device itself touches it: then its force is held as well.
+    """
+    x, v, a = tool
+    steps = block.substeps
+    h = block.period_s / steps
+    for _ in range(steps):
+        tool_acceleration(block, v, hand, touched, a)
+        for i in range(x.size):
+            v[i] += h * a[i]
+            x[i] += h * v[i]
+        if not block.touched_by_device:
+            touched = environment_force(block, law, state, x, h)
+    return touched
 
 
 @tick_kernel
 def reference(
-    block: FloatArray,
+    block: LoopBlock,
     device: tuple[FloatArray, FloatArray],
     tool: tuple[FloatArray, FloatArray, FloatArray],
     wanted: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Reference of the device: equations (16) and (17).
-
-    ``block`` (BLOCK_SIZE,); ``device`` (n,): position [m] and velocity [m/s]; ``tool`` (n,): position,
-    velocity and acceleration of the virtual tool; ``wanted`` (n,): **Written**: vr [m/s], ar [m/s^2], rho
-    [m/s].
-    """
+    """Write vr, ar and rho of equations (16) and (17) by the tool's position, velocity, acceleration."""
     x, v = device
     xe, ve, ae = tool
     vr, ar, rho = wanted
-    rate = block[REFERENCE_RATE]
+    rate = block.reference_rate_per_s
     for i in range(x.size):
         vr[i] = ve[i] + rate * (xe[i] - x[i])
         ar[i] = ae[i] + rate * (ve[i] - v[i])
@@ -60,18 +322,18 @@ def reference(
 
 
 @tick_kernel
-def sigma_at(block: FloatArray, time: float) -> float:
+def sigma_at(block: LoopBlock, time: float) -> float:
     """sigma(t) of equation (22) [N m/s]."""
-    return float(max(block[SIGMA_START] * math.exp(-block[SIGMA_RATE] * time), block[SIGMA_FLOOR]))
+    return float(max(block.sigma_start * math.exp(-block.sigma_rate_per_s * time), block.sigma_floor))
 
 
 @tick_kernel
-def robust_term(block: FloatArray, rho: FloatArray, sigma: float, out: FloatArray) -> None:
+def robust_term(block: LoopBlock, rho: FloatArray, sigma: float, out: FloatArray) -> None:
     """Write u_r [N], equation (21): smooth, along rho, of length delta at most."""
     length = 0.0
     for i in range(rho.size):
         length += rho[i] * rho[i]
-    delta = block[DISTURBANCE_BOUND]
+    delta = block.disturbance_bound_N
     below = delta * math.sqrt(length) + sigma
     for i in range(rho.size):
         out[i] = delta * delta * rho[i] / below if below > 0.0 else 0.0
@@ -79,7 +341,7 @@ def robust_term(block: FloatArray, rho: FloatArray, sigma: float, out: FloatArra
 
 @tick_kernel
 def control_force(
-    block: FloatArray,
+    block: LoopBlock,
     Y: FloatArray,
     estimates: FloatArray,
     rho: FloatArray,
@@ -89,29 +351,29 @@ def control_force(
 ) -> None:
     """Write u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
     for i in range(out.size):
-        total = block[DAMPING] * rho[i] + robust[i]
+        total = block.damping_N_s_per_m * rho[i] + robust[i]
         for k in range(estimates.size):
             total += Y[i, k] * estimates[k]
-        if block[VARIANT] == VARIANT_B:
+        if block.variant_B:
             total -= hand[i]
         out[i] = total
 
 
 @tick_kernel
-def saturate(block: FloatArray, u: FloatArray) -> None:
+def saturate(block: LoopBlock, u: FloatArray) -> None:
     """Shorten a force to what the device can give, in its direction."""
     length = 0.0
     for i in range(u.size):
         length += u[i] * u[i]
     length = math.sqrt(length)
-    if length > block[SATURATION]:
+    if length > block.saturation_N:
         for i in range(u.size):
-            u[i] *= block[SATURATION] / length
+            u[i] *= block.saturation_N / length
 
 
 @tick_kernel
 def adapt(
-    block: FloatArray,
+    block: LoopBlock,
     Y: FloatArray,
     rho: FloatArray,
     gains: FloatArray,
@@ -119,30 +381,26 @@ def adapt(
     h: float,
     estimates: FloatArray,
 ) -> None:
-    """Move the estimates on by ``h`` seconds; with projection they stay within their bounds.
-
-    ``block``, ``Y``, ``rho``: as above; ``gains`` (p,): diagonal of Gamma; ``bounds`` (2, p): smallest and
-    largest value of each parameter; ``estimates`` (p,): **Updated.**.
-    """
+    """Move the estimates on by ``h`` seconds; ``gains`` is the diagonal of Gamma, ``bounds`` (2, p)."""
     for k in range(estimates.size):
         slope = 0.0
         for i in range(rho.size):
             slope += Y[i, k] * rho[i]
-        estimates[k] += h * block[ADAPTATION_SIGN] * gains[k] * slope
-        if block[PROJECTION] > 0.0:
+        estimates[k] += h * block.adaptation_sign * gains[k] * slope
+        if block.projection:
             estimates[k] = min(max(estimates[k], bounds[0, k]), bounds[1, k])
 
 
 @tick_kernel
-def not_covered(block: FloatArray, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
+def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
     """Write what the estimates don't cover [N]: F* - d in variant A, -d in B."""
     for i in range(out.size):
-        out[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
+        out[i] = -disturbed[i] if block.variant_B else push[i] - disturbed[i]
 
 
 @tick_kernel
 def lyapunov(
-    block: FloatArray,
+    block: LoopBlock,
     x: FloatArray,
     terms: tuple[FloatArray, FloatArray, FloatArray],
     truth: FloatArray,
@@ -152,19 +410,18 @@ def lyapunov(
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    ``block``, ``x``, ``estimates``, ``gains``: as above; ``terms`` (n,): rho, robust, and what is unknown of
-    :func:`not_covered` [N]; ``truth`` (p,): true parameters of what is estimated; ``room`` (2, n) and (n, p)
-    and (n, n): to work in, and written.  Returns ``V, rate``: [J] where the gains are in their units; [W].
+    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N]; ``room`` (2, n), (n, p),
+    (n, n).
     """
     rho, robust, unknown = terms
     spare, Y, M = room
-    inertia(block, truth, x, spare, Y, M)
+    inertia(block.arm, truth, x, spare, Y, M)
     V = 0.0
     rate = -damping_form(truth, rho)
     for i in range(rho.size):
         for j in range(rho.size):
             V += 0.5 * rho[i] * M[i, j] * rho[j]
-        rate -= rho[i] * (block[DAMPING] * rho[i] + unknown[i] + robust[i])
+        rate -= rho[i] * (block.damping_N_s_per_m * rho[i] + unknown[i] + robust[i])
     for k in range(truth.size):
         if gains[k] > 0.0:
             V += 0.5 * (truth[k] - estimates[k]) ** 2 / gains[k]
@@ -173,7 +430,7 @@ def lyapunov(
 
 @tick_kernel
 def command(
-    block: FloatArray,
+    block: LoopBlock,
     law: FloatArray,
     state: FloatArray,
     time: float,
@@ -187,26 +444,18 @@ def command(
     Y: FloatArray,
     u: FloatArray,
 ) -> float:
-    """Step the virtual tool through the coming period and say the force that is held through it.
+    """Step the virtual tool through the coming period; the force [N] held through it is written to ``u``.
 
-    Held until the next tick, the command aims at where the tool will be then.
-
-    ``block``, ``law``, ``state``: of the loop, of the tissue, and what the tissue remembers (**updated**);
-    ``time``: since the start [s]; sigma falls with it; ``device`` (n,): measured position [m] and velocity
-    [m/s]; ``hand`` (n,): measured force of the hand on the device [N]; ``touched``: force of the environment
-    after the last period [N]; ``tool`` (n,): position, velocity, acceleration of the virtual tool;
-    **updated**; ``wanted`` (n,): **Written**: vr, ar, rho; ``robust`` (n,): **Written**: u_r [N];
-    ``estimates`` (p,); ``Y`` (n, p): **Written**: the regressor, for
-    :func:`tissueid.rendering.control.law.adapt`; ``u`` (n,): **Written**: control force [N], saturated.
-    Returns force of the environment at the end of the period [N].
+    Held until the next tick, the command aims at where the tool will be then. ``tool`` and ``state`` are
+    updated, ``wanted``, ``robust`` and ``Y`` written; returns the tissue's force at the end [N].
     """
-    if block[TOUCHED_BY_DEVICE] > 0.0:
-        touched = environment_force(block, law, state, device[0], block[PERIOD])
+    if block.touched_by_device:
+        touched = environment_force(block, law, state, device[0], block.period_s)
     touched = advance_tool(block, law, state, tool, hand, touched)
     tool_acceleration(block, tool[1], hand, touched, tool[2])
     reference(block, device, tool, wanted)
     robust_term(block, wanted[2], sigma_at(block, time), robust)
-    regress(block, device[0], device[1], wanted[0], wanted[1], Y)
+    regress(block.arm, device[0], device[1], wanted[0], wanted[1], Y)
     control_force(block, Y, estimates, wanted[2], robust, hand, u)
     saturate(block, u)
     return float(touched)

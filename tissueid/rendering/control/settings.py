@@ -1,4 +1,8 @@
-"""Settings of a controlled loop, as frozen data: the virtual mass and all gains are assumed."""
+"""Settings of a controlled loop, as frozen data, with where each number comes from.
+
+Sadeghnejad et al. print "1.25 2 30 1.158 115.4 31.46" in Table 3: that these are mass, damping and stiffness
+of operator and device, in kg, N s/m and N/m, is a reading.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,98 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.rendering.control.block import ARM_PARAMETERS, BASE_X, BASE_Y, BLOCK_SIZE, LINK_1, LINK_2
-from tissueid.rendering.control.mechanics import (
-    TABLE_3_DEVICE,
-    TABLE_3_OPERATOR,
-    TASKS,
-    Mechanics,
-    PlanarArm,
-    Signal,
+from tissueid.rendering.control.law import (
+    ARM_PARAMETERS,
+    MOST_AXES,
+    inertia,
 )
-from tissueid.rendering.control.plant import inertia
 from tissueid.rendering.tissue_block import Tissue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mechanics:
+    """Mass, damping and stiffness of a device or a hand; UsageError where they are none."""
+
+    #: (n, n): symmetric; a number is one axis.
+    mass_kg: FloatArray
+    damping_N_s_per_m: FloatArray  # (n, n)
+    stiffness_N_per_m: FloatArray  # (n, n)
+
+    def __init__(
+        self, mass_kg: ArrayLike, damping_N_s_per_m: ArrayLike, stiffness_N_per_m: ArrayLike
+    ) -> None:
+        parts = [
+            np.atleast_2d(np.asarray(one, dtype=np.float64))
+            for one in (mass_kg, damping_N_s_per_m, stiffness_N_per_m)
+        ]
+        shape = parts[0].shape
+        if not (shape[0] == shape[1] <= MOST_AXES and all(one.shape == shape for one in parts)):
+            msg = f"mass, damping and stiffness must be numbers, or square of 1 to {MOST_AXES} axes alike"
+            raise UsageError(msg)
+        for one in parts:
+            if not (
+                np.isfinite(one).all() and np.array_equal(one, one.T) and np.linalg.eigvalsh(one)[0] >= 0
+            ):
+                msg = f"masses, dampings, stiffnesses: finite, symmetric and not negative, not {one.tolist()}"
+                raise UsageError(msg)
+        for name, one in zip(("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m"), parts, strict=True):
+            object.__setattr__(self, name, one)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes, n."""
+        return len(self.mass_kg)
+
+    def parameters(self) -> FloatArray:
+        """Upper triangles of the three, row by row, shape (3 n (n + 1) / 2,)."""
+        upper = np.triu_indices(self.axes)
+        return np.concatenate(
+            [one[upper] for one in (self.mass_kg, self.damping_N_s_per_m, self.stiffness_N_per_m)]
+        )
+
+
+#: Table 3 [reading].
+TABLE_3_OPERATOR = Mechanics(1.25, 2.0, 30.0)
+TABLE_3_DEVICE = Mechanics(1.158, 115.4, 31.46)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarArm:
+    """Two links in a horizontal plane, in addition to the device's own mechanics; for two axes."""
+
+    links_m: tuple[float, float]  # lengths
+    inertia_kg_m2: tuple[float, float, float]  # p1, p2, p3 of :mod:`tissueid.rendering.control.law`
+    base_m: tuple[float, float]  # where the work begins (the surface of the tissue), from the base of the arm
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """An offset and a sine for each axis [N]."""
+
+    #: As many as axes.
+    offset_N: tuple[float, ...]
+    amplitude_N: tuple[float, ...]
+    frequency_Hz: tuple[float, ...]
+
+    @classmethod
+    def along(cls, offset: float, amplitude: float, frequency: float, *, axes: int = 1) -> Signal:
+        """Along the first axis, nothing along the others."""
+        rest = (0.0,) * (axes - 1)
+        return cls((offset, *rest), (amplitude, *rest), (frequency, *rest))
+
+
+#: Pushes of the hand along the first axis, which is into the tissue: offset, amplitude [N], frequency [Hz].
+#: Assumed: the inputs of the paper's simulation are lost.
+TASKS = {
+    "sustained": (10.0, 10.0, 1.0),
+    "free-contact": (2.0, 3.0, 0.5),
+    "impacts": (2.0, 10.0, 0.5),
+}
+
 
 #: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
 BOUND_A_N = 25.0
@@ -67,10 +149,7 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlSettings:
-    """A hand, a device, a controller, a virtual tool and a tissue.
-
-    Raises UsageError: a number makes no sense, with the way out.
-    """
+    """Hand, device, controller, virtual tool and tissue; UsageError where a number makes no sense."""
 
     tissue: Tissue
     stiffness_scale: float = 1.0  # factor on F_s and K; the paper takes 100 "to check the system stability"
@@ -129,16 +208,16 @@ class ControlSettings:
             np.concatenate([np.zeros(arm.size), self.operator.parameters()]),
         )
 
+    def arm_numbers(self) -> FloatArray:
+        """Lengths of the arm's links and where the work begins [m], shape (4,); zeros without an arm."""
+        return np.zeros(4) if self.arm is None else np.array([*self.arm.links_m, *self.arm.base_m])
+
     def inertias(self) -> tuple[FloatArray, FloatArray]:
         """Inertia of the device where its tool touches the tissue, and of the hand [kg], shape (n, n)."""
-        block = np.zeros(BLOCK_SIZE)
-        if self.arm is not None:
-            block[[LINK_1, LINK_2]] = self.arm.links_m
-            block[[BASE_X, BASE_Y]] = self.arm.base_m
         device, _operator = self.true_parameters()
         found = np.zeros((self.axes, self.axes))
         n = self.axes
-        inertia(block, device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
+        inertia(self.arm_numbers(), device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
         return found, self.operator.mass_kg
 
     def estimated_truth(self) -> FloatArray:
@@ -173,10 +252,9 @@ class ControlSettings:
     def chatter_floor(self) -> float:
         """Smoothing sigma [N m/s] below which the sampled robust term chatters: delta^2 T / (2 M - Kr T).
 
-        The smallest mass that the robust term may move is taken: of device and hand in variant A; of the
-        device in B, whose hand is fed back one sample late.
-
-        Raises UsageError: K_r alone already overshoots in one sample.
+        M is the smallest mass that the robust term may move: of device and hand in variant A; of the
+        device in B, whose hand is fed back one sample late. Raises UsageError: K_r alone already
+        overshoots in one sample.
         """
         device, hand = self.inertias()
         mass = device + hand if self.variant == "A" else device
@@ -250,3 +328,53 @@ def _problems(settings: ControlSettings) -> list[str]:
         if np.shape(settings.start_estimates) != (size,):
             found.append(f"the first estimates are {size}: masses, dampings, stiffnesses")
     return found
+
+
+#: Virtual mass over its bound that a loop should have.
+MARGIN = 1.5
+HALVINGS = 60
+
+
+def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
+    """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out.
+
+    A: Mh M^-1 M^ / Mt; B: Mh M^-1 (M^ / Mt - I); ``estimate``: estimated inertia M^ over the true one.
+    """
+    device, hand = settings.inertias()
+    share = np.linalg.solve(device + hand, hand).T
+    if settings.variant == "A":
+        turn = share @ (device + hand) * (estimate / virtual_mass_kg)
+    else:
+        turn = share @ (estimate * device / virtual_mass_kg - np.eye(len(device)))
+    return float(np.abs(np.linalg.eigvals(turn)).max())
+
+
+def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
+    """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass."""
+    device, hand = settings.inertias()
+    if not np.any(hand):
+        return 0.0
+    low, high = 0.0, estimate * float(np.linalg.eigvalsh(device + hand)[-1])
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if turn_multiplier(settings, middle, estimate=estimate) < 1.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def check_virtual_mass(settings: ControlSettings) -> float:
+    """The bound [kg]; UsageError where the virtual mass of a sampled loop lies at or below it."""
+    bound = virtual_mass_bound(settings)
+    if settings.continuous_step_s is None and not settings.unchecked and settings.tool.mass_kg <= bound:
+        hand = float(np.linalg.eigvalsh(settings.operator.mass_kg)[-1])
+        msg = (
+            f"a virtual mass of {settings.tool.mass_kg:.3g} kg is unstable: the sampled force feeds the "
+            f"inertia of the hand ({hand:.3g} kg) back, which variant {settings.variant} bears from "
+            f"{bound:.3g} kg on; take {MARGIN * bound:.3g} kg or more (--virtual-mass)"
+        )
+        if settings.variant == "A":
+            msg += ", or variant B"
+        raise UsageError(msg)
+    return bound

@@ -1,4 +1,8 @@
-"""Run a controlled loop: settings in, arrays out."""
+"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous.
+
+The sampled loop reads the force that the hand had under the last command, and holds its own until the next
+tick.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,323 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.compiled import tick_kernel
+from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
-from tissueid.rendering.control import block as at
-from tissueid.rendering.control.block import SCALARS, VECTORS, row_size
-from tissueid.rendering.control.continuous import continuous_room, run_continuous
-from tissueid.rendering.control.drive import DRIVE_ROWS
-from tissueid.rendering.control.mechanics import TASKS, Signal
-from tissueid.rendering.control.sampled import run_sampled, sampled_room
-from tissueid.rendering.control.settings import ControlSettings
-from tissueid.rendering.control.virtual_mass import check_virtual_mass
+from tissueid.rendering.control.law import (
+    DRIVE_ROWS,
+    SCALARS,
+    VECTORS,
+    LoopBlock,
+    adapt,
+    command,
+    control_force,
+    disturbance,
+    environment_force,
+    generalised_force,
+    hand_push,
+    inertia,
+    lyapunov,
+    not_covered,
+    record_row,
+    reference,
+    regress,
+    robust_term,
+    row_size,
+    sigma_at,
+    solve,
+    tool_acceleration,
+)
+from tissueid.rendering.control.settings import TASKS, ControlSettings, Signal, check_virtual_mass
+
+#: A device that is farther away than this has diverged [m].
+LARGEST_M = 10.0
+VECTOR_ROWS = 22
+
+
+@tick_kernel
+def _advance_plant(
+    block: LoopBlock,
+    parameters: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    time: float,
+    u: FloatArray,
+    plant: tuple[FloatArray, FloatArray, FloatArray],
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Move device and hand over one period under a held control force; leave the sensor's reading."""
+    total, operator = parameters
+    x, v, hand = plant
+    a, push, disturbed, spare, Y, M = room
+    steps = block.substeps
+    h = block.period_s / steps
+    for step in range(steps):
+        hand_push(block, drive, time + step * h, push)
+        disturbance(drive, time + step * h, disturbed)
+        for i in range(x.size):
+            a[i] = 0.0
+        generalised_force(block.arm, total, x, v, v, a, Y, hand)
+        for i in range(x.size):
+            a[i] = push[i] + u[i] - disturbed[i] - hand[i]
+        inertia(block.arm, total, x, spare, Y, M)
+        solve(M, a)
+        if step == steps - 1:
+            # what the sensor feels: the push, less what moves and holds the hand itself
+            generalised_force(block.arm, operator, x, v, v, a, Y, hand)
+            for i in range(x.size):
+                hand[i] = push[i] - hand[i]
+        for i in range(x.size):
+            v[i] += h * a[i]
+            x[i] += h * v[i]
+
+
+def sampled_room(
+    axes: int, start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Room of a run: vectors, regressor twice, inertia; the estimates and the tissue at rest."""
+    return (
+        np.zeros((VECTOR_ROWS, axes)),
+        np.zeros((axes, start.size)),
+        np.zeros((axes, start.size)),
+        np.zeros((axes, axes)),
+        (start.copy(), np.zeros(STATE_SIZE)),
+    )
+
+
+@tick_kernel
+def run_sampled(
+    block: LoopBlock,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    noise: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
+    out: FloatArray,
+) -> int:
+    """Run a sampled loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
+
+    ``parameters``: of device and hand together, of the hand, of the estimates' truth; ``noise``: of the
+    sensor [N].
+    """
+    n = drive.shape[1]
+    rows, Y, Z, M, lists = room
+    gains, bounds = adaptation
+    truth = parameters[2]
+    x, v, hand, sensed = rows[0], rows[1], rows[2], rows[3]
+    tool = (rows[4], rows[5], rows[6])
+    wanted = (rows[7], rows[8], rows[9])
+    u, robust, push, disturbed, unknown = rows[10], rows[11], rows[12], rows[13], rows[14]
+    was = (rows[15], rows[16])
+    spare = rows[17:19]
+    plant_room = (rows[19], rows[20], rows[21], spare, Z, M)
+    estimates, state = lists
+    touched = 0.0
+    for tick in range(out.shape[0]):
+        time = tick * block.period_s
+        hand_push(block, drive, time, push)
+        disturbance(drive, time, disturbed)
+        for i in range(n):
+            sensed[i] = hand[i] + noise[tick, i]
+            was[0][i], was[1][i] = tool[0][i], tool[1][i]
+        before = touched
+        touched = command(
+            block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
+        )
+        not_covered(block, push, disturbed, unknown)
+        V, rate = lyapunov(block, x, (wanted[2], robust, unknown), truth, estimates, gains, (spare, Z, M))
+        record_row(
+            out[tick],
+            time,
+            (x, v, was[0], was[1], sensed, u, wanted[2], push, disturbed),
+            (before, sigma_at(block, time), V, rate),
+            estimates,
+        )
+        adapt(block, Y, wanted[2], gains, bounds, block.period_s, estimates)
+        _advance_plant(block, (parameters[0], parameters[1]), drive, time, u, (x, v, hand), plant_room)
+        for i in range(n):
+            if not abs(x[i]) < LARGEST_M:
+                return tick + 1
+    return int(out.shape[0])
+
+
+Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+#: Rows of the state of motion: position and velocity of the device, of the tool.
+MOTION_ROWS = 4
+#: Rows of forces, see :func:`_forces`; one for what the estimates don't cover, two to work in.
+FORCE_ROWS = 13
+
+
+@tick_kernel
+def _forces(
+    block: LoopBlock,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    moment: tuple[FloatArray, float],
+    motion: FloatArray,
+    estimates: FloatArray,
+    touched: float,
+    forces: FloatArray,
+    room: Five,
+) -> None:
+    """Solve the algebraic loop at one moment, of the drive and the time; ``forces`` is written.
+
+    The hand's force holds its own acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a
+    [+ Mh a in variant B], with M^ of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
+    """
+    drive, time = moment
+    total, operator = parameters[0], parameters[1]
+    spare, Y, M, Mh, Mc = room
+    x, v, ve = motion[0], motion[1], motion[3]
+    push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
+    a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
+    n = x.size
+    hand_push(block, drive, time, push)
+    disturbance(drive, time, disturbed)
+    inertia(block.arm, operator, x, spare, Y, Mh)
+    inertia(block.arm, estimates, x, spare, Y, Mc)
+    inertia(block.arm, total, x, spare, Y, M)
+    for i in range(n):
+        a[i] = 0.0
+    generalised_force(block.arm, operator, x, v, v, a, Y, hand)
+    for i in range(n):
+        hand[i] = push[i] - hand[i]
+    tool_acceleration(block, ve, hand, touched, ae)
+    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    robust_term(block, rho, sigma_at(block, time), robust)
+    regress(block.arm, x, v, vr, ar, Y)
+    control_force(block, Y, estimates, rho, robust, hand, u)
+    # the plant's own forces take the room of vr, which is not needed any more
+    generalised_force(block.arm, total, x, v, v, a, Y, vr)
+    for i in range(n):
+        ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
+        for j in range(n):
+            for k in range(n):
+                M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
+            if block.variant_B:
+                M[i, j] -= Mh[i, j]
+    solve(M, ar)
+    for i in range(n):
+        a[i] = ar[i]
+    for i in range(n):
+        for j in range(n):
+            hand[i] -= Mh[i, j] * a[j]
+    tool_acceleration(block, ve, hand, touched, ae)
+    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    regress(block.arm, x, v, vr, ar, Y)
+    control_force(block, Y, estimates, rho, robust, hand, u)
+
+
+@tick_kernel
+def _tissue(block: LoopBlock, law: FloatArray, state: FloatArray, motion: FloatArray, h: float) -> float:
+    """Force of the environment [N] on whatever touches it."""
+    return environment_force(block, law, state, motion[0 if block.touched_by_device else 2], h)
+
+
+@tick_kernel
+def _slopes(motion: FloatArray, forces: FloatArray, out: FloatArray) -> None:
+    """Time derivative of the motion."""
+    for i in range(motion.shape[1]):
+        out[0, i] = motion[1, i]
+        out[1, i] = forces[6, i]
+        out[2, i] = motion[3, i]
+        out[3, i] = forces[7, i]
+
+
+@tick_kernel
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    for k in range(source.size):
+        target[k] = source[k]
+
+
+def continuous_room(
+    axes: int, start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five]:
+    """Room of a run: motions, forces, inertias, regressor; estimates and tissue, each with its trials."""
+    return (
+        np.zeros((4, MOTION_ROWS, axes)),
+        np.zeros((FORCE_ROWS, axes)),
+        np.zeros((3, axes, axes)),
+        np.zeros((axes, start.size)),
+        (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
+    )
+
+
+@tick_kernel
+def _step(
+    block: LoopBlock,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    moment: tuple[FloatArray, float],
+    motions: FloatArray,
+    forces: FloatArray,
+    rooms: tuple[Five, Five],
+) -> float:
+    """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
+    gains, bounds = adaptation
+    solving, lists = rooms
+    h = block.period_s
+    motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
+    estimates, guess, moved, state, trial = lists
+    Y = solving[1]
+    regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
+    _slopes(motion, forces, slope)
+    _copy(estimates, guess)
+    adapt(block, Y, forces[4], gains, bounds, h, guess)
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            ahead[k, i] = motion[k, i] + h * slope[k, i]
+    _copy(state, trial)
+    pressed = _tissue(block, law, trial, ahead, h)
+    _forces(block, parameters, (moment[0], moment[1] + h), ahead, guess, pressed, forces, solving)
+    _slopes(ahead, forces, slope_ahead)
+    _copy(guess, moved)
+    adapt(block, Y, forces[4], gains, bounds, h, moved)
+    for k in range(estimates.size):
+        estimates[k] = 0.5 * (estimates[k] + moved[k])
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
+    return float(_tissue(block, law, state, motion, h))
+
+
+@tick_kernel
+def run_continuous(
+    block: LoopBlock,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    every: int,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five],
+    out: FloatArray,
+) -> int:
+    """Run a loop without sampling from rest at the surface; a row every ``every`` steps of the period."""
+    motions, forces, squares, Y, lists = room
+    motion, unknown, spare = motions[0], forces[10], forces[11:13]
+    solving = (spare, Y, squares[0], squares[1], squares[2])
+    estimates, gains, truth = lists[0], adaptation[0], parameters[2]
+    touched = 0.0
+    for row in range(out.shape[0]):
+        for step in range(every):
+            time = (row * every + step) * block.period_s
+            _forces(block, parameters, (drive, time), motion, estimates, touched, forces, solving)
+            if step == 0:
+                rho, robust = forces[4], forces[5]
+                not_covered(block, forces[0], forces[1], unknown)
+                V, rate = lyapunov(
+                    block, motion[0], (rho, robust, unknown), truth, estimates, gains, (spare, Y, squares[0])
+                )
+                led = (motion[0], motion[1], motion[2], motion[3])
+                vectors = (*led, forces[2], forces[3], rho, forces[0], forces[1])
+                record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
+            touched = _step(
+                block, law, parameters, adaptation, (drive, time), motions, forces, (solving, lists)
+            )
+        for i in range(motion.shape[1]):
+            if not abs(motion[0, i]) < LARGEST_M:
+                return row + 1
+    return int(out.shape[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,33 +369,33 @@ class ControlRun:
         return np.asarray(1e3 * np.linalg.norm(self.tool_velocity_m_s - self.velocity_m_s, axis=1))
 
 
-def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> FloatArray:
-    """The flat block of :mod:`tissueid.rendering.control.block`.
-
-    ``period_s``: of a tick, or the step of a continuous loop [s].  Returns (BLOCK_SIZE,).
-    """
+def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> LoopBlock:
+    """Numbers of a loop whose tick, or step where it is continuous, takes ``period_s``."""
     gains = settings.gains
     touched_by_device = settings.environment == "impedance"
-    block = np.zeros(at.BLOCK_SIZE)
-    block[[at.TOOL_MASS, at.TOOL_DAMPING]] = settings.tool.mass_kg, settings.tool.damping_N_s_per_m
-    # a tool that touches nothing leads nowhere: without a place of its own, only its velocity is followed
-    block[at.REFERENCE_RATE] = 0.0 if touched_by_device else gains.reference_rate_per_s
-    block[at.DAMPING] = gains.damping_N_s_per_m
-    block[at.DISTURBANCE_BOUND] = settings.disturbance_bound_N()
-    block[[at.SIGMA_START, at.SIGMA_RATE]] = gains.sigma_start, gains.sigma_rate_per_s
-    block[at.SIGMA_FLOOR] = settings.sigma_floor()
-    block[at.ADAPTATION_SIGN] = gains.adaptation_sign
-    block[at.PROJECTION] = gains.projection
-    block[at.SATURATION] = gains.saturation_N
-    block[at.VARIANT] = at.VARIANT_B if settings.variant == "B" else 0.0
-    block[at.TOUCHED_BY_DEVICE] = touched_by_device
-    block[[at.FORCE_SCALE, at.MOTION_SCALE]] = settings.force_scale, settings.motion_scale
-    block[at.INWARD] = 1.0
-    block[[at.PERIOD, at.SUBSTEPS, at.RISE]] = period_s, substeps, settings.push_rise_s
-    if settings.arm is not None:
-        block[[at.LINK_1, at.LINK_2]] = settings.arm.links_m
-        block[[at.BASE_X, at.BASE_Y]] = settings.arm.base_m
-    return block
+    return LoopBlock(
+        tool_mass_kg=settings.tool.mass_kg,
+        tool_damping_N_s_per_m=settings.tool.damping_N_s_per_m,
+        # a tool that touches nothing leads nowhere: without a place of its own, only its velocity is followed
+        reference_rate_per_s=0.0 if touched_by_device else gains.reference_rate_per_s,
+        damping_N_s_per_m=gains.damping_N_s_per_m,
+        disturbance_bound_N=settings.disturbance_bound_N(),
+        sigma_start=gains.sigma_start,
+        sigma_rate_per_s=gains.sigma_rate_per_s,
+        sigma_floor=settings.sigma_floor(),
+        adaptation_sign=float(gains.adaptation_sign),
+        projection=gains.projection,
+        saturation_N=gains.saturation_N,
+        variant_B=settings.variant == "B",
+        touched_by_device=touched_by_device,
+        force_scale=settings.force_scale,
+        motion_scale=settings.motion_scale,
+        inward=np.array([1.0, 0.0, 0.0]),
+        period_s=period_s,
+        substeps=substeps,
+        rise_s=settings.push_rise_s,
+        arm=settings.arm_numbers(),
+    )
 
 
 def tissue_law(settings: ControlSettings) -> FloatArray:
@@ -105,10 +417,7 @@ def _drive(settings: ControlSettings) -> FloatArray:
 
 
 def simulate(settings: ControlSettings) -> ControlRun:
-    """Run a loop from rest at the surface of the tissue.
-
-    Raises UsageError: the virtual mass is below its bound, or the gains can't be sampled at this rate.
-    """
+    """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
     n = settings.axes
     device, operator = settings.true_parameters()
