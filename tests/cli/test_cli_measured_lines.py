@@ -6,7 +6,7 @@ from typing import Any
 
 from typed_call import typed_call
 
-from tissueid.report.measured_lines import brief_measured_lines, measured_lines
+from tissueid.report.specimen_lines import brief_measured_lines, measured_lines
 
 brief_measured_lines = typed_call(brief_measured_lines)
 measured_lines = typed_call(measured_lines)

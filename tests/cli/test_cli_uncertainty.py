@@ -13,7 +13,7 @@ from posterior_factory import sampled
 from typed_call import typed_call
 
 from tissueid.flags import Flag
-from tissueid.report.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
+from tissueid.report.specimen_lines import alarm_lines, parameter_lines, sampling_lines
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results

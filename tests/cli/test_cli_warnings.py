@@ -12,8 +12,14 @@ from typed_call import typed_call
 
 from tissueid.cli.fit_summary import _print_specimens
 from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
-from tissueid.report.uncertainty_lines import WIDTH, block_lines
-from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
+from tissueid.report.specimen_lines import (
+    MOST_WARNINGS,
+    WIDTH,
+    block_lines,
+    shared_codes,
+    shared_lines,
+    warning_lines,
+)
 
 _print_specimens = typed_call(_print_specimens)
 block_lines = typed_call(block_lines)

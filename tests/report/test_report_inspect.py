@@ -20,8 +20,9 @@ from tissueid.documents import plain
 from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
+from tissueid.report.figures import kept_samples
 from tissueid.report.inspect_decisions import UNIT_TO_WRITE, decisions, toml_string
-from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording, kept_samples
+from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
@@ -105,7 +106,7 @@ def test_a_large_recording_keeps_its_extremes_edges_and_corners() -> None:
 def test_every_bucket_keeps_the_extremes_of_both_channels() -> None:
     rng = np.random.default_rng(1)
     x, force = rng.normal(size=10_000), rng.normal(size=10_000)
-    index = kept_samples(x, force, 400, fixed=np.array([4321]))
+    index = kept_samples((force, x), 400, 400, [4321])
     assert 4321 in index
     assert (np.diff(index) > 0).all()
     for values in (x, force):

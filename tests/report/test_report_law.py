@@ -16,9 +16,7 @@ from posterior_factory import sampled
 from typed_call import typed_call
 
 from tissueid.report import render_report
-from tissueid.report.groups import loading_force
-from tissueid.report.law_payload import law_payload
-from tissueid.report.speeds import speed_groups
+from tissueid.report.law_payload import law_payload, loading_force, speed_groups
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json

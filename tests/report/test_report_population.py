@@ -14,8 +14,12 @@ from tissueid.documents.identification import Identification
 from tissueid.population.cohort import CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle
 from tissueid.population.sampler import SamplerOptions
-from tissueid.report.population_page import held_out_sentence, render_population
-from tissueid.report.population_payload import MOST_DRAWN, population_payload
+from tissueid.report.population_page import (
+    MOST_DRAWN,
+    held_out_sentence,
+    population_payload,
+    render_population,
+)
 from tissueid.store.bundle import Bundle
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json

@@ -19,7 +19,7 @@ from typed_call import typed_call
 from tissueid.digits import together
 from tissueid.flags import Flag
 from tissueid.report import render_report
-from tissueid.report.posterior_payload import MOST_NUMBERS, posterior_payload
+from tissueid.report.figures import MOST_NUMBERS, posterior_payload
 from tissueid.report.uncertainty_words import paper_view, reported_order, uncertainty_view
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits

@@ -11,9 +11,14 @@ from typed_call import typed_call
 
 from tissueid.digits import number, rounded_to, with_error
 from tissueid.flags import FLAGS
-from tissueid.report.remarks import remarks
-from tissueid.report.sentences import overview_sentence, tissue_sentence
-from tissueid.report.wording import parameter_words, unit_words, verdict
+from tissueid.report.wording import (
+    overview_sentence,
+    parameter_words,
+    remarks,
+    tissue_sentence,
+    unit_words,
+    verdict,
+)
 from tissueid.store.files import plain_json
 
 remarks = typed_call(remarks)

@@ -10,8 +10,7 @@ from tissueid.digits import number, with_error
 from tissueid.documents.identification import Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.measured import Spread
-from tissueid.report.groups import program_words
-from tissueid.report.wording import unit_words
+from tissueid.report.wording import program_words, unit_words
 
 #: Names of the first screen in its order; the others stand in the workbook.
 _WORDS: Mapping[str, str] = {

@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from tissueid.digits import number
 from tissueid.documents.identification import Identification, Provenance, Specimen
-from tissueid.report.sentences import tissue_sentence
+from tissueid.report.wording import tissue_sentence
 
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"

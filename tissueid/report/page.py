@@ -26,25 +26,24 @@ from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
 from tissueid.errors import UsageError
-from tissueid.report.figures import curve_payload, curves_by_trial
-from tissueid.report.groups import curve_groups
-from tissueid.report.law_payload import law_payload
+from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
+from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
-from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
-from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
-from tissueid.report.sentences import overview_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
     event_words,
     in_units,
     misfit_raised,
+    overview_sentence,
     parameter_words,
+    remarks,
     symbol_words,
     took,
+    trial_label,
     unit_words,
     verdict,
 )

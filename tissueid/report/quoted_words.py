@@ -12,7 +12,7 @@ from typing import Any
 from tissueid.digits import number, with_error
 from tissueid.documents.quantities import Cycle, Measure, Quantity, Quoted
 from tissueid.quantities import DEPTH_TEST
-from tissueid.report.remarks import trial_label
+from tissueid.report.wording import trial_label
 
 #: Rows of a table that are printed; the rest is in identification.json.
 MOST_ROWS = 12

@@ -11,10 +11,8 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.rupture import Rupture, Speed
-from tissueid.flags import flag_level
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.remarks import Remark, remark_title
-from tissueid.report.wording import Verdict
+from tissueid.report.wording import Verdict, flag_remarks
 
 S_PER_MIN = 60.0
 CRITERION_WORDS: Mapping[str, str] = {
@@ -88,10 +86,6 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
     it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     ruptured = sum(one.ruptured for one in document.tests)
-    remarks = [
-        Remark(flag.code, flag_level(flag.code), remark_title(flag.code), (flag.message,), ())
-        for flag in document.flags
-    ]
     return (
         page_environment()
         .get_template("rupture.html.j2")
@@ -99,7 +93,7 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
             title=f"Rupture in {ruptured} of {len(document.tests)} tests",
             run=document,
             verdict=_verdict(document),
-            remarks=remarks,
+            remarks=flag_remarks(document.flags),
             words=CRITERION_WORDS,
             with_sd=_with_sd,
             per_minute=S_PER_MIN,

@@ -8,9 +8,8 @@ from typing import Any
 from tissueid.documents.identification import Identification
 from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
 from tissueid.report.measured_words import measured_name
-from tissueid.report.remarks import trial_label
 from tissueid.report.uncertainty_words import reported_order
-from tissueid.report.wording import parameter_words
+from tissueid.report.wording import parameter_words, trial_label
 from tissueid.store.tidy import tidy_table
 from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 

@@ -13,7 +13,6 @@ A run is written into its own folder.  Renaming ``.current`` commits it.  The pu
 refreshed one by one; a kill in between leaves a mixture for as long as no command looks, because every
 command calls :func:`complete_refresh` first, which finishes the work from the committed run.
 
-One writer at a time in an output folder.
 The lock is the operating system's (``flock``, or ``msvcrt.locking`` on Windows) on the file ``.lock``,
 so it vanishes with the process that held it, however that died: there are no stale locks to judge by
 process numbers, which systems use again.  The file's text names the holder for the message.

@@ -34,10 +34,9 @@ from tissueid.store.files import (
     write_json,
 )
 from tissueid.store.index import Index, JobRow
-from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, merge_files
+from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, load_record, merge_files
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
-from tissueid.store.specimen_file import load_record
 
 #: Specimens from which on a set has no merged files and its report has pages.
 LARGE = 200

@@ -29,9 +29,8 @@ from tissueid.pipeline import identify
 from tissueid.result import Identification, Refusal
 from tissueid.store.files import sha256_of, write_file
 from tissueid.store.index import Index, JobRow
-from tissueid.store.merged import SPECIMENS
+from tissueid.store.merged import SPECIMENS, specimen_bytes
 from tissueid.store.outputs import OutputSet
-from tissueid.store.specimen_file import specimen_bytes
 from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import Inventory
 from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
