@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -40,14 +40,7 @@ class RelaxationWindow:
 
     def as_json(self) -> dict[str, Any]:
         """The ``relaxation_window`` object of the schema."""
-        return {
-            "cut_s": list(self.cut_s),
-            "tau_s": list(self.tau_s),
-            "stderr_s": list(self.stderr_s),
-            "slope": self.slope,
-            "slope_stderr": self.slope_stderr,
-            "effective": self.effective,
-        }
+        return {**plain(self), "effective": self.effective}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +61,7 @@ class RelaxationRow:
 
     def as_json(self) -> dict[str, Any]:
         """The ``relaxation`` object of the schema."""
-        return {
-            "path": self.path,
-            "sheet": self.sheet,
-            "window_s": list(self.window_s),
-            "peak_force_N": self.peak_force_N,
-            "tau_single_s": self.tau_single_s,
-            "nrmsd_single": self.nrmsd_single,
-            "tau_double_s": list(self.tau_double_s),
-            "tau_triple_s": list(self.tau_triple_s),
-            "flags": [flag.as_json() for flag in self.flags],
-        }
+        return {**plain(replace(self, flags=())), "flags": [flag.as_json() for flag in self.flags]}
 
 
 #: Name of the slope of ln relaxation time on ln contact radius among the quantities of a model.
@@ -103,14 +86,7 @@ class Quantity:
 
     def as_json(self) -> dict[str, Any]:
         """The ``quantity`` object of ``schemas/quantities.schema.json``."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "at": dict(self.at),
-            "value": self.value,
-            "stderr": self.stderr,
-            "reason": self.reason or None,
-        }
+        return {**plain(self), "reason": self.reason or None}
 
 
 @dataclass(frozen=True, slots=True)
