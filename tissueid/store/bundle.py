@@ -176,11 +176,12 @@ class Bundle(Shown):
 def array_problem(bundle: Bundle) -> str | None:
     """Fault of the sizes and numbers of a bundle's arrays, ``None`` where nothing is."""
     size = len(bundle.theta_names)
+    known: Mapping[str, tuple[int, ...]] = {"theta": (size,), "covariance": (size, size)}
     for name in ARRAYS:
         array: FloatArray | None = getattr(bundle, name)
         if array is None:
             continue
-        shape = {"theta": (size,), "covariance": (size, size)}.get(name, (len(array), size))
+        shape = known[name] if name in known else (len(array), size)
         if array.shape != shape:
             return f"{name} has shape {array.shape}, the {size} parameters need {shape}"
         if not np.isfinite(array).all():
@@ -259,7 +260,7 @@ def _thinned(draws: FloatArray) -> FloatArray:
 def write_bundle(bundle: Bundle, path: Path | str) -> None:
     """Write a bundle, whole or not at all, after the checks that :func:`load_bundle` makes.
 
-    ``path``: its folder must exist.  Raises BundleError: if the bundle could not be loaded again.
+    Raises BundleError: if the bundle could not be loaded again.
     """
     with new_file(Path(path)) as file:
         put_bundle(file, bundle, where=str(path))

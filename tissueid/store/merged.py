@@ -88,18 +88,14 @@ def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
         yield group
 
 
-def _record(group: Any) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads(get_text(group, "record"))
-    return record
-
-
 def load_record(path: Path) -> dict[str, Any]:
     """The JSON of a specimen's file alone.
 
     Raises BundleError: if the file is missing, damaged or another kind of file.
     """
     with _opened(path) as group:
-        return _record(group)
+        record: dict[str, Any] = json.loads(get_text(group, "record"))
+    return record
 
 
 def load_specimen(
@@ -113,7 +109,8 @@ def load_specimen(
     with _opened(path) as group:
         curves = get_curves(group["curves"]) if "curves" in group else ()
         posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()
-        return _record(group), curves, posteriors[0] if posteriors else None
+        record = json.loads(get_text(group, "record"))
+        return record, curves, posteriors[0] if posteriors else None
 
 
 #: Folder of the files of specimens, in the output folder.
@@ -144,10 +141,7 @@ def list_specimens(rows: Iterable[ListedSpecimen], stream: IO[str]) -> None:
 
 
 def read_listed(path: Path) -> Iterator[ListedSpecimen]:
-    """Read what :func:`list_specimens` wrote.
-
-    Raises BundleError: it is damaged or another kind of file.
-    """
+    """Read what :func:`list_specimens` wrote; BundleError where it is damaged or another kind of file."""
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             reader = csv.reader(stream)

@@ -51,8 +51,8 @@ _WAY_OUT = "run `tissueid fit` again"
 def write_results(run: OutputSet, identification: Identification) -> IdentificationDocument:
     """Write the numbers, bundles, curves and draws of a fit into an output set.
 
-    ``run``: open, not yet committed.  Returns the document of identification.json, for the report.  Raises
-    BundleError: if the result breaks its schema or a bundle would not load again.
+    Returns the document of identification.json, for the report.  Raises BundleError: if the result breaks its
+    schema or a bundle would not load again.
     """
     plain = plain_json(identification.as_json())
     check(plain, "identification", where=IDENTIFICATION)
