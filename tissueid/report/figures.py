@@ -135,7 +135,7 @@ def _columns(curve: Curve, band: NDArray[np.float64] | None, most: int) -> dict[
 MOST_NUMBERS = 180_000
 _DRAWS_OF_ONE = (60, 1_000)
 #: Chains and draws of each that a trace shows: more lines hide each other; and the numbers of all of them.
-_CHAINS, _STEPS = 4, 250
+_CHAINS, _MOST_STEPS = 4, 250
 MOST_CHAIN_NUMBERS = 90_000
 _FEWEST_STEPS = 40
 #: Viscosities beside theta, at the most.
@@ -209,7 +209,7 @@ def posterior_payload(
     )
     share = min(max(MOST_NUMBERS // max(columns, 1), fewest), largest)
     coordinates = sum(_CHAINS * len(one.chain_names) for one in posteriors)
-    steps = min(max(MOST_CHAIN_NUMBERS // max(coordinates, 1), _FEWEST_STEPS), _STEPS)
+    steps = min(max(MOST_CHAIN_NUMBERS // max(coordinates, 1), _FEWEST_STEPS), _MOST_STEPS)
     return [
         None
         if specimen.specimen not in by_name

@@ -22,7 +22,7 @@ from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import flag_level
 from tissueid.report.figures import kept_samples, packed
 from tissueid.report.inspect_decisions import Decision, decisions
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.report.page import render_page
 from tissueid.report.wording import LEVELS, remark_title, trial_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
@@ -170,21 +170,15 @@ def corrections(
 ) -> tuple[CorrectionRow, ...]:
     """The rows of one recording.
 
-    ``recording``: one trial of ``schemas/inspect.schema.json``; ``standing``: what the user decided: value
-    and reason by key.
+    ``standing``: what the user decided: value and reason by key.
     """
     contact = recording.contact
     holds = [phase for phase in recording.phases if phase.kind in ("hold", "creep")]
     hold = max(holds, key=lambda phase: phase.end_s - phase.start_s, default=None)
     rows = (
-        (
-            "contact_mm",
-            "Contact at",
-            recording.units.length,
-            None if contact is None else contact.displacement_mm,
-        ),
-        ("hold_from_s", "Hold from", "s", None if hold is None else hold.start_s),
-        ("end_s", "Hold to (the rest is left out)", "s", None if hold is None else hold.end_s),
+        ("contact_mm", "Contact at", recording.units.length, contact.displacement_mm if contact else None),
+        ("hold_from_s", "Hold from", "s", hold.start_s if hold else None),
+        ("end_s", "Hold to (the rest is left out)", "s", hold.end_s if hold else None),
         ("rupture", "No fall of force is a rupture", "", None),
         ("exclude", "Leave it out of the fit", "", None),
     )
@@ -264,8 +258,7 @@ def render_inspection(
     """Write the page.
 
     ``recordings``: in the order of the command line; the page shows the gravest first; ``study``: where the
-    entries belong; ``created``: time stamp to print; without it equal input gives an equal page; ``served``:
-    a server hears what is decided on the page.  Returns HTML, UTF-8.
+    entries belong; ``served``: a server hears what is decided on the page.
     """
     order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
     drawn = set(order[:MOST_DRAWN])
@@ -277,20 +270,20 @@ def render_inspection(
         for view in views
         if view["drawn"]
     }
-    template = page_environment().get_template("inspect.html.j2")
-    return template.render(
+    return render_page(
+        "inspect",
         title=_title(recordings, refused),
         views=views,
         refused=refused,
-        counts=_counts(recordings),
+        counts=_counts(recordings) + ([("serious", "refused", len(refused))] if refused else []),
         codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
         payload=payload,
+        data="recordings",
         study=study,
         created=created,
         served=served,
-        style=asset("page.css") + asset("inspect.css"),
-        script=asset("inspect.js") + (asset("inspect_served.js") if served else ""),
-        plotly=plotly_script(),
+        style="inspect.css",
+        scripts=["inspect.js", *["inspect_served.js"] * served],
     )
 
 

@@ -99,10 +99,7 @@ def _program_words(found: Mapping[Key, Spread], units: Units, count: int) -> str
 
 
 def measured_view(specimen: Specimen) -> dict[str, Any] | None:
-    """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any.
-
-    ``specimen``: one of ``specimens`` of identification.json.
-    """
+    """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any."""
     told = [row for row in specimen.measured or () if row.name in _WORDS.keys() - _ASIDE]
     columns = _columns(told, specimen.units)
     if not columns:

@@ -9,9 +9,10 @@ import numpy as np
 
 from tissueid.digits import number
 from tissueid.documents import plain
-from tissueid.documents.population import HeldOut, Population, Populations, Specimen
+from tissueid.documents.population import CohortSize, HeldOut, Population, Populations, Specimen
 from tissueid.model.channels import loading_force
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Table
 from tissueid.report.wording import Verdict, flag_remarks
 from tissueid.store.bundle import Bundle
 
@@ -21,6 +22,7 @@ MOST_DRAWN = 200
 BAND_DEPTHS = 41
 BAND_DRAWS = 500
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
+_DRAWN = ("separate", "separate_ci95", "pooled", "pooled_ci95")
 #: Digits that a figure shows.
 DIGITS = 6
 
@@ -66,13 +68,10 @@ def _shown(specimens: Sequence[Specimen]) -> Sequence[Specimen]:
 
 
 def population_payload(document: Population, bundle: Bundle | None) -> dict[str, Any]:
-    """Everything the page's script draws from.
-
-    ``document``: population.json; ``bundle``: population.h5.
-    """
+    """Everything the page's script draws from."""
     found = document.population
     assert found is not None  # noqa: S101  (a page is of a population)
-    shown = _shown(found.specimens)
+    shown, held = _shown(found.specimens), found.held_out
     return {
         "quantities": [
             {
@@ -85,28 +84,19 @@ def population_payload(document: Population, bundle: Bundle | None) -> dict[str,
             for row in found.quantities
         ],
         "specimens": [
-            {
-                "name": row.specimen,
-                "outlier": row.outlier is not None,
-                "separate": _rounded(row.separate),
-                "separate_ci95": _rounded(row.separate_ci95),
-                "pooled": _rounded(row.pooled),
-                "pooled_ci95": _rounded(row.pooled_ci95),
-            }
+            {"name": row.specimen, "outlier": row.outlier is not None}
+            | {key: _rounded(getattr(row, key)) for key in _DRAWN}
             for row in shown
         ],
         "correlation": _rounded(found.correlation),
         "bands": None if bundle is None else force_bands(bundle),
         "agreement": plain(document.agreement),
-        "held_out": (
-            None
-            if found.held_out is None
-            else {
-                "range": _rounded([100.0 * row.nrmsd_range for row in found.held_out.trials]),
-                "mean": _rounded([100.0 * row.nrmsd_mean for row in found.held_out.trials]),
-                "paper_a": found.held_out.paper_a_percent,
-            }
-        ),
+        "held_out": held
+        and {
+            "range": _rounded([100.0 * row.nrmsd_range for row in held.trials]),
+            "mean": _rounded([100.0 * row.nrmsd_mean for row in held.trials]),
+            "paper_a": held.paper_a_percent,
+        },
     }
 
 
@@ -122,9 +112,7 @@ def _percents(ends: tuple[float, float]) -> str:
     return f"{_percent(ends[0])} to {_percent(ends[1])}"
 
 
-def _verdict(document: Population) -> Verdict:
-    found = document.population
-    assert found is not None  # noqa: S101  (a page is of a population)
+def _verdict(document: Population, found: Populations) -> Verdict:
     sampler = found.sampler
     how = f"R-hat {sampler.r_hat:.3f}, {sampler.ess:.0f} effective draws or more"
     if not sampler.converged:
@@ -187,52 +175,53 @@ def _outliers(found: Populations) -> list[dict[str, str]]:
     ]
 
 
-def _sizes(found: Populations) -> list[dict[str, Any]]:
-    """A row a quantity: specimens for each precision."""
-    rows: dict[str, dict[str, Any]] = {}
-    words = {row.name: row.words for row in found.quantities}
+def _sizes(found: Populations) -> Table:
+    """A row a quantity: specimens for each precision, of the median and of the spread."""
+    rows: dict[str, list[CohortSize]] = {}
     for row in found.cohort_size:
-        one = rows.setdefault(row.name, {"quantity": words[row.name], "cells": []})
-        one["cells"].append(
-            {
-                "precision": row.precision,
-                "mean": f"{row.mean:,} ({row.mean_range[0]:,} to {row.mean_range[1]:,})",
-                "sd": f"{row.sd:,} ({row.sd_range[0]:,} to {row.sd_range[1]:,})",
-            }
-        )
-    return list(rows.values())
+        rows.setdefault(row.name, []).append(row)
+    words = {row.name: row.words for row in found.quantities}
+    precisions = [f"{100 * row.precision:g} %" for row in next(iter(rows.values()))]
+    return Table(
+        ["Quantity", *(f"{of} to {precision}" for of in ("Median", "Spread") for precision in precisions)],
+        [
+            [
+                words[name],
+                *(f"{row.mean:,} ({row.mean_range[0]:,} to {row.mean_range[1]:,})" for row in cells),
+                *(f"{row.sd:,} ({row.sd_range[0]:,} to {row.sd_range[1]:,})" for row in cells),
+            ]
+            for name, cells in rows.items()
+        ],
+    )
+
+
+def _heads(found: Populations) -> list[str]:
+    between = ["CV between specimens [%]", "95 % interval [%]"]
+    levels = [f"Between {key}s, sd of ln" for key in found.quantities[0].levels]
+    return ["Quantity", "Median", "95 % interval", "Total 95 % interval", *between, *levels]
 
 
 def render_population(document: Population, bundle: Bundle | None, *, created: str | None = None) -> str:
-    """Write the page.
-
-    ``document``: the document of ``schemas/population.schema.json``, with a population; ``bundle``:
-    population.h5, for the bands of force; ``created``: time stamp to print; without it equal input gives an
-    equal page.  Returns HTML, UTF-8.
-    """
+    """Write the page of a document with a population; ``bundle``: population.h5, for the bands of force."""
     found = document.population
     assert found is not None  # noqa: S101  (a page is of a population)
-    return (
-        page_environment()
-        .get_template("population.html.j2")
-        .render(
-            title=f"Population of {len(document.specimens_used)} specimens",
-            run=document,
-            found=found,
-            verdict=_verdict(document),
-            remarks=flag_remarks(document.flags),
-            interval=_interval,
-            percent=_percent,
-            percents=_percents,
-            effects=_effects(found),
-            outliers=_outliers(found),
-            sizes=_sizes(found),
-            held_out=None if found.held_out is None else held_out_sentence(found.held_out),
-            most_drawn=MOST_DRAWN,
-            payload=population_payload(document, bundle),
-            created=created,
-            style=asset("page.css") + asset("selfcheck.css"),
-            plotly=plotly_script(),
-            scripts=[asset("boxes.js"), asset("population.js")],
-        )
+    return render_page(
+        "population",
+        title=f"Population of {len(document.specimens_used)} specimens",
+        run=document,
+        found=found,
+        verdict=_verdict(document, found),
+        remarks=flag_remarks(document.flags),
+        interval=_interval,
+        percent=_percent,
+        percents=_percents,
+        heads=_heads(found),
+        effects=_effects(found),
+        outliers=_outliers(found),
+        sizes=_sizes(found),
+        held_out=None if found.held_out is None else held_out_sentence(found.held_out),
+        most_drawn=MOST_DRAWN,
+        payload=population_payload(document, bundle),
+        created=created,
+        scripts=["population.js"],
     )

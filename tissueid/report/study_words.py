@@ -108,10 +108,7 @@ def _change(without: float | None, with_it: float | None) -> str:
 
 
 def study_view(study: StudyRecord | None) -> dict[str, Any] | None:
-    """Everything the study section of the report prints, in words; ``None`` without a study.
-
-    ``study``: the ``study`` of identification.json.
-    """
+    """Everything the study section of the report prints, in words; ``None`` without a study."""
     if study is None:
         return None
     return {

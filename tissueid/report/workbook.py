@@ -25,10 +25,7 @@ _Row = tuple[int | None, MeasuredHold | None, MeasuredPush | None]
 
 
 def report_workbook(document: Identification, digest: str | None = None) -> bytes:
-    """A workbook of the document of identification.json, whose SHA-256 is ``digest``.
-
-    Returns XLSX.
-    """
+    """A workbook of the document of identification.json, whose SHA-256 is ``digest``."""
     sheets = [_parameters(document), _measured(document), _pushes(document)]
     sheets += [_tidy(document, name, title, digest) for name, title in _TIDY.items()]
     return xlsx_bytes([sheet for sheet in sheets if sheet.rows] or sheets[:1])
