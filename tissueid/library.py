@@ -50,7 +50,7 @@ from tissueid.uncertainty import ParameterUncertainty
 
 if TYPE_CHECKING:
     from tissueid.rendering.session import Outcome
-    from tissueid.store.bundle_content import Bundle as BundleContent
+    from tissueid.store.bundle import Bundle as BundleContent
 
 #: Relative standard deviation of a parameter that is fixed.
 FIXED = 1e-6

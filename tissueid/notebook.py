@@ -17,7 +17,7 @@ from tissueid.arrays import FloatArray
 if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.result import Estimate, Identification, SpecimenFit
-    from tissueid.store.bundle_content import Bundle
+    from tissueid.store.bundle import Bundle
     from tissueid.trial import Trial
     from tissueid.uncertainty import ParameterUncertainty, Posterior
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -61,7 +61,7 @@ class RelaxationRow:
 
     def as_json(self) -> dict[str, Any]:
         """The ``relaxation`` object of the schema."""
-        return {**plain(self), "flags": [flag.as_json() for flag in self.flags]}
+        return {**plain(replace(self, flags=())), "flags": [flag.as_json() for flag in self.flags]}
 
 
 #: Name of the slope of ln relaxation time on ln contact radius among the quantities of a model.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.documents import plain
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import Model, Nrmsd
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle
@@ -20,7 +20,7 @@ from tissueid.flags import Flag
 from tissueid.notebook import Shown
 from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.trial import MM_N, Axes, TipShape
-from tissueid.uncertainty import ParameterUncertainty, Posterior
+from tissueid.uncertainty import UNCERTAINTY, ParameterUncertainty, Posterior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +54,7 @@ __all__ = [
 ]
 
 #: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
-_NOT_SAMPLED = dict.fromkeys(
-    ("mean", "sd", "ci95", "ci95_total", "prediction95", "ess_bulk", "ess_tail", "r_hat")
-)
+_NOT_SAMPLED = dict.fromkeys(UNCERTAINTY)
 
 #: What a specimen says of a posterior it does not have.
 _NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(
@@ -145,25 +143,14 @@ class ModelChoice:
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:
         """A choice from the ``model`` object of the schema."""
-        ends = found.get("range_s")
-        nodes = {key: tuple(float(one) for one in found.get(key, ())) for key in ("inside_s", "outside_s")}
-        return cls(
-            **{**found, **nodes, "range_s": None if ends is None else (float(ends[0]), float(ends[1]))}
-        )
+        return cls.of(typed(found, Model))
 
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
-        return {
-            "key": self.key,
-            "name": self.name or self.key,
-            "range_s": None if self.range_s is None else list(self.range_s),
-            "branches": self.branches,
-            "static_degree": self.static_degree,
-            "stiffness_degree": self.stiffness_degree,
-            "static_pooling": self.static_pooling,
-            **({"inside_s": list(self.inside_s)} if self.inside_s else {}),
-            **({"outside_s": list(self.outside_s)} if self.outside_s else {}),
-        }
+        found = plain(self)
+        nodes = {key: found.pop(key) for key in ("inside_s", "outside_s")}
+        first = {"key": self.key, "name": self.name or self.key, "range_s": found["range_s"]}
+        return {**first, **found, **first, **{key: one for key, one in nodes.items() if one}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +163,13 @@ class Curve:
     force_N: FloatArray  # (m,)
     model_N: FloatArray  # (m,)
     fitted: NDArray[np.bool_]  # (m,), false where a sample took no part in the likelihood
+
+
+#: Numbers of a trial, in the order of the file.
+_OF_TRIAL = (
+    *("max_residual_fraction", "residual_acf1", "gain", "contact_offset_mm", "speed_mm_s", "depth_mm"),
+    "n_samples",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,14 +199,8 @@ class TrialFit:
             "nrmsd": self.nrmsd.range,
             "nrmsd_mean": self.nrmsd.mean,
             "rmse_N": self.nrmsd.rmse_N,
-            "max_residual_fraction": self.max_residual_fraction,
-            "residual_acf1": self.residual_acf1,
-            "gain": self.gain,
-            "contact_offset_mm": self.contact_offset_mm,
-            "speed_mm_s": self.speed_mm_s,
-            "depth_mm": self.depth_mm,
-            "n_samples": self.n_samples,
-            "measured": None if self.measured is None else plain(self.measured),
+            **{key: getattr(self, key) for key in _OF_TRIAL},
+            "measured": plain(self.measured),
             "flags": [flag.as_json() for flag in self.flags],
         }
 
@@ -371,11 +359,8 @@ class Refusal:
 
     def as_json(self) -> dict[str, Any]:
         """``{path, sheet, error: {code, message, line, column}}``, as ``inspect`` prints it."""
-        return {
-            "path": self.path,
-            "sheet": self.sheet,
-            "error": {"code": self.code, "message": self.message, "line": self.line, "column": self.column},
-        }
+        error = plain(self)
+        return {"path": error.pop("path"), "sheet": error.pop("sheet"), "error": error}
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,7 +372,7 @@ class Exit:
 
     def as_json(self) -> dict[str, Any]:
         """The ``exit`` object of the schema."""
-        return {"code": self.code, "reasons": list(self.reasons)}
+        return plain(self)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)

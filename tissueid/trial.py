@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -81,12 +81,12 @@ class TipShape:
 
     def as_json(self) -> dict[str, Any]:
         """``tip`` of a validity and of a session's tissues."""
-        return {"shape": self.shape, "half_angle_deg": self.half_angle_deg}
+        return asdict(self)
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
         """Inverse of :meth:`as_json`."""
-        return cls(document["shape"], document["half_angle_deg"])
+        return cls(**document)
 
 
 #: A displacement and a force.

@@ -43,6 +43,11 @@ def _finite(value: Any) -> Any:
     return value
 
 
+_INTERVALS = ("ci95", "ci95_total", "prediction95")
+#: Keys that a parameter gains, in the order of the file.
+UNCERTAINTY = ("mean", "sd", *_INTERVALS, "ess_bulk", "ess_tail", "r_hat")
+
+
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
     """Posterior of one reported parameter, in its unit.
@@ -73,35 +78,18 @@ class ParameterUncertainty:
 
     def as_json(self) -> dict[str, Any]:
         """The keys that a parameter gains; a diagnostic or an end that has no value makes null of its own."""
-        total = None if self.ci95_total is None else _finite(self.ci95_total)
-        return {
-            "mean": self.mean,
-            "sd": self.sd,
-            "ci95": list(self.ci95),
-            "ci95_total": None if total is None or None in total else total,
-            "prediction95": None if self.prediction95 is None else list(self.prediction95),
-            "ess_bulk": _finite(self.ess_bulk),
-            "ess_tail": _finite(self.ess_tail),
-            "r_hat": _finite(self.r_hat),
-        }
+        found = {key: _finite(getattr(self, key)) for key in UNCERTAINTY}
+        total = found["ci95_total"]
+        total = None if total is None or None in total else total
+        return {**found, "mean": self.mean, "sd": self.sd, "ci95": list(self.ci95), "ci95_total": total}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> ParameterUncertainty:
         """Read what :meth:`as_json` wrote; a diagnostic that is null is NaN again."""
-        diagnostics = {
-            key: math.nan if document[key] is None else float(document[key])
-            for key in ("ess_bulk", "ess_tail", "r_hat")
-        }
-        low, high = document["ci95"]
-        total, later = document["ci95_total"], document.get("prediction95")
-        return cls(
-            mean=document["mean"],
-            sd=document["sd"],
-            ci95=(low, high),
-            ci95_total=None if total is None else (total[0], total[1]),
-            prediction95=None if later is None else (later[0], later[1]),
-            **diagnostics,
-        )
+        found = {key: document.get(key) for key in UNCERTAINTY}
+        intervals = {key: value and tuple(value) for key, value in found.items() if key in _INTERVALS}
+        diagnostics = {key: math.nan for key in ("ess_bulk", "ess_tail", "r_hat") if found[key] is None}
+        return cls(**found | intervals | diagnostics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

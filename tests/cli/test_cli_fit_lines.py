@@ -15,9 +15,19 @@ from typed_call import typed_call
 
 from tissueid.cli.fit_command import _print_specimens
 from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
-from tissueid.report.measured_lines import brief_measured_lines, measured_lines
-from tissueid.report.uncertainty_lines import WIDTH, alarm_lines, block_lines, parameter_lines, sampling_lines
-from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
+from tissueid.report.specimen_lines import (
+    MOST_WARNINGS,
+    WIDTH,
+    alarm_lines,
+    block_lines,
+    brief_measured_lines,
+    measured_lines,
+    parameter_lines,
+    sampling_lines,
+    shared_codes,
+    shared_lines,
+    warning_lines,
+)
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results

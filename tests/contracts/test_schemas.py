@@ -18,21 +18,22 @@ from posterior_factory import sampled
 from tissueid.documents.schemas import ROOTS, schema_of
 from tissueid.errors import BundleError
 from tissueid.flags import FLAGS, Flag
-from tissueid.result import Estimate
+from tissueid.result import Estimate, SpecimenFit
 from tissueid.store import schema as schema_module
 from tissueid.store.files import plain_json
 from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
 
 
+def document_of(fit: SpecimenFit, *, refused: bool = False) -> dict[str, Any]:
+    return plain_json(identification([fit], refused=refused).as_json())
+
+
 def run_document() -> dict[str, Any]:
-    document: dict[str, Any] = plain_json(identification([specimen_fit()], refused=True).as_json())
-    return document
+    return document_of(specimen_fit(), refused=True)
 
 
 def sampled_document(*, identified: bool = True) -> dict[str, Any]:
-    fit = sampled(specimen_fit(identified=identified))
-    document: dict[str, Any] = plain_json(identification([fit]).as_json())
-    return document
+    return document_of(sampled(specimen_fit(identified=identified)))
 
 
 def objects_of(node: Any) -> list[dict[str, Any]]:
@@ -46,13 +47,6 @@ def objects_of(node: Any) -> list[dict[str, Any]]:
         for child in node:
             found += objects_of(child)
     return found
-
-
-@pytest.mark.parametrize("name", SCHEMA_NAMES)
-def test_schema_is_itself_valid_and_named_after_its_file(name: str) -> None:
-    schema = load_schema(name)
-    Draft202012Validator.check_schema(schema)
-    assert schema["$id"] == f"{name}.schema.json"
 
 
 @pytest.mark.parametrize("name", SCHEMA_NAMES)
@@ -72,8 +66,10 @@ def test_every_schema_file_is_known_by_name() -> None:
 
 
 @pytest.mark.parametrize("name", SCHEMA_NAMES)
-def test_every_schema_is_written_from_the_types(name: str) -> None:
+def test_every_schema_is_valid_and_written_from_the_types(name: str) -> None:
+    Draft202012Validator.check_schema(load_schema(name))
     assert load_schema(name) == schema_of(name), "run scripts/write-docs"
+    assert load_schema(name)["$id"] == f"{name}.schema.json"
 
 
 def test_flag_codes_are_those_of_the_code() -> None:
@@ -83,25 +79,13 @@ def test_flag_codes_are_those_of_the_code() -> None:
 def test_refusal_codes_are_those_of_ingest_and_those_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
     known = set(load_schema("inspect")["$defs"]["error"]["properties"]["code"]["enum"])
-    assert known == {
-        *refusals.REFUSAL_CODES,
-        "no_contact",
-        "too_few_samples",
-        "job_failed",
-        "out_of_memory",
-        "worker_killed",
-        "other_versions",
-        "fit_failed",
-        "mixed_axes",
-        "frame_range",
-    }
-
-
-def test_identification_of_a_run_is_valid() -> None:
-    assert first_problem(run_document(), "identification") is None
+    added = ("no_contact", "too_few_samples", "fit_failed", "mixed_axes", "frame_range")
+    of_jobs = ("job_failed", "out_of_memory", "worker_killed", "other_versions")
+    assert known == {*refusals.REFUSAL_CODES, *added, *of_jobs}
 
 
 def test_identification_of_a_sampled_run_is_valid_and_says_what_was_asked_for() -> None:
+    assert first_problem(run_document(), "identification") is None
     document = sampled_document()
     assert first_problem(document, "identification") is None
     specimen = document["specimens"][0]
@@ -125,37 +109,29 @@ def test_what_is_not_identified_has_no_interval_of_its_own() -> None:
     assert Estimate.from_json(tau).as_json() == tau
     tau["ci95"] = [0.1, 9.0]
     problem = first_problem(document, "identification")
-    assert problem is not None
     assert problem.pointer.endswith("/ci95")
 
 
 def test_a_diagnostic_without_a_value_is_null_and_comes_back_as_nan() -> None:
     fit = sampled(specimen_fit())
     known = fit.parameters[0].uncertainty
-    assert known is not None
     odd = replace(fit.parameters[0], uncertainty=replace(known, r_hat=float("nan"), ess_tail=float("nan")))
     document = plain_json(odd.as_json())
     assert (document["r_hat"], document["ess_tail"]) == (None, None)
     back = Estimate.from_json(document).uncertainty
-    assert back is not None
     assert np.isnan(back.r_hat)
     assert back.ci95 == known.ci95
 
 
 def test_what_could_not_be_worked_out_is_null_and_loses_nothing_else() -> None:
     fit = sampled(specimen_fit())
-    assert fit.posterior is not None
     first, *others = fit.posterior.budget
     budget = (structs.replace(first, sd=float("nan")), *others)
     known = fit.parameters[0].uncertainty
-    assert known is not None
     odd = replace(fit.parameters[0], uncertainty=replace(known, ci95_total=(1.0, float("inf"))))
-    fit = replace(
-        fit,
-        parameters=(odd, *fit.parameters[1:]),
-        posterior=replace(fit.posterior, budget=budget),
+    document = document_of(
+        replace(fit, parameters=(odd, *fit.parameters[1:]), posterior=replace(fit.posterior, budget=budget))
     )
-    document = plain_json(identification([fit]).as_json())
     assert first_problem(document, "identification") is None
     assert document["specimens"][0]["budget"][0]["sd"] is None
     assert document["specimens"][0]["parameters"][0]["ci95_total"] is None
@@ -194,7 +170,6 @@ def test_an_unknown_member_is_refused() -> None:
     document = run_document()
     document["specimens"][0]["surprise"] = 1
     problem = first_problem(document, "identification")
-    assert problem is not None
     assert problem.pointer == "/specimens/0"
     assert "surprise" in problem.message
 
@@ -203,7 +178,6 @@ def test_a_parameter_that_is_not_identified_may_carry_no_value() -> None:
     document = run_document()
     document["specimens"][0]["parameters"][0]["identified"] = False
     problem = first_problem(document, "identification")
-    assert problem is not None
     assert problem.pointer == "/specimens/0/parameters/0/value"
 
 

@@ -24,7 +24,7 @@ from tissueid.model.grammar import rebuilt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.servo_law import servo_law
 from tissueid.result import ModelChoice
-from tissueid.store.bundle_content import Bundle
+from tissueid.store.bundle import Bundle
 
 
 @pytest.fixture(params=[PAPER_A, TWO_BRANCHES], ids=lambda tissue: tissue.name)

@@ -6,23 +6,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import specimen_fit
 from posterior_factory import sampled
+from report_pages import document_of, grave, open_all, opened, page, violations, wide
 from typed_call import typed_call
 
 from tissueid.documents import typed
 from tissueid.documents.study import StudyCheck
 from tissueid.documents.twin import Twin
-from tissueid.report import render_report
 from tissueid.report.page import Beside
 from tissueid.report.twin_page import twin_sections
-from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import completeness_of_result
 from tissueid.study.pages import rendering_of
 
-render_report = typed_call(render_report)
 completeness_of_result = typed_call(completeness_of_result)
 rendering_of = typed_call(rendering_of)
 
@@ -45,41 +43,22 @@ DEVICE = {"sensible": (1400, 900), "tablet": (800, 1000), "telephone": (400, 800
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole() -> str:
     """A page with every part that a report can have."""
-    fits = [sampled(specimen_fit(trials=3, samples=120, identified=False))]
-    document = plain_json(identification(fits, refused=True).as_json())
-    posteriors = posteriors_of_fits(fits)
-    html = render_report(
-        document,
-        curves_of_fits(fits),
-        posteriors,
-        renderings=[rendering_of(document["specimens"][0], posteriors[0])],
-        beside=Beside(
-            typed(plain_json(completeness_of_result(None).as_json("study.toml")), StudyCheck),
-            twin_sections(typed(TWIN, Twin)),
-        ),
+    fit = sampled(specimen_fit(trials=3, samples=120, identified=False))
+    specimen = document_of(fit)["specimens"][0]
+    described = typed(plain_json(completeness_of_result(None).as_json("study.toml")), StudyCheck)
+    return page(
+        fit,
+        refused=True,
+        renderings=[rendering_of(specimen, posteriors_of_fits([fit])[0])],
+        beside=Beside(described, twin_sections(typed(TWIN, Twin))),
     )
-    path = tmp_path_factory.mktemp("whole") / "report.html"
-    path.write_text(html, encoding="utf-8")
-    return path
-
-
-def visit(
-    browser: Any, path: Path, width: int = 1400, height: int = 900, **more: Any
-) -> tuple[Any, list[str]]:
-    tab = browser.new_context(viewport={"width": width, "height": height}, **more).new_page()
-    said: list[str] = []
-    tab.on("console", lambda one: said.append(one.text) if one.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: said.append(str(error)))
-    tab.on("request", lambda one: said.append(one.url) if one.url != path.as_uri() else None)
-    tab.goto(path.as_uri())
-    return tab, said
 
 
 def draw_all(tab: Any) -> int:
     """Open everything and wait until every figure is drawn; returns how many there are."""
-    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    open_all(tab)
     boxes = tab.locator("[data-figure]")
     for place in range(boxes.count()):
         # what is above may grow as it is drawn and push this one out of sight again
@@ -107,33 +86,25 @@ BY_DEFAULT = {("telephone", "dark")}
         for scheme in ("light", "dark")
     ],
 )
-def test_axe_finds_no_serious_issue(browser: Any, whole: Path, scheme: str, size: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+def test_axe_finds_no_serious_issue(browser: Any, tmp_path: Path, whole: str, scheme: str, size: str) -> None:
     width, height = DEVICE[size]
-    tab, said = visit(browser, whole, width, height, color_scheme=scheme)
+    tab, said = opened(browser, tmp_path, whole, width=width, height=height, color_scheme=scheme)
     assert draw_all(tab) == 8
-    found = axe.run(tab).response["violations"]
-    grave = [
-        (one["id"], one["impact"], [node["html"][:160] for node in one["nodes"]][:3])
-        for one in found
-        if one["impact"] in {"serious", "critical"}
-    ]
-    assert grave == []
-    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    assert grave(tab) == []
+    assert wide(tab) == width
     assert said == []
 
 
-def test_axe_would_find_a_serious_issue(browser: Any, whole: Path) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    tab, _ = visit(browser, whole)
+def test_axe_would_find_a_serious_issue(browser: Any, tmp_path: Path, whole: str) -> None:
+    tab, _ = opened(browser, tmp_path, whole)
     tab.evaluate("document.querySelector('.verdict-line').style.color = '#ddd'")
     tab.evaluate("document.querySelector('select').removeAttribute('id')")
-    assert {"color-contrast", "select-name"} <= {one["id"] for one in axe.run(tab).response["violations"]}
+    assert {"color-contrast", "select-name"} <= {name for name, *_ in violations(tab)}
 
 
-def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, whole: Path) -> None:
-    tab, said = visit(browser, whole)
-    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, tmp_path: Path, whole: str) -> None:
+    tab, said = opened(browser, tmp_path, whole)
+    open_all(tab)
     tab.keyboard.press("Tab")
     assert tab.evaluate("document.activeElement.className") == "skip"
     reached = set()
@@ -151,8 +122,8 @@ def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, whole: 
     assert said == []
 
 
-def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, whole: Path) -> None:
-    tab, said = visit(browser, whole, color_scheme="dark")
+def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, tmp_path: Path, whole: str) -> None:
+    tab, said = opened(browser, tmp_path, whole, color_scheme="dark")
     pages = tab.pdf(format="A4")
     assert pages.startswith(b"%PDF")
     # a picture a figure: an empty page would be a few kB
@@ -171,8 +142,8 @@ def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, whole: P
     assert said == []
 
 
-def test_series_are_told_apart_without_colour(browser: Any, whole: Path) -> None:
-    tab, _ = visit(browser, whole)
+def test_series_are_told_apart_without_colour(browser: Any, tmp_path: Path, whole: str) -> None:
+    tab, _ = opened(browser, tmp_path, whole)
     draw_all(tab)
     dashes = tab.evaluate(
         """document.querySelector('[data-figure=parts]').data

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from copy import deepcopy
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from report_pages import drawn, opened, self_contained, wait_for_figures, wide
 from typed_call import typed_call
 
 from tissueid.design.document import design_document
@@ -42,7 +42,7 @@ def made(machine_name: str) -> dict[str, Any]:
 
 def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
     document = made("paper-a")
-    page = render_design(document)
+    page = self_contained(partial(render_design, document))
     best, other = document["protocols"][0], document["against"]["protocol"]
     assert "<strong>Within reach.</strong>" in page
     assert f"{best['logs']} logs in {best['seconds'] / 60:.1f} min of machine time" in page
@@ -68,33 +68,23 @@ def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it() -> None:
     assert "fit will flag it" in page
 
 
-def test_page_asks_the_network_for_nothing_and_equal_input_gives_equal_pages() -> None:
-    page = render_design(made("paper-a"))
-    assert page == render_design(made("paper-a"))
-    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
-    assert "http" not in outside.replace("http-equiv", "")
-    assert "Written" not in page
-    assert "Written 2026-01-01." in render_design(made("paper-a"), created="2026-01-01")
-
-
-def drawn(browser: Any, path: Path, *, width: int = 1200) -> tuple[list[str], list[dict[str, Any]], int]:
-    """Problems, the traces of every figure as plotly holds them, and the width of the page."""
-    page = browser.new_page(viewport={"width": width, "height": 4000})
-    problems: list[str] = []
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-    page.on("request", lambda request: problems.append(request.url) if "file:" not in request.url else None)
-    page.goto(path.as_uri())
-    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 2", timeout=60_000)
-    traces = page.evaluate(
-        "[...document.querySelectorAll('[data-figure]')].map((box) => ({"
-        " traces: box.data.map((one) => ({ name: one.name, x: [...one.x], y: [...one.y] })),"
-        " x: box.layout.xaxis.type, y: box.layout.yaxis.type,"
-        " marks: box.querySelectorAll('.scatterlayer .point').length }))"
-    )
-    wide = page.evaluate("document.documentElement.scrollWidth")
-    page.close()
-    return problems, traces, wide
+def figures_of(browser: Any, folder: Path, html: str, *, width: int = 1200) -> list[dict[str, Any]]:
+    """Traces of every figure as plotly holds them, types of its axes, and marks that are drawn."""
+    tab, said = opened(browser, folder, html, width=width, height=4000)
+    wait_for_figures(tab, 2)
+    figures = [
+        {"traces": drawn(tab, "precision", want=want)}
+        | tab.evaluate(
+            "want => { const box = document.querySelectorAll('[data-figure]')[want]; return {"
+            " x: box.layout.xaxis.type, y: box.layout.yaxis.type,"
+            " marks: box.querySelectorAll('.scatterlayer .point').length }; }",
+            want,
+        )
+        for want in (0, 1)
+    ]
+    assert wide(tab) <= width
+    assert said == []
+    return figures
 
 
 def expected(document: dict[str, Any], want: int) -> dict[str, list[list[float]]]:
@@ -115,12 +105,7 @@ def expected(document: dict[str, Any], want: int) -> dict[str, list[list[float]]
 @pytest.mark.browser
 def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> None:
     document = made("paper-a")
-    path = tmp_path / "design.html"
-    path.write_text(render_design(document), encoding="utf-8")
-    problems, figures, wide = drawn(browser, path)
-    assert problems == []
-    assert wide <= 1200
-    for want, figure in enumerate(figures):
+    for want, figure in enumerate(figures_of(browser, tmp_path, render_design(document))):
         assert (figure["x"], figure["y"]) == ("log", "log")
         found = {one["name"]: [one["x"], one["y"]] for one in figure["traces"]}
         for name, points in expected(document, want).items():
@@ -137,10 +122,6 @@ def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(browser: 
     document = made("paper-a")
     wrong = deepcopy(document)
     wrong["protocols"][0]["precision"][0]["assured"] *= 1.5
-    path = tmp_path / "design.html"
-    path.write_text(render_design(wrong), encoding="utf-8")
-    problems, figures, wide = drawn(browser, path, width=400)
-    assert problems == []
-    assert wide <= 400
-    found = {one["name"]: one["y"] for one in figures[0]["traces"]}
+    figure, _ = figures_of(browser, tmp_path, render_design(wrong), width=400)
+    found = {one["name"]: one["y"] for one in figure["traces"]}
     assert found["protocols"] != pytest.approx(expected(document, 0)["protocols"][1], rel=1e-12)

@@ -7,12 +7,14 @@ import json
 import re
 import tomllib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec import structs
+from report_pages import drawn, opened, self_contained, wide
 from typed_call import typed_call
 
 from tissueid.cli.main import main
@@ -21,7 +23,7 @@ from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
 from tissueid.report.inspect_decisions import UNIT_TO_WRITE, decisions, toml_string
-from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording, kept_samples
+from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording
 from tissueid.result import Refusal
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
@@ -69,8 +71,7 @@ def unpacked(text: str) -> np.ndarray:
 
 def payload(html: str) -> dict[str, Any]:
     (text,) = re.findall(r'<script type="application/json" id="recordings">(.*?)</script>', html, re.DOTALL)
-    found: dict[str, Any] = json.loads(text)
-    return found
+    return json.loads(text)
 
 
 def test_a_small_recording_is_carried_sample_by_sample() -> None:
@@ -82,7 +83,6 @@ def test_a_small_recording_is_carried_sample_by_sample() -> None:
     assert unpacked(packed["f"]) == pytest.approx(trial.force_N, rel=1e-7, abs=1e-6)
     divided = segment(trial)
     assert packed["phases"] == [[phase.kind, phase.start, phase.stop - 1] for phase in divided.phases]
-    assert divided.contact is not None
     assert packed["contact"]["x"] == divided.contact.displacement_mm
 
 
@@ -100,17 +100,6 @@ def test_a_large_recording_keeps_its_extremes_edges_and_corners() -> None:
         assert (phase.kind, phase.start_s, phase.end_s) == (kind, drawn.time_s[first], drawn.time_s[last])
     for corner in divided.corners:
         assert set(trial.time_s[corner.index - 6 : corner.index + 7].tolist()) <= kept
-
-
-def test_every_bucket_keeps_the_extremes_of_both_channels() -> None:
-    rng = np.random.default_rng(1)
-    x, force = rng.normal(size=10_000), rng.normal(size=10_000)
-    index = kept_samples(x, force, 400, fixed=np.array([4321]))
-    assert 4321 in index
-    assert (np.diff(index) > 0).all()
-    for values in (x, force):
-        assert {int(values.argmax()), int(values.argmin())} <= set(index.tolist())
-    assert index.size <= 400 + 3
 
 
 @pytest.mark.parametrize(("count", "samples"), [(1, 90_000), (40, 20_000), (300, 400)])
@@ -149,7 +138,6 @@ def test_the_entry_of_the_contact_point_gives_that_contact_point_back() -> None:
     document = recording(trial).document
     (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
     (table,) = tomllib.loads(entry.toml)["override"]
-    assert document.contact is not None
     assert table["contact_mm"] == pytest.approx(document.contact.displacement_mm, abs=5e-5)
     assert table["contact_sd_mm"] > 0.0
 
@@ -313,8 +301,7 @@ def test_flags_stand_with_their_numbers_and_the_picture_is_told_in_words() -> No
 
 
 def test_equal_input_gives_an_equal_page() -> None:
-    assert render_inspection(several()) == render_inspection(several())
-    assert "Written 2026-01-01." in render_inspection(several(), created="2026-01-01")
+    self_contained(partial(render_inspection, several()))
 
 
 def test_a_recording_without_any_contact_is_drawn() -> None:
@@ -331,26 +318,8 @@ def test_a_recording_without_any_contact_is_drawn() -> None:
 # --- in a browser -----------------------------------------------------------------------------------------
 
 
-def visit(browser: Any, path: Path, html: str, *, width: int = 1400, **context: Any) -> tuple[Any, list[str]]:
-    path.write_text(html, encoding="utf-8")
-    tab = browser.new_context(viewport={"width": width, "height": 900}, **context).new_page()
-    errors: list[str] = []
-    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.on("request", lambda request: errors.append(request.url) if "file:" not in request.url else None)
-    tab.goto(path.as_uri())
-    return tab, errors
-
-
 def traces(tab: Any, kind: str, of: str = "recording-1") -> list[dict[str, Any]]:
-    box = f'[data-figure="{kind}"][data-recording="{of}"]'
-    tab.locator(box).scroll_into_view_if_needed()
-    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
-    found: list[dict[str, Any]] = tab.evaluate(
-        "box => document.querySelector(box).data.map(t => ({name: t.name, x: t.x, y: t.y, axis: t.yaxis}))",
-        box,
-    )
-    return found
+    return drawn(tab, kind, recording=of)
 
 
 @pytest.mark.browser
@@ -359,7 +328,7 @@ def test_pictures_show_the_samples_phase_by_phase_and_the_page_is_silent(
 ) -> None:
     trial = ramp_hold(samples=600)
     divided = segment(trial)
-    tab, errors = visit(browser, tmp_path / "page.html", render_inspection([recording(trial)]))
+    tab, errors = opened(browser, tmp_path, render_inspection([recording(trial)]))
     shown = traces(tab, "time")
     assert [one["name"] for one in shown] == 2 * ["approach", "ramp", "hold"]
     ramp = divided.of_kind("ramp")[0]
@@ -368,7 +337,6 @@ def test_pictures_show_the_samples_phase_by_phase_and_the_page_is_silent(
         assert one["x"][:-1] == pytest.approx(trial.time_s[ramp.start : ramp.stop], rel=1e-6, abs=1e-6)
     traces(tab, "depth")
     shapes = tab.evaluate("document.querySelector('[data-figure=depth]').layout.shapes")
-    assert divided.contact is not None
     (band,) = [shape for shape in shapes if shape["type"] == "rect"]
     place, sd = divided.contact.displacement_mm, divided.contact.sd_mm
     assert (band["x0"], band["x1"]) == pytest.approx((place - sd, place + sd))
@@ -377,8 +345,7 @@ def test_pictures_show_the_samples_phase_by_phase_and_the_page_is_silent(
 
 @pytest.mark.browser
 def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(browser: Any, tmp_path: Path) -> None:
-    tab, errors = visit(
-        browser, tmp_path / "page.html", render_inspection([recording(ramp_hold(samples=600))]),
+    tab, errors = opened(browser, tmp_path, render_inspection([recording(ramp_hold(samples=600))]),
         permissions=["clipboard-read", "clipboard-write"],
     )  # fmt: skip
     traces(tab, "depth")
@@ -399,7 +366,7 @@ def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(browser: Any, t
 
 @pytest.mark.browser
 def test_the_index_filters_by_words_and_gravity(browser: Any, tmp_path: Path) -> None:
-    tab, errors = visit(browser, tmp_path / "page.html", render_inspection(several()))
+    tab, errors = opened(browser, tmp_path, render_inspection(several()))
     assert tab.locator("tr[data-row]:visible").count() == 3
     tab.fill("#filter-text", "GAP grave")
     assert tab.locator("tr[data-row]:visible").count() == 1
@@ -420,8 +387,8 @@ def test_page_fits_the_screen_in_both_colour_schemes(
     browser: Any, tmp_path: Path, width: int, scheme: str
 ) -> None:
     html = render_inspection([*several(), recording(ramp_hold("x" * 80 + ".csv"))])
-    tab, errors = visit(browser, tmp_path / "page.html", html, width=width, color_scheme=scheme)
+    tab, errors = opened(browser, tmp_path, html, width=width, color_scheme=scheme)
     tab.click("a[href='#recording-3']")
     traces(tab, "depth", "recording-3")
-    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    assert wide(tab) == width
     assert errors == []

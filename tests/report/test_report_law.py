@@ -11,20 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
+from fit_factory import STATIC, STIFFNESS, TAU_S, specimen_fit
 from posterior_factory import sampled
+from report_pages import document_of, drawn, open_all, opened, page, render_report
 from typed_call import typed_call
 
-from tissueid.report import render_report
-from tissueid.report.groups import loading_force
-from tissueid.report.law_payload import law_payload
-from tissueid.report.speeds import speed_groups
+from tissueid.report.law_payload import law_payload, loading_force, speed_groups
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
-render_report = typed_call(render_report)
 law_payload = typed_call(law_payload)
 speed_groups = typed_call(speed_groups)
 
@@ -33,14 +30,8 @@ DIGITS = 1e-4
 
 
 def law_of(fit: SpecimenFit) -> dict[str, Any]:
-    document = plain_json(identification([fit]).as_json())
-    (law,) = law_payload(document["specimens"], curves_of_fits([fit]), posteriors_of_fits([fit]))
+    (law,) = law_payload(document_of(fit)["specimens"], curves_of_fits([fit]), posteriors_of_fits([fit]))
     return law
-
-
-def page(fit: SpecimenFit) -> str:
-    document = plain_json(identification([fit]).as_json())
-    return render_report(document, curves_of_fits([fit]), posteriors_of_fits([fit]))
 
 
 def with_profile(fit: SpecimenFit) -> SpecimenFit:
@@ -108,7 +99,7 @@ def test_a_window_is_told_in_the_time_of_its_curve_and_left_out_without_a_clock(
     (hold,) = law_of(fit)["holds"]
     # the factory's clock is at 2.5 s where its curves begin; the window is 12 to 24 s of that clock
     assert (hold["trial"], hold["start"], hold["end"]) == (0, 9.5, 21.5)
-    document = plain_json(identification([fit]).as_json())
+    document = document_of(fit)
     old = [type(one)(one.specimen, one.path, one.sheet, one.curve) for one in curves_of_fits([fit])]
     (law,) = law_payload(document["specimens"], old)
     assert law["holds"] == []
@@ -133,40 +124,23 @@ def test_residuals_of_all_logs_are_summed_and_weighed_by_their_samples() -> None
     assert set(found["together"]["bound"]) == {float(f"{1.96 / size**0.5:.5g}") for size in sizes}
     same = law_of(specimen_fit(trials=4))["residuals"]["together"]
     (one, four) = [specimen_fit(trials=4).trials[i].residual for i in (0, 3)]
-    assert one is not None
-    assert four is not None
     # trials 0 and 3 are alike: their first lag weighs both
     weights = [one.counts.sum(), four.counts.sum()]
     expected = np.average([one.correlation[0], four.correlation[0]], weights=weights)
     assert same["value"][same["lag"].index(float(f"{one.step_s:.3g}"))] == pytest.approx(expected, rel=1e-4)
 
 
-def opened(browser: Any, path: Path, html: str) -> tuple[Any, list[str]]:
-    path.write_text(html, encoding="utf-8")
-    tab = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
-    errors: list[str] = []
-    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.on("request", lambda request: errors.append(request.url) if request.url != path.as_uri() else None)
-    tab.goto(path.as_uri())
-    return tab, errors
-
-
 def read_back(tab: Any, kind: str) -> dict[str, Any]:
     """Traces and titles of axes as plotly holds them."""
-    box = f'[data-figure="{kind}"]'
-    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-    tab.locator(box).scroll_into_view_if_needed()
-    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
-    found: dict[str, Any] = tab.evaluate(
-        """box => { const drawn = document.querySelector(box); return {
-            traces: drawn.data.map(t => (
-                {name: t.name, axis: t.xaxis || "x", x: Array.from(t.x), y: Array.from(t.y)})),
-            titles: Object.fromEntries(Object.entries(drawn.layout).filter(([key]) => /^[xy]axis/.test(key))
-                .map(([key, axis]) => [key, [axis.title.text, axis.type || "linear"]]))}; }""",
-        box,
+    open_all(tab)
+    traces = drawn(tab, kind)
+    titles = tab.evaluate(
+        """kind => { const { layout } = document.querySelector(`[data-figure=${kind}]`);
+            return Object.fromEntries(Object.entries(layout).filter(([key]) => /^[xy]axis/.test(key))
+                .map(([key, axis]) => [key, [axis.title.text, axis.type || "linear"]])); }""",
+        kind,
     )
-    return found
+    return {"traces": traces, "titles": titles}
 
 
 def differences(tab: Any, fit: SpecimenFit) -> list[str]:
@@ -194,20 +168,19 @@ def test_the_first_figure_shows_the_curves_and_a_corrupted_trace_is_seen(
 ) -> None:
     fit = sampled(specimen_fit(trials=3, samples=300))
     html = page(fit)
-    tab, errors = opened(browser, tmp_path / "whole.html", html)
+    tab, errors = opened(browser, tmp_path, html)
     assert differences(tab, fit) == []
     assert read_back(tab, "main")["titles"]["xaxis3"] == ["Depth [mm]", "linear"]
     assert errors == []
     text = re.search(r'id="curves">(.*?)</script>', html, re.DOTALL)
-    assert text is not None
     force = json.loads(text[1])["specimens"][0][1]["f"]
     values = np.frombuffer(base64.b64decode(force), "<f4").copy()
     values[150] += 1.0
     spoiled = html.replace(force, base64.b64encode(values.tobytes()).decode())
-    tab, _ = opened(browser, tmp_path / "spoiled.html", spoiled)
+    tab, _ = opened(browser, tmp_path, spoiled)
     assert differences(tab, fit) == [f"{fit.trials[1].path}: recorded differs"]
     # and in the figure itself
-    tab, _ = opened(browser, tmp_path / "whole.html", html)
+    tab, _ = opened(browser, tmp_path, html)
     read_back(tab, "main")
     tab.evaluate("document.querySelector('[data-figure=main]').data.pop()")
     assert differences(tab, fit) == [f"{fit.trials[2].path}: model has another number of samples"]
@@ -218,7 +191,7 @@ def test_holds_are_drawn_in_linear_and_logarithmic_time_from_their_window(
     browser: Any, tmp_path: Path
 ) -> None:
     fit = specimen_fit(samples=800)
-    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    tab, errors = opened(browser, tmp_path, page(fit))
     found = read_back(tab, "holds")
     recorded, model, log_recorded, log_model = found["traces"]
     assert found["titles"]["xaxis"][1] == "linear"
@@ -242,7 +215,7 @@ def test_holds_are_drawn_in_linear_and_logarithmic_time_from_their_window(
 def test_residuals_profile_peaks_and_parts_show_their_numbers(browser: Any, tmp_path: Path) -> None:
     fit = with_profile(sampled(specimen_fit(samples=400)))
     law = law_of(fit)
-    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    tab, errors = opened(browser, tmp_path, page(fit))
     residuals = read_back(tab, "residuals")
     by_name = {one["name"]: one for one in residuals["traces"]}
     assert by_name["residual"]["y"] == law["residuals"]["counts"][1:-1]
@@ -265,7 +238,7 @@ def test_of_many_trials_the_picture_of_the_result_shows_one_a_speed(browser: Any
     fit = specimen_fit(trials=9, samples=60)
     html = page(fit)
     assert "the deepest of each speed" in html
-    tab, errors = opened(browser, tmp_path / "report.html", html)
+    tab, errors = opened(browser, tmp_path, html)
     recorded = shown_by_depth(tab)
     # all nine are equally deep: the first of each speed
     expected = [trial.curve.force_N for trial in fit.trials[:3]]
@@ -331,7 +304,7 @@ def test_a_spread_between_curves_is_their_standard_deviation() -> None:
 @pytest.mark.browser
 def test_all_curves_of_a_programme_share_a_figure_with_their_mean(browser: Any, tmp_path: Path) -> None:
     fit = specimen_fit(trials=6, samples=200)
-    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    tab, errors = opened(browser, tmp_path, page(fit))
     found = read_back(tab, "group")
     names = [one["name"] for one in found["traces"]]
     assert names.count("recorded") == 12

@@ -10,7 +10,8 @@ from typing import Any
 
 import openpyxl
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import specimen_fit
+from report_pages import document_of, render_report
 from typed_call import typed_call
 
 from tissueid.documents.measured import (
@@ -23,14 +24,12 @@ from tissueid.documents.measured import (
     MeasuredTau,
 )
 from tissueid.measured import spread
-from tissueid.report import render_report
 from tissueid.report.measured_words import MOST_COLUMNS, measured_view
 from tissueid.report.workbook import report_workbook
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 
-render_report = typed_call(render_report)
 measured_view = typed_call(measured_view)
 report_workbook = typed_call(report_workbook)
 
@@ -61,15 +60,12 @@ def measured_fit(*logs: Measured, speeds: tuple[float, ...] = ()) -> SpecimenFit
     return replace(fit, trials=trials, measured=spread(logs))
 
 
-def document_of(fit: SpecimenFit) -> dict[str, Any]:
-    found: dict[str, Any] = plain_json(fit.as_json())
-    return found
+def view_of(fit: SpecimenFit) -> Any:
+    return measured_view(plain_json(fit.as_json()))
 
 
 def cells(fit: SpecimenFit) -> dict[str, list[str]]:
-    view = measured_view(document_of(fit))
-    assert view is not None
-    return {row["name"]: [text for text, _ in row["cells"]] for row in view["rows"]}
+    return {row["name"]: [text for text, _ in row["cells"]] for row in view_of(fit)["rows"]}
 
 
 def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation() -> None:
@@ -82,8 +78,7 @@ def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation() -> Non
     assert found["One τ of the hold"] == ["2.000"]
     # a share of the peak is the ramp's as much as the tissue's
     assert not [name for name in found if "F_peak" in name]
-    view = measured_view(document_of(fit))
-    assert view is not None
+    view = view_of(fit)
     assert view["head"] == ["Value, ramp 1.50 s"]
     assert view["said"].startswith("F(t): t after the stop. Mean ± SD between logs.")
 
@@ -91,16 +86,14 @@ def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation() -> Non
 def test_one_log_says_that_its_spread_is_unknown() -> None:
     fit = measured_fit(log(9.0))
     assert cells(fit)["F(1 s)"] == ["7.200"]
-    view = measured_view(document_of(fit))
-    assert view is not None
+    view = view_of(fit)
     assert "the spread between sites is unknown" in view["said"]
 
 
 def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted() -> None:
     logs = (log(9.0), log(11.0), log(30.0, speed_mm_s=20.0), log(2.0, speed_mm_s=0.1))
     fit = measured_fit(*logs, speeds=(4.0, 4.0, 20.0, 0.1))
-    view = measured_view(document_of(fit))
-    assert view is not None
+    view = view_of(fit)
     assert len(view["head"]) == MOST_COLUMNS
     assert "1 more stand in the workbook" in view["said"]
     pooled = [cell for name, row in cells(fit).items() if name == "Peak force" for cell in row]
@@ -109,13 +102,12 @@ def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted() -> N
 
 
 def test_several_holds_have_a_column_each() -> None:
-    view = measured_view(document_of(measured_fit(log(9.0, holds=2))))
-    assert view is not None
+    view = view_of(measured_fit(log(9.0, holds=2)))
     assert view["head"] == ["Hold 1, ramp 1.50 s", "Hold 2, ramp 1.50 s"]
 
 
 def test_a_folder_of_an_older_version_has_no_such_block() -> None:
-    document = plain_json(identification([specimen_fit(samples=60)]).as_json())
+    document = document_of(specimen_fit(samples=60))
     for specimen in document["specimens"]:
         del specimen["measured"]
         for trial in specimen["trials"]:
@@ -127,12 +119,11 @@ def test_a_folder_of_an_older_version_has_no_such_block() -> None:
 
 def test_the_block_and_the_workbook_have_the_same_numbers() -> None:
     fit = measured_fit(log(9.0), log(11.0))
-    document = plain_json(identification([fit]).as_json())
+    document = document_of(fit)
     html = render_report(document, curves_of_fits([fit]))
     block = html.split('<div class="measured">')[1].split("</div>")[0]
     assert "8.0 ± 1.1" in block
     raw = re.search(r'spreadsheetml\.sheet;base64,([^"]+)"', html)
-    assert raw is not None
     assert base64.b64decode(raw[1]) == report_workbook(document)
     book = openpyxl.load_workbook(io.BytesIO(report_workbook(document)))
     assert book.sheetnames == ["Parameters", "Measured", "Measured logs", "Logs", "Quoted"]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from report_pages import opened
 
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
-CHROMIUM = Path("/usr/bin/chromium")
 LINE = {"x": [0, 1], "y": [1, 2], "mode": "lines", "line": {"ink": "data", "width": 3}}
 DOTS = {"x": [0, 1], "y": [2, 1], "mode": "markers", "marker": {"ink": "model"}}
 PLAIN = {"x": [0, 1], "y": [3, 3]}
@@ -37,21 +37,10 @@ def test_a_page_without_figures_carries_no_script() -> None:
 
 @pytest.mark.browser
 @pytest.mark.slow
-def test_a_browser_draws_every_trace_in_the_pages_colours(tmp_path: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM.exists():
-        pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
-    (tmp_path / "page.html").write_text(page(), encoding="utf-8")
-    said: list[Any] = []
-    with playwright.sync_playwright() as engine:
-        browser = engine.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
-        opened = browser.new_page()
-        opened.on("pageerror", lambda error: said.append(str(error)))
-        opened.on("console", lambda one: said.append(one.text) if one.type == "error" else None)
-        opened.goto(f"file://{tmp_path / 'page.html'}")
-        opened.locator("[data-drawn=yes] .scatterlayer .trace").nth(2).wait_for(state="attached")
-        drawn = opened.evaluate("document.querySelector('[data-figure]').data.map((one) => one.line?.color)")
-        ink = opened.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--data').trim()")
-        browser.close()
+def test_a_browser_draws_every_trace_in_the_pages_colours(browser: Any, tmp_path: Path) -> None:
+    tab, said = opened(browser, tmp_path, page())
+    tab.locator("[data-drawn=yes] .scatterlayer .trace").nth(2).wait_for(state="attached")
+    colours = tab.evaluate("document.querySelector('[data-figure]').data.map((one) => one.line?.color)")
+    ink = tab.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--data').trim()")
     assert said == []
-    assert drawn[0] == ink
+    assert colours[0] == ink

@@ -119,7 +119,6 @@ def test_spectrum_is_told_by_decades() -> None:
 
 def test_many_loops_are_cut_to_the_first_and_last() -> None:
     table = cycle_table([loop(k) for k in range(1, 31)])
-    assert table is not None
     assert len(table.rows) == MOST_ROWS
     assert table.left_out == 30 - MOST_ROWS
     assert table.rows[0][0].endswith("cycle 1")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from report_pages import drawn, opened, self_contained, wait_for_figures
 from typed_call import typed_call
 
 from tissueid.report.reproduction_page import KINDS, render_reproduction
@@ -19,12 +20,6 @@ from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 
 render_reproduction = typed_call(render_reproduction)
-
-#: What plotly drew, line by line.
-DRAWN = (
-    "key => document.querySelector(`[data-figure='${key}']`).data"
-    ".map(one => ({name: one.name, x: Array.from(one.x), y: Array.from(one.y)}))"
-)
 
 
 @pytest.fixture(scope="module")
@@ -61,13 +56,11 @@ def document() -> dict[str, Any]:
 
 
 def test_every_row_says_its_kind_in_words_and_asks_the_network_for_nothing(document: dict[str, Any]) -> None:
-    page = render_reproduction(document)
-    assert re.findall(r'(?:src|href)="(?!data:|#)', page.partition("<script>")[0]) == []
+    page = self_contained(partial(render_reproduction, document))
     for item in document["items"]:
         row = page.partition(f'data-item="{item["item"]}"')[2].partition("</tr>")[0]
         assert f"{KINDS[item['kind']][1]}</i>{item['kind']}</span>" in row
         assert ("not printed" in row) is (item["published"] is None)
-    assert render_reproduction(document) == page
 
 
 def test_a_number_that_differs_comes_first(document: dict[str, Any]) -> None:
@@ -80,19 +73,9 @@ def test_a_number_that_differs_comes_first(document: dict[str, Any]) -> None:
 
 @pytest.mark.browser
 def test_figures_are_drawn_from_the_document(browser: Any, document: dict[str, Any], tmp_path: Path) -> None:
-    path = tmp_path / "reproduction.html"
-    path.write_text(render_reproduction(document), encoding="utf-8")
-    page = browser.new_page(viewport={"width": 1200, "height": 6000})
-    problems: list[str] = []
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-    page.on(
-        "request",
-        lambda one: problems.append(one.url) if not one.url.startswith(("file:", "data:", "blob:")) else None,
-    )
-    page.goto(path.as_uri())
-    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 3", timeout=60_000)
-    drawn = {figure["key"]: page.evaluate(DRAWN, figure["key"]) for figure in document["figures"]}
+    page, said = opened(browser, tmp_path, render_reproduction(document), width=1200, height=6000)
+    wait_for_figures(page, 3)
+    traces = {figure["key"]: drawn(page, figure["key"]) for figure in document["figures"]}
     titles = page.evaluate("[...document.querySelectorAll('.xtitle')].map(one => one.textContent)")
     overflow = {}
     for width in (1400, 800, 400):
@@ -100,10 +83,9 @@ def test_figures_are_drawn_from_the_document(browser: Any, document: dict[str, A
         # figures follow a moment later
         page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=30_000)
         overflow[width] = page.evaluate("document.documentElement.scrollWidth - innerWidth")
-    page.close()
-    assert problems == []
+    assert said == []
     for figure in document["figures"]:
         wanted = [{key: trace[key] for key in ("name", "x", "y")} for trace in figure["traces"]]
-        assert drawn[figure["key"]] == wanted
+        assert [{key: one[key] for key in ("name", "x", "y")} for one in traces[figure["key"]]] == wanted
     assert titles == [figure["x_title"] for figure in document["figures"]]
     assert overflow == dict.fromkeys((1400, 800, 400), 0)

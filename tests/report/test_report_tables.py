@@ -8,31 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import sampled
+from report_pages import document_of, opened, page
 from typed_call import typed_call
 
 from tissueid.documents import typed
 from tissueid.documents.session import Scale
 from tissueid.documents.study import StudyCheck
-from tissueid.report import render_report
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
 from tissueid.report.page import Beside
 from tissueid.report.rendering_words import RefusedDevice, RenderedDevice, Rendering
-from tissueid.result import SpecimenFit
-from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 
-render_report = typed_call(render_report)
 methods_view = typed_call(methods_view)
 
 TABLE = "#specimen-1-trial-table"
-
-
-def page(fit: SpecimenFit, **more: Any) -> str:
-    document = plain_json(identification([fit]).as_json())
-    return render_report(document, curves_of_fits([fit]), **more)
 
 
 def names(tab: Any) -> list[str]:
@@ -47,10 +38,7 @@ def names(tab: Any) -> list[str]:
 
 @pytest.fixture
 def tab(browser: Any, tmp_path: Path) -> Any:
-    path = tmp_path / "report.html"
-    path.write_text(page(specimen_fit(trials=12, samples=60)), encoding="utf-8")
-    found = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
-    found.goto(path.as_uri())
+    found, _ = opened(browser, tmp_path, page(specimen_fit(trials=12, samples=60)), width=1200)
     # what is folded is opened as a reader would
     for part in ("specimen-1-trials", "cite"):
         found.click(f"#{part} > summary")
@@ -96,7 +84,7 @@ def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
 
 def test_methods_say_what_this_run_did_with_equations() -> None:
     fit = specimen_fit()
-    document = plain_json(identification([fit]).as_json())
+    document = document_of(fit)
     told = methods_view(document["specimens"][0], document)
     assert "3 indentation trials of specimen kidney 3, 1 of them with a hold," in told["before"]
     assert "0.500 to 4.00 mm/s to 6.00 mm (2,400 samples)" in told["before"]
@@ -188,7 +176,7 @@ def test_methods_are_read_back_as_the_options_of_the_run(
         made = replace(made, posterior=replace(made.posterior, sampler=report, noise=found))
     if given == (2, 2):
         made = replace(made, selection=())
-    document = plain_json(identification([made]).as_json())
+    document = document_of(made)
     set_by_hand = seed == 7
     document["provenance"] |= {"versions": VERSIONS}
     document["provenance"]["options"] |= {

@@ -2,81 +2,63 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import SHARES, SOURCES, posterior, sampled
+from report_pages import drawn, open_all, opened, page
 from typed_call import typed_call
 
 from tissueid.digits import together
 from tissueid.flags import Flag
-from tissueid.report import render_report
-from tissueid.report.posterior_payload import MOST_NUMBERS, posterior_payload
+from tissueid.report.figures import MOST_NUMBERS, posterior_payload
 from tissueid.report.uncertainty_words import paper_view, reported_order, uncertainty_view
 from tissueid.result import SpecimenFit
-from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
-render_report = typed_call(render_report)
 posterior_payload = typed_call(posterior_payload)
 paper_view = typed_call(paper_view)
 reported_order = typed_call(reported_order)
 uncertainty_view = typed_call(uncertainty_view)
 
 
-def document_of(fit: SpecimenFit) -> dict[str, Any]:
-    found: dict[str, Any] = plain_json(fit.as_json())
-    return found
+def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
+    return plain_json(fit.as_json())
 
 
-def page(*fits: SpecimenFit) -> str:
-    document = plain_json(identification(fits).as_json())
-    return render_report(document, curves_of_fits(fits), posteriors_of_fits(fits))
+def words_of(html: str, start: str, end: str) -> str:
+    section = html.split(start)[1].split(end)[0]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
 
 
 def first_screen(html: str) -> str:
-    section = html.split('<section class="first"')[1].split("</section>")[0]
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+    return words_of(html, '<section class="first"', "</section>")
 
 
 def sure_section(html: str) -> str:
-    section = html.split('-sure">')[1].split('<details class="part"')[0]
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+    return words_of(html, '-sure">', '<details class="part"')
 
 
 def residual_section(html: str) -> str:
-    section = html.split('-residuals">')[1].split('<details class="part"')[0]
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+    return words_of(html, '-residuals">', '<details class="part"')
 
 
-@pytest.mark.parametrize(
-    ("values", "sd", "expected"),
-    [
-        ([1.33612, 1.3101, 1.3622], 0.0133, ["1.336", "1.310", "1.362"]),
-        ([-0.5, 0.25], 0.1, ["−0.50", "0.25"]),
-        ([1234.4, 1200.0], 30.0, ["1234", "1200"]),
-        ([2.5e-5, 2.4e-5], 5e-7, ["2.500×10⁻⁵", "2.400×10⁻⁵"]),
-        ([3.0, 2.0], 0.0, ["3.000", "2.000"]),
-        ([0.0, 0.0], 0.01, ["0.000", "0.000"]),
-    ],
-)
-def test_numbers_that_belong_together_end_at_one_place(
-    values: list[float], sd: float, expected: list[str]
-) -> None:
-    assert together(values, sd) == expected
+def test_numbers_without_an_error_have_the_digits_of_any_other() -> None:
+    assert together([3.0, 2.0], 0.0) == ["3.000", "2.000"]
+    assert together([0.0, 0.0], 0.01) == ["0.000", "0.000"]
 
 
 def test_parameters_come_in_the_order_of_the_publication() -> None:
-    names = [one.name for one in reported_order(document_of(specimen_fit())["parameters"])]
+    names = [one.name for one in reported_order(specimen_of(specimen_fit())["parameters"])]
     assert [name.split("_")[0] for name in names] == [
         "relaxation", "static", "static", "static", "stiffness", "viscosity",
     ]  # fmt: skip
@@ -87,9 +69,6 @@ def test_every_interval_on_the_first_screen_is_that_of_the_result() -> None:
     text = first_screen(page(fit))
     for one in fit.parameters:
         known = one.uncertainty
-        assert known is not None
-        assert known.ci95_total is not None
-        assert one.value is not None
         low, high, wide_low, wide_high = together([one.value, *known.ci95, *known.ci95_total], known.sd)[1:]
         assert f"{low} to {high} {wide_low} to {wide_high}" in text
     assert "95 % statistical" in text
@@ -126,12 +105,11 @@ def test_an_alarm_is_not_said_again_among_the_remarks() -> None:
 
 def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind() -> None:
     fit = sampled(specimen_fit(samples=60, identified=False))
-    view = uncertainty_view(document_of(fit))
-    assert view is not None
+    view = uncertainty_view(specimen_of(fit))
     (tau,) = [row for row in view["rows"] if "tau" in row.symbols]
     assert (tau.value, tau.intervals) == ("not identified", ())
     assert "Relaxation time τ not identified" in first_screen(page(fit))
-    document = document_of(fit)
+    document = specimen_of(fit)
     for entry in document["parameters"]:
         if entry["name"].startswith("static"):
             entry |= {"identified": False, "value": None, "ci95": None, "ci95_total": None}
@@ -147,13 +125,13 @@ def test_a_sampler_that_did_not_converge_is_told_with_its_reason() -> None:
 
 
 def test_sampler_noise_priors_models_and_checks_are_told() -> None:
-    text = sure_section(page(sampled(specimen_fit(samples=60))))
+    html = page(sampled(specimen_fit(samples=60)))
+    text, checked = sure_section(html), residual_section(html)
     assert "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept" in text
     assert "at least 8,700 effective draws" in text
     assert "34 % of the proposals accepted; converged" in text
     told = "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s"
-    assert told in residual_section(page(sampled(specimen_fit(samples=60))))
-    checked = residual_section(page(sampled(specimen_fit(samples=60))))
+    assert told in checked
     assert "Early hold: no more than the noise makes (p = 0.60)." in checked
     assert "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050" in text
     assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
@@ -172,8 +150,7 @@ def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated() -> 
     stack = html.split('class="stack"')[1].split("</span>")[0]
     widths = [float(width) for width in re.findall(r"width:([\d.]+)%", stack)]
     assert widths == [100 * share for share in SHARES]
-    view = uncertainty_view(document_of(fit))
-    assert view is not None
+    view = uncertainty_view(specimen_of(fit))
     assert [source for source, _ in view["budget"]["sources"]] == list(SOURCES)
     assert view["budget"]["beside"] == ["total", "cluster bootstrap"]
     (eta,) = [row for row in view["budget"]["rows"] if row["symbol"] == "eta"]
@@ -189,7 +166,6 @@ def test_without_a_total_interval_nothing_speaks_of_one() -> None:
 
 def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() -> None:
     fit = sampled(specimen_fit(samples=60), total=False)
-    assert fit.posterior is not None
     sampler = fit.posterior.sampler
     total = {"converged": False, "worth": 2.2, "tail_shape": 15.9}
     told = structs.replace(sampler, detail={**sampler.detail, "total": total})
@@ -207,14 +183,14 @@ def test_a_page_without_a_posterior_has_standard_errors() -> None:
 
 def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences() -> None:
     fit = sampled(specimen_fit(samples=60))
-    assert fit.posterior is not None
     own = replace(
         fit.posterior,
         sampler=structs.replace(fit.posterior.sampler, name="exact", acceptance=0.97),
         noise=structs.replace(fit.posterior.noise, model="white", phi=0.0),
     )
-    text = sure_section(page(replace(fit, posterior=own)))
-    assert "Noise of the force: white, 0.300 N" in residual_section(page(replace(fit, posterior=own)))
+    html = page(replace(fit, posterior=own))
+    text = sure_section(html)
+    assert "Noise of the force: white, 0.300 N" in residual_section(html)
     assert "Sampled by exact: 4,000 draws kept" in text
     assert "97 % of the proposals accepted" in text
     assert "walkers" not in text
@@ -222,7 +198,6 @@ def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences(
 
 def test_null_diagnostics_and_rows_are_dashes() -> None:
     fit = sampled(specimen_fit(samples=60))
-    assert fit.posterior is not None
     rows = tuple(
         structs.replace(row, shrinkage=float("nan"), posterior_sd=float("nan"))
         for row in fit.posterior.priors
@@ -234,38 +209,19 @@ def test_null_diagnostics_and_rows_are_dashes() -> None:
 def test_a_page_carries_a_bounded_number_of_draws() -> None:
     def payload(count: int) -> list[dict[str, Any] | None]:
         fits = [sampled(specimen_fit(f"s{i}", trials=1, samples=40), seed=i) for i in range(count)]
-        return posterior_payload([document_of(fit) for fit in fits], posteriors_of_fits(fits))
+        return posterior_payload([specimen_of(fit) for fit in fits], posteriors_of_fits(fits))
 
     (one,) = payload(1)
-    assert one is not None
     assert one["draws"]["count"] == one["total"]["count"] == 1_000
     many = payload(40)
     assert all(part is not None for part in many)
     numbers = [part["draws"]["count"] * 2 * len(part["names"]) for part in many if part is not None]
     assert sum(numbers) <= MOST_NUMBERS
     assert one["chain"]["shape"] == [4, 250, 3]
-
-
-def numbers_of(tab: Any, kind: str) -> list[dict[str, Any]]:
-    box = f'[data-figure="{kind}"][data-specimen="0"]'
-    tab.locator(box).scroll_into_view_if_needed()
-    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
-    found: list[dict[str, Any]] = tab.evaluate(
-        """box => document.querySelector(box).data.map(trace => (
-            {name: trace.name, fill: trace.fill, x: Array.from(trace.x || []), y: Array.from(trace.y)}))""",
-        box,
-    )
-    return found
-
-
-def opened(browser: Any, path: Path, html: str, width: int) -> tuple[Any, list[str]]:
-    path.write_text(html, encoding="utf-8")
-    tab = browser.new_context(viewport={"width": width, "height": 900}).new_page()
-    errors: list[str] = []
-    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.goto(path.as_uri())
-    return tab, errors
+    # 16-bit steps between the least and the largest draw of each column
+    steps = np.frombuffer(base64.b64decode(one["draws"]["steps"]), "<u2").reshape(len(one["names"]), -1)
+    assert steps.min(axis=1).tolist() == [0] * len(steps)
+    assert steps.max(axis=1).tolist() == [65_535] * len(steps)
 
 
 def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit() -> None:
@@ -273,7 +229,6 @@ def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit(
     html = page(sampled(plain), sampled(odd, misfit=True), bare)
     points = json.loads(html.split('id="curves">')[1].split("</script>")[0])["overview"]
     known = sampled(plain).parameter("viscosity_N_s_per_mm").uncertainty
-    assert known is not None
     assert points[0]["up"] == pytest.approx(known.ci95[1] - 9.0, rel=1e-12)
     assert points[0]["down"] == pytest.approx(9.0 - known.ci95[0], rel=1e-12)
     assert (points[1]["up"], points[1]["down"]) == (0.0, 0.0)
@@ -286,24 +241,23 @@ def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit(
 @pytest.mark.browser
 def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) -> None:
     fit = sampled(specimen_fit(trials=2, samples=200))
-    tab, errors = opened(browser, tmp_path / "report.html", page(fit), 1400)
+    tab, errors = opened(browser, tmp_path, page(fit))
     # a band about each of two logs would hide the other
-    assert not [trace for trace in numbers_of(tab, "main") if trace["name"] == "predicted"]
+    assert not [trace for trace in drawn(tab, "main") if trace["name"] == "predicted"]
     tab.select_option("select[data-choice]", "1")
-    (band,) = [trace for trace in numbers_of(tab, "main") if trace["name"] == "predicted"]
+    (band,) = [trace for trace in drawn(tab, "main") if trace["name"] == "predicted"]
     x = fit.trials[1].curve.time_s
     # the page carries 32-bit floats of numbers near 100: 24 bits of mantissa, and a difference of two
     assert band["x"] == pytest.approx([*x, *x[::-1]], rel=1e-7, abs=1e-5)
     assert band["y"] == pytest.approx([0.6] * x.size + [-0.6] * x.size, abs=3e-5)
     assert band["fill"] == "toself"
-    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-    corner = numbers_of(tab, "corner")
+    open_all(tab)
+    corner = drawn(tab, "corner")
     # two densities or two clouds a cell of the lower triangle, diagonal included
     assert len(corner) == 2 * (len(fit.parameters) * (len(fit.parameters) + 1) // 2)
     # row 1, column 0: a1 over the relaxation time, total draws below
     total, statistical = corner[2:4]
     assert (total["name"], statistical["name"]) == ("total", "statistical")
-    assert fit.posterior is not None
     kept = fit.posterior.draws[np.linspace(0, len(fit.posterior.draws) - 1, 1_000).astype(int)][::4]
     # 16-bit steps of some 10 sd's range
     assert statistical["x"] == pytest.approx(kept[:, 4], abs=10 * kept[:, 4].std() / 65_535)
@@ -315,26 +269,5 @@ def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) ->
         width = density["x"][1] - density["x"][0]
         # a density: its sum times the width of a bin is one
         assert sum(density["y"]) * width == pytest.approx(1.0, rel=1e-3)
-    assert len(numbers_of(tab, "trace")) == 4 * len(posterior().chain_names)
-    assert errors == []
-
-
-@pytest.mark.browser
-@pytest.mark.parametrize("width", [1400, 400])
-@pytest.mark.parametrize("case", ["plain", "misfit"])
-def test_the_page_fits_the_screen_and_shows_its_picture_first(
-    browser: Any, tmp_path: Path, width: int, case: str
-) -> None:
-    fits: Sequence[SpecimenFit] = [
-        sampled(specimen_fit(samples=80, identified=False), misfit=case == "misfit")
-    ]
-    tab, errors = opened(browser, tmp_path / "report.html", page(*fits), width)
-    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-    for kind in ("corner", "trace", "parts", "peaks"):
-        assert numbers_of(tab, kind)
-    assert tab.evaluate("document.documentElement.scrollWidth") == width
-    if width == 1400:
-        assert (
-            tab.evaluate("document.querySelector('.first .plot').getBoundingClientRect().top + scrollY") < 900
-        )
+    assert len(drawn(tab, "trace")) == 4 * len(posterior().chain_names)
     assert errors == []

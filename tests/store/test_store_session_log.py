@@ -65,7 +65,6 @@ def test_records_outlive_a_kill_in_the_middle_of_writing(tmp_path: Path) -> None
     with subprocess.Popen(
         [sys.executable, "-c", script, str(path), *folders], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         said = [int(process.stdout.readline()) for _ in range(3)][-1]
         os.kill(process.pid, signal.SIGKILL)
     log = read_session_log(path.with_name("killed.h5.part"))

@@ -18,8 +18,8 @@ from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions
 from tissueid.store.bundle import load_bundle
 from tissueid.store.files import plain_json
+from tissueid.store.index import read_status
 from tissueid.store.results import each_result, read_results
-from tissueid.store.status import read_status
 from tissueid.study import batch, pages
 
 

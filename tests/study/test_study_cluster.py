@@ -19,7 +19,7 @@ from study_folder import QUICK, REPOSITORY, SAMPLED
 
 from tissueid.cli.main import main
 from tissueid.errors import BundleError, UsageError
-from tissueid.store.status import read_status
+from tissueid.store.index import read_status
 from tissueid.study import cluster
 from tissueid.study.cluster import DaskWorkers
 from tissueid.study.tasks import Task, versions

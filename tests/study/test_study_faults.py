@@ -18,7 +18,7 @@ from study_folder import QUICK, REPOSITORY, SAMPLED
 
 from tissueid.cli.main import main
 from tissueid.errors import BundleError
-from tissueid.store.status import read_status
+from tissueid.store.index import read_status
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by SIGKILL")
 

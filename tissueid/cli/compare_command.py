@@ -31,7 +31,7 @@ from tissueid.errors import UsageError
 if TYPE_CHECKING:
     from tissueid.contrast.decision import Compared
     from tissueid.documents.measured import Spread
-    from tissueid.store.bundle_content import Bundle
+    from tissueid.store.bundle import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
 EXAMPLES = """

@@ -14,7 +14,7 @@ from tissueid.cli.output import echo_bytes, echo_json, refuse, write_output
 from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
-    from tissueid.store.bundle_content import Bundle
+    from tissueid.store.bundle import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
 EXAMPLES = """

@@ -26,8 +26,7 @@ from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
-from tissueid.report.specimen_lines import specimen_lines
-from tissueid.report.warning_lines import shared_codes, shared_lines
+from tissueid.report.specimen_lines import shared_codes, shared_lines, specimen_lines
 from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:

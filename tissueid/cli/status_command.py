@@ -38,7 +38,7 @@ def command(flags: _StatusFlags) -> int:
     Reads the index of the folder, at any time and without disturbing a run that writes it.  Exit code 7
     where a specimen failed or an input was refused.
     """
-    from tissueid.store.status import read_status
+    from tissueid.store.index import read_status
 
     while True:
         read = read_status(Path(flags.out))

@@ -9,7 +9,7 @@ from tissueid.cli.output import echo, echo_json, made_folder, note, progress_bar
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
     from tissueid.documents.twin import Row, Twin
-    from tissueid.store.bundle_content import Bundle
+    from tissueid.store.bundle import Bundle
     from tissueid.twin.program import Program
 
 #: Options that a twin has no use for.

@@ -64,15 +64,12 @@ class Curve(Document, frozen=True):
     hold: Hold  # After the fastest common ramp to the common depth
 
 
-Share = Fraction
-
-
 class Difference(Document, frozen=True):
     """Distance of two tissues in force space, and how sure its direction is."""
 
     distance: NonNegative
     directions: PositiveCount
-    probability: Share
+    probability: Fraction
     different: bool
 
 
@@ -87,7 +84,7 @@ class Number(Document, frozen=True):
     one: Quantiles
     other: Quantiles
     ratio: Quantiles | None  # other over one
-    larger: Share  # Probability that the other one's is larger
+    larger: Fraction  # Probability that the other one's is larger
 
 
 class Limit(Document, frozen=True):
@@ -106,7 +103,7 @@ class Noticed(Document, frozen=True):
     name: str
     limit: Limit
     times: NonNegative
-    probability: Share
+    probability: Fraction
 
 
 class Pair(Document, frozen=True):

@@ -96,6 +96,3 @@ class Damping(Document, frozen=True):
     friction_N: float  # Coulomb friction [N]
     damping_stderr: NonNegative  # Standard error [N s/m]
     safe_damping_N_s_per_m: NonNegative  # Damping kept and relied on [N s/m]
-
-
-Devices = List | Info | Home | Test | Force | Damping

@@ -180,11 +180,6 @@ class Trial(Document, frozen=True):
     units: Units
 
 
-#: One object a trial, in the order of the command line; a file or sheet that was refused stands among them
-#: with its error.
-Inspect = tuple[Trial | Refusal, ...]
-
-
 class Judged(Document, frozen=True):
     """As `inspect` says it; refused where the file can't be used."""
 

@@ -28,8 +28,6 @@ Value = float | tuple[float, float] | None
 
 Kind = Literal["reproduced", "recomputed", "given", "round trip", "assumed", "not reproducible"]
 
-Words = str | None
-
 
 class Item(Document, frozen=True):
     """Printed number and the recomputed one."""
@@ -55,12 +53,12 @@ class Item(Document, frozen=True):
     interval: tuple[float, float] | None  # 99 %
     agrees: bool | None
     kind: Kind
-    rule: Words  # Rule of agreement
-    reading: Words
+    rule: str | None  # Rule of agreement
+    reading: str | None
     inputs: tuple[str, ...]  # Published numbers it was computed from
     assumed: tuple[str, ...]
-    instrument: Words  # Could an instrument alone give this?
-    note: Words
+    instrument: str | None  # Could an instrument alone give this?
+    note: str | None
 
 
 class Band(Document, frozen=True):

@@ -8,8 +8,6 @@ from msgspec import Meta
 
 from tissueid.documents.base import Document, JsonSchema, NonNegative, Positive, Text
 
-PositiveNumber = Positive
-
 
 class Tissue(Document, frozen=True):
     """Tissue that is felt."""
@@ -20,9 +18,9 @@ class Tissue(Document, frozen=True):
     bundle: Text | None = None  # Path, from the scene's own folder
     preset: Text | None = None
     surface: str | None = None  # As --surface
-    force_scale: PositiveNumber | None = None
-    motion_scale: PositiveNumber | None = None
-    tip_radius_mm: PositiveNumber | None = None
+    force_scale: Positive | None = None
+    motion_scale: Positive | None = None
+    tip_radius_mm: Positive | None = None
 
 
 Vector = tuple[float, float, float]
@@ -33,9 +31,6 @@ class Plan(Document, frozen=True):
 
     entry_mm: Vector
     axis: Vector  # Out of the bone; its length does not matter
-
-
-Length = NonNegative
 
 
 class Funnel(Document, frozen=True):
@@ -55,14 +50,14 @@ class Funnel(Document, frozen=True):
     }
 
     kind: Literal["hyperboloid", "cone"] | None = None
-    radius_mm: PositiveNumber | None = None
-    offset_mm: Length | None = None
-    slope: PositiveNumber | None = None
-    stiffness_N_per_m_n: PositiveNumber | None = None
+    radius_mm: Positive | None = None
+    offset_mm: NonNegative | None = None
+    slope: Positive | None = None
+    stiffness_N_per_m_n: Positive | None = None
     exponent: Annotated[float, Meta(ge=0.5, le=4)] | None = None
     restitution: Annotated[float, Meta(ge=0.05, le=1)] | None = None
     law: Literal["flores", "exact"] | None = None
-    slowest_mm_per_s: PositiveNumber | None = None
+    slowest_mm_per_s: Positive | None = None
     #: Bundle of a power * impact fit whose k, n and e are felt; path from the scene's own folder
     contact_law: Text | None = None
 
@@ -70,22 +65,22 @@ class Funnel(Document, frozen=True):
 class Pull(Document, frozen=True):
     """Pull toward a planned path."""
 
-    far_N_per_m: Length | None = None
-    near_N_per_m: Length | None = None
-    reach_mm: PositiveNumber | None = None
-    tau_s: Length | None = None
-    filter_s: Length | None = None
+    far_N_per_m: NonNegative | None = None
+    near_N_per_m: NonNegative | None = None
+    reach_mm: Positive | None = None
+    tau_s: NonNegative | None = None
+    filter_s: NonNegative | None = None
     conservative: bool | None = None  # False for the printed variant, without the axial force
 
 
 class Bone(Document, frozen=True):
     """Bone around a planned path."""
 
-    radius_mm: Length | None = None  # 0 for none
-    stiffness_N_per_m: PositiveNumber | None = None
-    hole_radius_mm: Length | None = None
-    resistance_N_s_per_m: PositiveNumber | None = None
-    drill_depth_mm: Length | None = None
+    radius_mm: NonNegative | None = None  # 0 for none
+    stiffness_N_per_m: Positive | None = None
+    hole_radius_mm: NonNegative | None = None
+    resistance_N_s_per_m: Positive | None = None
+    drill_depth_mm: NonNegative | None = None
 
 
 class Weight(Document, frozen=True):

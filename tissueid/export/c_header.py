@@ -15,7 +15,7 @@ from tissueid.arrays import FloatArray
 from tissueid.export.prony import carried_law
 from tissueid.model.kernels import OWN_SIZE
 from tissueid.model.servo_law import OWN, STATIC, ServoLaw
-from tissueid.store.bundle_content import Bundle
+from tissueid.store.bundle import Bundle
 
 _HEAD = """\
 /* One identified soft tissue, for real-time use.  Not a medical device.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.store.bundle_content import Bundle
+from tissueid.store.bundle import Bundle
 
 
 def mat_bytes(bundles: Sequence[Bundle]) -> bytes:

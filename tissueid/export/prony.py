@@ -15,7 +15,7 @@ from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.model.kernels import MOST_BRANCHES
 from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
-from tissueid.store.bundle_content import Bundle
+from tissueid.store.bundle import Bundle
 
 #: Terms that FEBio's material holds.
 FEBIO_TERMS = 6

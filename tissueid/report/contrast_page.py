@@ -1,15 +1,14 @@
-"""The page of ``tissueid compare``: whether tissues differ, by how much, and whether a hand could tell.
-
-Self-contained like the report.
-"""
+"""The page of ``tissueid compare``: whether tissues differ, by how much, and whether a hand could tell."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from tissueid.digits import number
-from tissueid.documents.contrast import Contrast, Pair
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.documents.contrast import Contrast, Hold, Loading, Pair
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Figure, band
 from tissueid.report.wording import Verdict
 
 #: A difference below this many just-noticeable ones is not felt.
@@ -19,10 +18,7 @@ SMALL = 0.001
 
 
 def contrast_verdict(document: Contrast) -> Verdict:
-    """Verdict of all pairs together.
-
-    ``document``: of ``schemas/contrast.schema.json``.
-    """
+    """Verdict of all pairs together."""
     pairs = document.pairs
     differing = [pair for pair in pairs if pair.difference.different]
     level = f"{100 * document.level:g} %"
@@ -37,10 +33,7 @@ def contrast_verdict(document: Contrast) -> Verdict:
 
 
 def pair_verdict(pair: Pair, level: float) -> Verdict:
-    """Verdict of one pair.
-
-    ``level``: below it tissues are called different.
-    """
+    """Verdict of one pair, whose tissues are called different below a level."""
     found = pair.difference
     chance = f"p {_probability(found.probability)}, level {100 * level:g} %"
     names = f"{pair.one} and {pair.other}"
@@ -73,38 +66,83 @@ def _interval(values: Sequence[float] | None) -> str:
     return f"{number(middle, 4)} ({number(low, 3)} to {number(high, 3)})"
 
 
-def render_contrast(document: Contrast, *, created: str | None = None) -> str:
-    """Write the page.
-
-    ``document``: the document of ``schemas/contrast.schema.json``; ``created``: time stamp to print; without
-    it equal input gives an equal page.  Returns HTML, UTF-8.
-    """
-    views = [
-        {
-            "id": f"pair-{position + 1}",
-            "position": position,
-            "data": pair,
-            "verdict": pair_verdict(pair, document.level),
-        }
-        for position, pair in enumerate(document.pairs)
+def _facts(document: Contrast) -> list[tuple[str, str]]:
+    slow, fast = (number(speed, 3) for speed in document.common.speeds_mm_s)
+    speeds = slow if document.common.speeds_mm_s[0] == document.common.speeds_mm_s[1] else f"{slow} to {fast}"
+    device = document.device
+    return [
+        ("Depth", f"to {number(document.common.depth_mm, 3)} mm"),
+        ("Speeds", f"{speeds} mm/s, where all were identified"),
+        ("Device", f"at most {number(device.clamp_N, 3)} N: forces times {number(device.force_scale, 3)}"),
     ]
-    drawn = [{"one": pair.one, "other": pair.other, "numbers": pair.numbers} for pair in document.pairs]
-    return (
-        page_environment()
-        .get_template("contrast.html.j2")
-        .render(
-            title=" and ".join(one.name for one in document.tissues)
-            if len(document.tissues) <= 3
-            else f"{len(document.tissues)} tissues compared",
-            run=document,
-            verdict=contrast_verdict(document),
-            views=views,
-            interval=_interval,
-            probability=_probability,
-            payload={"curves": document.curves, "pairs": drawn},
-            created=created,
-            style=asset("page.css") + asset("selfcheck.css"),
-            scripts=[asset("boxes.js"), asset("contrast.js")],
-            plotly=plotly_script(),
-        )
+
+
+def _banded(
+    x: Sequence[float], curve: Loading | Hold, start: int, name: str, look: Mapping[str, str], unit: str
+) -> list[dict[str, Any]]:
+    """Band first, median on top; the group hides both together."""
+    low, high, median = (getattr(curve, key)[start:] for key in ("low", "high", "median"))
+    lower, upper = band(x[start:], low, high, 0.25, ink=look["ink"], legendgroup=name)
+    said = f"%{{x:.3g}} {unit}: %{{y:.4g}} N<extra>{name}</extra>"
+    line = {"legendgroup": name, "mode": "lines", "line": {"width": 2, **look}, "hovertemplate": said}
+    return [
+        {**lower, "name": f"{name}, 2.5 %"},
+        {**upper, "name": f"{name}, 97.5 %"},
+        {**line, "x": x[start:], "y": median, "name": name},
+    ]
+
+
+def _figures(document: Contrast, pair: Pair) -> list[Figure]:
+    """Forces along ramps and in a hold, and ratios of the numbers."""
+    loading, hold = [], []
+    for name, ink in ((pair.one, "data"), (pair.other, "model")):
+        curve = next(one for one in document.curves if one.name == name)
+        for place, ramp in enumerate(curve.loading, 1):
+            look = {"ink": ink, "dash": "dash" if place < len(curve.loading) else "solid"}
+            words = f"{name}, {number(ramp.speed_mm_s, 3)} mm/s"
+            loading += _banded(ramp.depth_mm, ramp, 0, words, look, "mm")
+        # the first point is time 0, which a logarithmic axis has not
+        hold += _banded(curve.hold.time_s, curve.hold, 1, name, {"ink": ink, "dash": "solid"}, "s")
+    ratios = [(row.name, row.ratio) for row in reversed(pair.numbers) if row.ratio is not None]
+    bars = {"array": [high - middle for _, (_, middle, high) in ratios]}
+    bars["arrayminus"] = [middle - low for _, (low, middle, _) in ratios]
+    ratio = {
+        "x": [middle for _, (_, middle, _) in ratios],
+        "y": [name for name, _ in ratios],
+        "mode": "markers",
+        "marker": {"ink": "model", "size": 9},
+        "showlegend": False,
+        "name": "ratio",
+        "error_x": {"type": "data", "symmetric": False, **bars, "ink": "model"},
+        "hovertemplate": "%{y}: %{x:.4g}<extra></extra>",
+    }
+    line = {"ink": "soft", "width": 1, "dash": "dash"}
+    equal = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": line}
+    layout = {"yaxis": {"type": "category", "automargin": True}, "shapes": [equal]}
+    return [
+        Figure("Loading", "Depth [mm]", "Force [N]", loading),
+        Figure("Hold", "Time after the ramp [s]", "Force [N]", hold, {"xaxis": {"type": "log"}}),
+        Figure("Ratios", "Ratio", "", [ratio], layout),
+    ]
+
+
+def render_contrast(document: Contrast, *, created: str | None = None) -> str:
+    """Write the page."""
+    views = [
+        {"id": f"pair-{k + 1}", "position": k, "data": pair, "verdict": pair_verdict(pair, document.level)}
+        for k, pair in enumerate(document.pairs)
+    ]
+    names = [one.name for one in document.tissues]
+    return render_page(
+        "contrast",
+        title=" and ".join(names) if len(names) <= 3 else f"{len(names)} tissues compared",
+        run=document,
+        verdict=contrast_verdict(document),
+        facts=_facts(document),
+        views=views,
+        interval=_interval,
+        probability=_probability,
+        payload=[one.payload() for pair in document.pairs for one in _figures(document, pair)],
+        created=created,
+        scripts=["plain.js"],
     )

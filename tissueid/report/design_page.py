@@ -1,15 +1,16 @@
-"""The page of ``tissueid design``: the recommended protocol, precision against machine time, what limits it.
-
-Self-contained like the report.  The figure's points are the rows of the tables beside it.
-"""
+"""The page of ``tissueid design``: the recommended protocol, precision against machine time, its limits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+from markupsafe import Markup
+
 from tissueid.digits import number
-from tissueid.documents.design import Design, Front, Protocol
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.documents.design import Asked, Design, Front, Protocol
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Figure
 from tissueid.report.wording import Verdict, parameter_words
 
 MINUTE, HOUR = 60.0, 3600.0
@@ -78,55 +79,76 @@ def _facts(document: Design) -> list[tuple[str, str]]:
     ]
 
 
-def _point(name: str, protocol: Front | Protocol, want: int) -> dict[str, Any]:
+def _trace(
+    name: str, points: Sequence[tuple[str, Front | Protocol]], want: int, **look: Any
+) -> dict[str, Any]:
     return {
+        "x": [one.seconds / MINUTE for _, one in points],
+        "y": [100.0 * one.precision[want].assured for _, one in points],
+        "text": [words for words, _ in points],
+        "customdata": [_indentations(one).replace("; ", "<br>") for _, one in points],
         "name": name,
-        "minutes": protocol.seconds / MINUTE,
-        "percent": 100.0 * protocol.precision[want].assured,
-        "words": _indentations(protocol).replace("; ", "<br>"),
+        "hovertemplate": "%{text}: %{y:.3g} % in %{x:.4g} min<br>%{customdata}<extra></extra>",
+        **look,
     }
 
 
-def _payload(document: Design) -> dict[str, Any]:
-    """Points of every wanted number's figure."""
-    given = document.against
-    figures = []
-    for k, want in enumerate(document.asked.wants):
-        front = sorted(document.front, key=lambda one: one.seconds)
-        figures.append(
-            {
-                "words": parameter_words(want.name),
-                "wanted": 100.0 * want.share,
-                "front": [_point("least time", one, k) for one in front],
-                "protocols": [
-                    _point(str(rank), one, k) for rank, one in enumerate(document.protocols, start=1)
-                ],
-                "against": None
-                if given is None or given.protocol is None
-                else _point(given.name, given.protocol, k),
-            }
-        )
-    return {"figures": figures}
+def _figure(document: Design, want: int) -> Figure:
+    """Precision of one wanted number against machine time."""
+    given, asked = document.against, document.asked.wants[want]
+    front = [("least time", one) for one in sorted(document.front, key=lambda one: one.seconds)]
+    ranked = [(str(rank), one) for rank, one in enumerate(document.protocols, 1)]
+    # the first of the table stands out; numbers would lie on each other
+    sizes = [14, *[8] * (len(ranked) - 1)]
+    line = {"mode": "lines+markers", "line": {"ink": "data", "width": 2}, "marker": {"size": 6}}
+    traces = [
+        _trace("least time", front, want, **line),
+        _trace("protocols", ranked, want, mode="markers", marker={"ink": "model", "size": sizes}),
+    ]
+    if given is not None and given.protocol is not None:
+        star = {"ink": "ink", "size": 12, "symbol": "star"}
+        traces.append(_trace(given.name, [(given.name, given.protocol)], want, mode="markers", marker=star))
+    minutes = [x for one in traces for x in one["x"]]
+    wanted = {
+        "x": [0.9 * min(minutes), 1.1 * max(minutes)],
+        "y": [100.0 * asked.share] * 2,
+        "mode": "lines",
+        "line": {"ink": "soft", "width": 1, "dash": "dash"},
+        "name": "wanted",
+        "hoverinfo": "skip",
+    }
+    best = document.protocols[0]
+    caption = (
+        f"Standard deviation of {parameter_words(asked.name)} against machine time: protocol 1 has "
+        f"{_percent(best.precision[want].assured)} after {number(best.seconds / MINUTE, 3)} minutes, wanted "
+        f"are {_percent(asked.share)}. The table of protocols has the numbers."
+    )
+    axes = ("Machine time a specimen [min]", "Standard deviation [%]")
+    return Figure(caption, *axes, [wanted, *traces], {"xaxis": {"type": "log"}, "yaxis": {"type": "log"}})
+
+
+def _heads(asked: Asked) -> list[str]:
+    every = [f"{asked.specimens} specimens"] if asked.specimens > 1 else []
+    wanted = Markup("{}<br>wanted {}")
+    wants = [wanted.format(parameter_words(one.name), _percent(one.share)) for one in asked.wants]
+    return [*("Protocol", "Wants", "Time a specimen"), *every, "Logs", *wants, "Load channel", "Indentations"]
 
 
 def render_design(document: Design, *, created: str | None = None) -> str:
-    """Write the page.
-
-    ``document``: the document of ``schemas/design.schema.json``; ``created``: time stamp to print; without it
-    equal input gives an equal page.  Returns HTML, UTF-8.
-    """
-    template = page_environment().get_template("design.html.j2")
-    return template.render(
+    """Write the page."""
+    figures = [_figure(document, want) for want in range(len(document.asked.wants))]
+    return render_page(
+        "design",
         title=f"Protocol for {document.tissue.name}",
         run=document,
         best=document.protocols[0],
         verdict=_verdict(document),
         facts=_facts(document),
+        heads=_heads(document.asked),
         time=_time,
         percent=_percent,
-        payload=_payload(document),
+        figures=figures,
+        payload=[one.payload() for one in figures],
         created=created,
-        style=asset("page.css") + asset("selfcheck.css"),
-        scripts=[asset("boxes.js"), asset("design.js")],
-        plotly=plotly_script(),
+        scripts=["plain.js"],
     )

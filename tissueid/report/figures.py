@@ -1,22 +1,23 @@
-"""The numbers behind the figures, packed for the page.
+"""Curves, draws and chains behind the figures, thinned and packed for the page.
 
-A page carries each curve once, as base64 of little-endian 32-bit floats; one script on the page makes
-every figure from it when it comes into view.  Thirty full figure specifications would be ten times
-larger and would be drawn whether or not anybody looks.
+A page carries each curve once, as base64 of little-endian 32-bit floats; one script on the page makes every
+figure from it when it comes into view.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.documents.identification import Specimen, Trial
-from tissueid.report.remarks import trial_label
+from tissueid.report.uncertainty_words import reported_order
+from tissueid.report.wording import trial_label, unit_words
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
@@ -37,23 +38,29 @@ def curve_bytes(specimens: int) -> int:
 
 
 def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
-    """Indices that keep the shape: in every stretch the extremes of force and of residual, and the ends.
+    """Indices of at most so many samples (6 or more) that keep the extremes of force and of residual."""
+    return kept_samples((curve.force_N, curve.force_N - curve.model_N), most, most - 2)
 
-    ``most``: samples to keep at the most (at least 6).  Returns ascending.
+
+def kept_samples(
+    channels: Sequence[FloatArray], most: int, share: int, fixed: Iterable[int] = ()
+) -> NDArray[np.intp]:
+    """Ascending indices that keep the shape: in every stretch the extremes of each channel; ends; ``fixed``.
+
+    ``most``: samples up to which all are kept; ``share``: samples that stretches are made for.
     """
-    size = curve.time_s.size
+    size = channels[0].size
     if size <= most:
         return np.arange(size)
-    edges = np.linspace(0, size, max((most - 2) // _KEPT_A_BUCKET, 1) + 1).astype(int)
-    residual = curve.force_N - curve.model_N
-    keep = {0, size - 1}
-    for start, stop in pairwise(edges):
-        for values in (curve.force_N[start:stop], residual[start:stop]):
-            keep.update((int(start + values.argmin()), int(start + values.argmax())))
-    return np.array(sorted(keep))
+    edges = np.linspace(0, size, max(share // _KEPT_A_BUCKET, 1) + 1).astype(int)
+    keep = {0, size - 1, *fixed}
+    for start, stop in pairwise(edges.tolist()):
+        for values in (channel[start:stop] for channel in channels):
+            keep.update((start + int(values.argmin()), start + int(values.argmax())))
+    return np.array(sorted(keep), dtype=np.intp)
 
 
-def packed(values: NDArray[Any], kind: str) -> str:
+def packed(values: NDArray[Any], kind: str = "<f4") -> str:
     """Numbers as base64 of their little-endian bytes."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
@@ -73,10 +80,7 @@ def quantised(columns: NDArray[np.float64]) -> dict[str, Any]:
 def curves_by_trial(
     specimens: Sequence[Specimen], curves: Sequence[TrialCurve]
 ) -> list[list[tuple[Trial, TrialCurve]]]:
-    """Trials of every specimen that have a curve, in their order, each with it.
-
-    ``specimens``: ``specimens`` of identification.json.
-    """
+    """Trials of every specimen that have a curve, in their order, each with it."""
     waiting: dict[tuple[str, str, str | None], list[TrialCurve]] = {}
     for entry in curves:
         waiting.setdefault((entry.specimen, entry.path, entry.sheet), []).append(entry)
@@ -98,10 +102,9 @@ def curve_payload(
 ) -> list[list[dict[str, Any]]]:
     """Curves of every specimen, in the order of its trials, packed.
 
-    ``specimens``: ``specimens`` of identification.json; ``curves``: trials without a curve are left out;
-    ``posteriors``: whose predictive bands are drawn behind the data.  Returns per specimen and trial:
-    ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N), ``on`` (uint8), and ``low, high`` (float32: N)
-    where there is a band.
+    ``curves``: trials without a curve are left out; ``posteriors``: whose predictive bands are drawn behind
+    the data.  Returns per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N),
+    ``on`` (uint8), and ``low, high`` (float32: N) where there is a band.
     """
     bands = {(one.specimen, *trial): band for one in posteriors for trial, band in one.bands.items()}
     most = curve_bytes(len(specimens)) // (_BANDED_BYTES if bands else _SAMPLE_BYTES)
@@ -123,11 +126,93 @@ def _columns(curve: Curve, band: NDArray[np.float64] | None, most: int) -> dict[
     ends: dict[str, str] = {}
     if band is not None and band.shape[1] == curve.time_s.size:
         ends = {"low": packed(band[0, index], "<f4"), "high": packed(band[-1, index], "<f4")}
+    channels = {"t": curve.time_s, "x": curve.depth_mm, "f": curve.force_N, "m": curve.model_N}
+    drawn = {name: packed(values[index], "<f4") for name, values in channels.items()}
+    return {**drawn, "on": packed(curve.fitted[index], "u1"), **ends}
+
+
+#: Numbers of draws a page may carry in all, at 2.7 bytes each, and the fewest and most draws of a specimen.
+MOST_NUMBERS = 180_000
+_DRAWS_OF_ONE = (60, 1_000)
+#: Chains and draws of each that a trace shows: more lines hide each other; and the numbers of all of them.
+_CHAINS, _MOST_STEPS = 4, 250
+MOST_CHAIN_NUMBERS = 90_000
+_FEWEST_STEPS = 40
+#: Viscosities beside theta, at the most.
+_BRANCHES = 3
+#: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
+_REFERENCE_DEPTH = 0.5
+
+
+def _evenly(size: int, most: int) -> NDArray[np.intp]:
+    return np.linspace(0, size - 1, min(size, most)).astype(np.intp)
+
+
+def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) -> dict[str, FloatArray]:
+    """Columns by name; viscosity is K at the reference depth times the relaxation time."""
+    columns = dict(zip(names, draws.T, strict=True))
+    depth = _REFERENCE_DEPTH * depth_mm
+    for suffix in ("", "_b2", "_b3"):
+        powers = ("0_N_per_mm", "1_N_per_mm2", "2_N_per_mm3")
+        terms = [
+            columns[name] * depth**power
+            for power, name in enumerate(f"stiffness_{unit}{suffix}" for unit in powers)
+            if name in columns
+        ]
+        if terms and f"relaxation_time_s{suffix}" in columns:
+            columns[f"viscosity_N_s_per_mm{suffix}"] = sum(terms) * columns[f"relaxation_time_s{suffix}"]
+    return columns
+
+
+def _of_one(specimen: Specimen, stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
+    entries = reported_order(specimen.parameters)
+    depth_mm = specimen.validity.depth_mm
+
+    def table(draws: FloatArray) -> dict[str, Any]:
+        columns = _with_viscosity(stored.theta_names, draws[_evenly(len(draws), most)], depth_mm)
+        kept = [columns[entry.name] for entry in entries if entry.name in columns]
+        return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
+
+    chain = stored.chain[_evenly(stored.chain.shape[0], _CHAINS)]
+    chain = chain[:, _evenly(chain.shape[1], steps)]
+    available = {*stored.theta_names, *(e.name for e in entries if e.name.startswith("viscosity"))}
     return {
-        "t": packed(curve.time_s[index], "<f4"),
-        "x": packed(curve.depth_mm[index], "<f4"),
-        "f": packed(curve.force_N[index], "<f4"),
-        "m": packed(curve.model_N[index], "<f4"),
-        "on": packed(curve.fitted[index], "u1"),
-        **ends,
+        "names": [entry.name for entry in entries if entry.name in available],
+        "labels": [
+            f"{entry.symbol} [{unit_words(entry.unit)}]" + ("" if entry.identified else ", not identified")
+            for entry in entries
+            if entry.name in available
+        ],
+        "draws": table(stored.draws),
+        "total": None if stored.draws_total is None else table(stored.draws_total),
+        "chain": {
+            "names": [name.replace("_", " ") for name in stored.chain_names],
+            "shape": list(chain.shape),
+            **quantised(chain.reshape(-1, chain.shape[2])),
+        },
     }
+
+
+def posterior_payload(
+    specimens: Sequence[Specimen], posteriors: Sequence[StoredPosterior]
+) -> list[dict[str, Any] | None]:
+    """Draws of every specimen, in their order, packed; ``None`` where nothing was sampled.
+
+    Returns ``names``, ``labels`` (with units),
+    ``draws`` and ``total`` (with the count of each) and ``chain`` (names, shape; a column a coordinate, by
+    chain and draw), all three as :func:`~tissueid.report.figures.quantised` packs them.
+    """
+    by_name = {one.specimen: one for one in posteriors}
+    fewest, largest = _DRAWS_OF_ONE
+    columns = sum(
+        (len(one.theta_names) + _BRANCHES) * (1 if one.draws_total is None else 2) for one in posteriors
+    )
+    share = min(max(MOST_NUMBERS // max(columns, 1), fewest), largest)
+    coordinates = sum(_CHAINS * len(one.chain_names) for one in posteriors)
+    steps = min(max(MOST_CHAIN_NUMBERS // max(coordinates, 1), _FEWEST_STEPS), _MOST_STEPS)
+    return [
+        None
+        if specimen.specimen not in by_name
+        else _of_one(specimen, by_name[specimen.specimen], share, steps)
+        for specimen in specimens
+    ]

@@ -92,8 +92,7 @@ def _entry(
 def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
     """The decisions on a recording, in the order in which they were taken.
 
-    ``recording``: one trial of ``schemas/inspect.schema.json``; ``file``: its path relative to the folder of
-    study.toml.
+    ``file``: its path relative to the folder of study.toml.
     """
     sheet = recording.sheet
 

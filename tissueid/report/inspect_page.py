@@ -1,19 +1,15 @@
 """The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions.
 
-Self-contained like the report.  Recordings come one at a time and are thinned at once; the page shares a
-fixed number of samples among them, so that it stays below 10 MB whatever was inspected.
-
-The curves of a recording as it was made, thinned for drawing: extremes, edges and corners are kept.
-A recording is thinned as soon as it was segmented, so that a folder of large files needs the memory of one.
+A recording is thinned as soon as it was segmented, so that a folder of large files needs the memory of one;
+extremes, edges and corners are kept.  The page shares a fixed number of samples among all recordings, so that
+it stays below 10 MB.
 """
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,15 +20,15 @@ from tissueid.digits import number
 from tissueid.documents.inspect import Phase
 from tissueid.documents.inspect import Trial as TrialDocument
 from tissueid.flags import flag_level
+from tissueid.report.figures import kept_samples, packed
 from tissueid.report.inspect_decisions import Decision, decisions
-from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.remarks import LEVELS, remark_title, trial_label
+from tissueid.report.page import render_page
+from tissueid.report.wording import LEVELS, remark_title, trial_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
 #: Samples of one recording that are kept for drawing at the most.
 MOST_OF_ONE = 8_000
-_KEPT_A_BUCKET = 4
 #: Samples on each side of a corner or event that are kept as they are.
 _AROUND = 6
 
@@ -48,25 +44,6 @@ class DrawnRecording:
     fixed: NDArray[np.bool_]  # (m,), samples that further thinning must keep
     phases: tuple[tuple[str, int, int], ...]  # kind, first and last drawn sample of each phase
     marks: dict[str, Any]  # contact, corners and events, in the words of the page's script
-
-
-def kept_samples(
-    displacement_mm: FloatArray, force_N: FloatArray, most: int, *, fixed: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Indices that keep the shape: in every stretch the extremes of both channels, the ends, and ``fixed``.
-
-    ``displacement_mm``, ``force_N`` (n,); ``most``: samples to keep, beside the fixed ones; ``fixed``:
-    samples that are kept whatever happens.  Returns ascending.
-    """
-    size = force_N.size
-    if size <= most:
-        return np.arange(size)
-    edges = np.linspace(0, size, max(most // _KEPT_A_BUCKET, 1) + 1).astype(int)
-    keep = {0, size - 1, *fixed.tolist()}
-    for start, stop in pairwise(edges.tolist()):
-        for values in (force_N[start:stop], displacement_mm[start:stop]):
-            keep.update((start + int(values.argmin()), start + int(values.argmax())))
-    return np.array(sorted(keep), dtype=np.intp)
 
 
 def _around(indices: Iterable[int], size: int) -> NDArray[np.intp]:
@@ -86,7 +63,7 @@ def drawn_recording(trial: Trial, segmentation: Segmentation) -> DrawnRecording:
     if contact is not None:
         edges.append(min(contact.index, size - 1))
     fixed = np.union1d(_around(sharp[: MOST_OF_ONE // 20], size), np.array(edges, dtype=np.intp))
-    index = kept_samples(x, force, MOST_OF_ONE, fixed=fixed)
+    index = kept_samples((force, x), MOST_OF_ONE, MOST_OF_ONE, fixed.tolist())
     places = np.searchsorted(index, [(phase.start, phase.stop - 1) for phase in segmentation.phases])
     phases = tuple(
         (phase.kind, int(first), int(last))
@@ -151,17 +128,14 @@ def _contact_times(trial: Trial, segmentation: Segmentation) -> list[float] | No
     return [float(times[min(i, times.size - 1)]) for i in reached]
 
 
-def _base64(values: NDArray[Any], kind: str = "<f4") -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
-
-
 def packed_recording(drawn: DrawnRecording, most: int) -> dict[str, Any]:
     """A recording as the page carries it, thinned once more where it has to share.
 
     ``most``: samples beside the fixed ones.  Returns base64 ``t, x, f`` (float32; ``t`` from ``t0`` seconds),
     ``phases`` and the marks.
     """
-    index = kept_samples(drawn.displacement_mm, drawn.force_N, most, fixed=np.flatnonzero(drawn.fixed))
+    fixed = np.flatnonzero(drawn.fixed).tolist()
+    index = kept_samples((drawn.force_N, drawn.displacement_mm), most, most, fixed)
     start = float(drawn.time_s[0])
     phases = [
         [kind, int(np.searchsorted(index, first)), int(np.searchsorted(index, last))]
@@ -169,9 +143,9 @@ def packed_recording(drawn: DrawnRecording, most: int) -> dict[str, Any]:
     ]
     return {
         "t0": start,
-        "t": _base64(drawn.time_s[index] - start),
-        "x": _base64(drawn.displacement_mm[index]),
-        "f": _base64(drawn.force_N[index]),
+        "t": packed(drawn.time_s[index] - start),
+        "x": packed(drawn.displacement_mm[index]),
+        "f": packed(drawn.force_N[index]),
         "phases": phases,
         **drawn.marks,
     }
@@ -196,21 +170,15 @@ def corrections(
 ) -> tuple[CorrectionRow, ...]:
     """The rows of one recording.
 
-    ``recording``: one trial of ``schemas/inspect.schema.json``; ``standing``: what the user decided: value
-    and reason by key.
+    ``standing``: what the user decided: value and reason by key.
     """
     contact = recording.contact
     holds = [phase for phase in recording.phases if phase.kind in ("hold", "creep")]
     hold = max(holds, key=lambda phase: phase.end_s - phase.start_s, default=None)
     rows = (
-        (
-            "contact_mm",
-            "Contact at",
-            recording.units.length,
-            None if contact is None else contact.displacement_mm,
-        ),
-        ("hold_from_s", "Hold from", "s", None if hold is None else hold.start_s),
-        ("end_s", "Hold to (the rest is left out)", "s", None if hold is None else hold.end_s),
+        ("contact_mm", "Contact at", recording.units.length, contact.displacement_mm if contact else None),
+        ("hold_from_s", "Hold from", "s", hold.start_s if hold else None),
+        ("end_s", "Hold to (the rest is left out)", "s", hold.end_s if hold else None),
         ("rupture", "No fall of force is a rupture", "", None),
         ("exclude", "Leave it out of the fit", "", None),
     )
@@ -290,8 +258,7 @@ def render_inspection(
     """Write the page.
 
     ``recordings``: in the order of the command line; the page shows the gravest first; ``study``: where the
-    entries belong; ``created``: time stamp to print; without it equal input gives an equal page; ``served``:
-    a server hears what is decided on the page.  Returns HTML, UTF-8.
+    entries belong; ``served``: a server hears what is decided on the page.
     """
     order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
     drawn = set(order[:MOST_DRAWN])
@@ -303,20 +270,20 @@ def render_inspection(
         for view in views
         if view["drawn"]
     }
-    template = page_environment().get_template("inspect.html.j2")
-    return template.render(
+    return render_page(
+        "inspect",
         title=_title(recordings, refused),
         views=views,
         refused=refused,
-        counts=_counts(recordings),
+        counts=_counts(recordings) + ([("serious", "refused", len(refused))] if refused else []),
         codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
         payload=payload,
+        data="recordings",
         study=study,
         created=created,
         served=served,
-        style=asset("page.css") + asset("inspect.css"),
-        script=asset("inspect.js") + (asset("inspect_served.js") if served else ""),
-        plotly=plotly_script(),
+        style="inspect.css",
+        scripts=["inspect.js", *["inspect_served.js"] * served],
     )
 
 

@@ -1,24 +1,290 @@
-"""The numbers behind the figures of a specimen's law: groups of curves, parts, holds, residuals, profiles."""
+"""Numbers behind the figures of a specimen's law: groups of curves, parts, peaks, holds, residuals, profiles.
+
+Everything comes from the output folder: theta from identification.json, draws from ``posteriors.h5``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.digits import number
 from tissueid.documents.identification import Specimen, Trial
+from tissueid.documents.inspect import Units
+from tissueid.measured.spread import SAME_SPEED, clusters, programs
+from tissueid.model.channels import ChannelModel
+from tissueid.model.grammar import rebuilt
 from tissueid.report.figures import curves_by_trial
-from tissueid.report.groups import curve_groups
-from tissueid.report.remarks import trial_label
-from tissueid.report.speeds import SpeedGroup, peaks_payload, speed_groups
-from tissueid.report.tissue import ENDS, Tissue, brief, tissue_of
-from tissueid.result import ResidualSummary
+from tissueid.report.wording import program_words, speed_unit, trial_label
+from tissueid.result import Curve, ModelChoice, ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
+#: Draws that a band is taken over: its ends are then good to a tenth of the posterior's sd.
+BAND_DRAWS = 500
+#: Ends of a 95 % band.
+ENDS = (0.025, 0.975)
+#: Digits of a number in a figure: a pixel needs four.
+DIGITS = 5
+
+
+def brief(values: Iterable[float]) -> list[float]:
+    """Numbers in the digits that a figure can show."""
+    return [float(f"{value:.{DIGITS}g}") for value in values]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tissue:
+    """One identified contact model."""
+
+    model: ChannelModel
+    theta: FloatArray  # (p,)
+    #: (n, p): of the total posterior where there is one, else of the statistical one; ``None``: nothing was
+    #: sampled.
+    draws: FloatArray | None
+
+    def static(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s [N] of several thetas, shape (n, depths)."""
+        return np.stack([self.model.static_force(theta, depth_mm) for theta in thetas])
+
+    def stiffness(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Stiffness that relaxes [N/mm] of several thetas, shape (n, depths)."""
+        return np.stack([self.model.stiffness(theta, depth_mm).sum(axis=0) for theta in thetas])
+
+    def dynamic(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Relaxing force in loading at constant speed from rest [N], shape (n, depths)."""
+        return np.stack([self.model.loading(theta, depth_mm, speed_mm_s) for theta in thetas])
+
+    def force(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Force in loading at constant speed from rest [N], shape (n, depths)."""
+        return self.static(thetas, depth_mm) + self.dynamic(thetas, depth_mm, speed_mm_s)
+
+    def banded(self, of: Callable[..., FloatArray], *at: Any) -> dict[str, Any]:
+        """Numbers of a function of thetas and, where there are draws, the ends of their 95 % band."""
+        found: dict[str, Any] = {"value": brief(of(self.theta[None], *at)[0])}
+        if self.draws is not None:
+            low, high = np.quantile(of(self.draws, *at), ENDS, axis=0)
+            found |= {"low": brief(low), "high": brief(high)}
+        return found
+
+
+def tissue_of(specimen: Specimen, stored: StoredPosterior | None) -> Tissue | None:
+    """The tissue of one of ``specimens`` of identification.json; ``None`` where a number is missing."""
+    model = rebuilt(ModelChoice.of(specimen.model), specimen.validity.depth_mm)
+    known = {entry.name: entry for entry in specimen.parameters}
+    values = [
+        known[name].detail.get("estimate", known[name].value) if name in known else None
+        for name in model.parameter_names
+    ]
+    if any(value is None for value in values):
+        return None
+    draws = None
+    if stored is not None and set(model.parameter_names) <= set(stored.theta_names):
+        table = stored.draws if stored.draws_total is None else stored.draws_total
+        kept = np.linspace(0, len(table) - 1, min(len(table), BAND_DRAWS)).astype(int)
+        order = [stored.theta_names.index(name) for name in model.parameter_names]
+        draws = table[kept][:, order]
+    return Tissue(model, np.array(values, dtype=np.float64), draws)
+
+
+#: Trials of one specimen with their curves.
 Trials = Sequence[tuple[Trial, TrialCurve]]
+
+#: The tool has stopped at the first sample with so much of the travel behind it.
+STOPPED = 0.999
+#: Bins of depth, and of time after the stop.
+BINS = 60
+#: First bin of time, as a share of the longest hold.
+EARLIEST = 1e-3
+
+
+def _stop(curve: Curve) -> int:
+    """First sample at which the tool has stopped."""
+    start = float(curve.depth_mm[0])
+    travel = float(curve.depth_mm.max()) - start
+    return int(np.argmax(curve.depth_mm - start >= STOPPED * travel))
+
+
+def _bin_means(x: FloatArray, y: FloatArray, edges: FloatArray) -> FloatArray:
+    """Mean of y, straight between samples, over each bin of an ascending x; NaN where x does not reach."""
+    every = np.sort(np.concatenate([x, edges]), kind="stable")
+    between = np.interp(every, x, y)
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (between[1:] + between[:-1]) * np.diff(every))])
+    means = np.diff(np.interp(edges, every, area)) / np.diff(edges)
+    within = (edges[:-1] >= x[0]) & (edges[1:] <= x[-1])
+    return np.where(within, means, np.nan)
+
+
+def loading_force(curve: Curve, edges_mm: FloatArray) -> FloatArray:
+    """Mean force [N] of a curve's loading in ascending bins of depth; NaN where it does not cover a bin."""
+    stop = _stop(curve) + 1
+    depth = np.maximum.accumulate(curve.depth_mm[:stop])
+    return _bin_means(depth, curve.force_N[:stop], edges_mm)
+
+
+def hold_force(curve: Curve, edges_s: FloatArray) -> FloatArray:
+    """Mean force [N] of a curve in bins of time since the tool stopped; NaN where it did not stay."""
+    stop = _stop(curve)
+    deep = curve.depth_mm[stop]
+    left = np.flatnonzero(curve.depth_mm[stop:] < curve.depth_mm[0] + 0.98 * (deep - curve.depth_mm[0]))
+    end = stop + int(left[0]) if left.size else curve.time_s.size
+    if end - stop < 2:
+        return np.full(edges_s.size - 1, np.nan)
+    return _bin_means(curve.time_s[stop:end] - curve.time_s[stop], curve.force_N[stop:end], edges_s)
+
+
+def _summary(x: FloatArray, rows: FloatArray) -> dict[str, Any] | None:
+    """Mean and standard deviation by column of rows (curves, bins); none where no two curves meet."""
+    count = np.isfinite(rows).sum(axis=0)
+    several = count >= 2
+    if not several.any():
+        return None
+    kept = rows[:, several]
+    return {
+        "x": brief(x[several]),
+        "mean": brief(np.nanmean(kept, axis=0)),
+        "sd": brief(np.nanstd(kept, axis=0, ddof=1)),
+        "n": count[several].tolist(),
+    }
+
+
+def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: str) -> dict[str, Any]:
+    deepest = max(float(curve.depth_mm.max()) for curve in curves)
+    shallow = min(float(curve.depth_mm[0]) for curve in curves)
+    depths = np.linspace(shallow, deepest, BINS + 1)
+    longest = max(float(curve.time_s[-1] - curve.time_s[_stop(curve)]) for curve in curves)
+    times = np.concatenate([[0.0], np.geomspace(EARLIEST, 1.0, BINS)]) * max(longest, 1e-9)
+    middle = [0.5 * (edges[1:] + edges[:-1]) for edges in (depths, times)]
+    return {
+        "label": label,
+        "members": [list(place) for place in members],
+        "loading": _summary(middle[0], np.stack([loading_force(curve, depths) for curve in curves])),
+        "hold": _summary(middle[1], np.stack([hold_force(curve, times) for curve in curves])),
+    }
+
+
+def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]:
+    """Curves by program (loading speed and depth), each with mean and standard deviation.
+
+    ``trials``: of every specimen that is to be seen together.  Returns ``label``, ``members`` (specimen,
+    trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n`` of each bin in which two curves meet,
+    else ``None``); empty where there is one curve.
+    """
+    every = [
+        ((place, i), trial, own.curve)
+        for place, one in enumerate(trials)
+        for i, (trial, own) in enumerate(one)
+        if own.curve.time_s.size > 1
+    ]
+    if len(every) < 2:
+        return []
+    found = []
+    pushes = [(float(trial.speed_mm_s), float(trial.depth_mm)) for _, trial, _ in every]
+    for members in programs(pushes):
+        own = [every[i] for i in members]
+        speed, depth = (float(np.median([pushes[i][k] for i in members])) for k in (0, 1))
+        label = f"{program_words(speed, depth, units)}, n = {len(own)}"
+        found.append(_group([place for place, *_ in own], [curve for *_, curve in own], label))
+    return found
+
+
+#: Depths that differ by less than this factor are one setting of a machine.
+SAME_DEPTH = 1.04
+#: Groups that get a panel of their own.
+MOST_GROUPS = 12
+#: Speeds at which a law is drawn, and how far beyond the trials.
+LINE_POINTS = 24
+S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedGroup:
+    """Trials of one loading speed."""
+
+    speed_mm_s: float  # their median
+    label: str
+    members: tuple[int, ...]  # places among the trials that have a curve
+
+
+def _label(speed: float, units: Units) -> str:
+    text = f"{number(speed, 3)} {speed_unit(units)}"
+    return text if units.length != "mm" else f"{text} ({number(S_PER_MIN * speed, 3)} mm/min)"
+
+
+def speed_groups(specimen: Specimen, trials: Sequence[Trial]) -> list[SpeedGroup]:
+    """Groups of trials, of those that have a curve, by loading speed, the slowest first."""
+    speeds = [float(trial.speed_mm_s) for trial in trials]
+    alike = clusters(speeds, SAME_SPEED)
+    while len(alike) > MOST_GROUPS:
+        # neighbours that are nearest to each other share a panel
+        centres = [float(np.median([speeds[i] for i in one])) for one in alike]
+        ratios = [later / max(sooner, 1e-12) for sooner, later in pairwise(centres)]
+        at = int(np.argmin(ratios))
+        alike[at : at + 2] = [alike[at] + alike[at + 1]]
+    groups = []
+    for members in alike:
+        speed = float(np.median([speeds[i] for i in members]))
+        groups.append(SpeedGroup(speed, _label(speed, specimen.units), tuple(sorted(members))))
+    return groups
+
+
+def _peak(trial: Trial, curve: Curve) -> dict[str, Any]:
+    """Largest recorded force of a trial; a thinned curve keeps it."""
+    used = curve.force_N[curve.fitted] if curve.fitted.any() else curve.force_N
+    place = {"speed": float(trial.speed_mm_s), "depth": float(trial.depth_mm)}
+    return {"label": trial_label(trial), **place, "force": float(used.max())}
+
+
+def _means(peaks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Mean and standard deviation of the peaks at each speed."""
+    rows = []
+    for members in clusters([peak["speed"] for peak in peaks], SAME_SPEED):
+        force = np.array([peaks[i]["force"] for i in members])
+        sd = float(force.std(ddof=1)) if force.size > 1 else None
+        speed = float(np.median([peaks[i]["speed"] for i in members]))
+        rows.append({"speed": speed, "mean": float(force.mean()), "sd": sd, "n": len(members)})
+    return rows
+
+
+def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
+    """Force at a depth by speed, as the model has it, with its 95 % band."""
+    x = np.array([min(depth, tissue.model.depth_mm)])
+
+    def at(thetas: FloatArray) -> FloatArray:
+        return np.column_stack([tissue.force(thetas, x, float(speed))[:, 0] for speed in speeds])
+
+    band = tissue.banded(at)
+    return {"speed": brief(speeds), "force": band.pop("value"), **band}
+
+
+def peaks_payload(specimen: Specimen, trials: Trials, tissue: Tissue | None) -> list[dict[str, Any]]:
+    """Peak force against loading speed, a group for each depth.
+
+    Returns ``label``, ``points`` (label, speed, depth, force), ``means`` (speed, mean, sd, n), ``line``.
+    """
+    found = [_peak(trial, own.curve) for trial, own in trials if trial.speed_mm_s > 0.0 < trial.depth_mm]
+    every = [one["speed"] for one in found]
+    groups = []
+    for members in clusters([one["depth"] for one in found], SAME_DEPTH):
+        points = [found[i] for i in members]
+        depth = float(np.median([one["depth"] for one in points]))
+        speeds = np.geomspace(min(every), max(every), LINE_POINTS if max(every) > min(every) else 1)
+        words = "a strain of {}" if specimen.units.length == "1" else "{} mm"
+        groups.append(
+            {
+                "label": words.format(number(depth, 3)),
+                "points": points,
+                "means": _means(points),
+                "line": None if tissue is None else _line(tissue, depth, speeds),
+            }
+        )
+    return groups
+
 
 #: Depths at which the parts are drawn.
 GRID, COARSE = 61, 25
@@ -28,64 +294,36 @@ MANY = 12
 PART_SPEEDS = 4
 
 
-def _with_band(values: FloatArray, thetas: FloatArray | None) -> dict[str, Any]:
-    """Values and, from those of the draws (n, grid), the ends of their 95 % band."""
-    found: dict[str, Any] = {"value": brief(values)}
-    if thetas is not None:
-        low, high = np.quantile(thetas, ENDS, axis=0)
-        found |= {"low": brief(low), "high": brief(high)}
-    return found
-
-
 def _parts(tissue: Tissue, groups: Sequence[SpeedGroup], grid: int) -> dict[str, Any]:
     """Static force, stiffness of the branches and their force in loading, by depth."""
     x = np.linspace(0.0, tissue.model.depth_mm, grid)
-    theta, draws = tissue.theta[None], tissue.draws
     moving = [group for group in groups if group.speed_mm_s > 0.0]
     shown = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), PART_SPEEDS)).round().astype(int))
-    dynamic = [
-        {
-            "label": moving[i].label,
-            **_with_band(
-                tissue.dynamic(theta, x, moving[i].speed_mm_s)[0],
-                None if draws is None else tissue.dynamic(draws, x, moving[i].speed_mm_s),
-            ),
-        }
-        for i in shown.tolist()
-    ]
     return {
         "x": brief(x),
-        "static": _with_band(tissue.static(theta, x)[0], None if draws is None else tissue.static(draws, x)),
-        "stiffness": _with_band(
-            tissue.stiffness(theta, x)[0], None if draws is None else tissue.stiffness(draws, x)
-        ),
-        "dynamic": dynamic,
+        "static": tissue.banded(tissue.static, x),
+        "stiffness": tissue.banded(tissue.stiffness, x),
+        "dynamic": [
+            {"label": moving[i].label, **tissue.banded(tissue.dynamic, x, moving[i].speed_mm_s)}
+            for i in shown.tolist()
+        ],
     }
 
 
 def _holds(specimen: Specimen, trials: Trials) -> list[dict[str, Any]]:
     """Window of every hold in the time of its trial's curve; none of trials whose clock is not known."""
     clocks = {
-        (trial.path, trial.sheet): (place, own.residual.start_s)
+        (trial.path, trial.sheet): (place, own.residual)
         for place, (trial, own) in enumerate(trials)
         if own.residual is not None
     }
     found = []
     for row in specimen.relaxation:
-        known = clocks.get((row.path, row.sheet))
-        if known is not None:
-            place, zero = known
-            start, end = (float(value) - zero for value in row.window_s)
-            step = trials[place][1].residual
-            found.append(
-                {
-                    "label": trial_label(row),
-                    "trial": place,
-                    "start": start,
-                    "end": end,
-                    "step": 0.0 if step is None else step.step_s,
-                }
-            )
+        if (row.path, row.sheet) in clocks:
+            place, clock = clocks[row.path, row.sheet]
+            start, end = (float(value) - clock.start_s for value in row.window_s)
+            window = {"start": start, "end": end, "step": clock.step_s}
+            found.append({"label": trial_label(row), "trial": place, **window})
     return found
 
 
@@ -120,15 +358,13 @@ def _residuals(specimen: Specimen, trials: Trials) -> dict[str, Any] | None:
             for trial, one in known
             if one.hold_count.size
         ],
-        "pooled": _pooled_holds([one.hold_since_s for one in summaries], summaries, specimen.sigma_N),
+        "pooled": _pooled_holds(summaries, specimen.sigma_N),
     }
 
 
-def _pooled_holds(
-    places: Sequence[FloatArray], summaries: Sequence[ResidualSummary], sigma_N: float
-) -> dict[str, Any]:
+def _pooled_holds(summaries: Sequence[ResidualSummary], sigma_N: float) -> dict[str, Any]:
     """Mean of all holds in each block of time, and 1.96 of its standard errors under white noise."""
-    since = np.concatenate(places)
+    since = np.concatenate([one.hold_since_s for one in summaries])
     mean = np.concatenate([one.hold_mean_N for one in summaries])
     count = np.concatenate([one.hold_count for one in summaries]).astype(float)
     key = np.round(np.log10(since), 6)
@@ -189,7 +425,7 @@ def law_payload(
 ) -> list[dict[str, Any]]:
     """Points of the figures of every specimen's law, in their order.
 
-    ``specimens``: ``specimens`` of identification.json.  Returns ``speeds`` (label, trials), ``groups``,
+    Returns ``speeds`` (label, trials), ``groups``,
     ``parts``, ``peaks``, ``holds``, ``residuals``, ``profiles``; ``parts`` and ``residuals`` are ``None``
     where they are not known.
     """

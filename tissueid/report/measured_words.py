@@ -10,8 +10,7 @@ from tissueid.digits import number, with_error
 from tissueid.documents.identification import Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.measured import Spread
-from tissueid.report.groups import program_words
-from tissueid.report.wording import unit_words
+from tissueid.report.wording import program_words, unit_words
 
 #: Names of the first screen in its order; the others stand in the workbook.
 _WORDS: Mapping[str, str] = {
@@ -100,10 +99,7 @@ def _program_words(found: Mapping[Key, Spread], units: Units, count: int) -> str
 
 
 def measured_view(specimen: Specimen) -> dict[str, Any] | None:
-    """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any.
-
-    ``specimen``: one of ``specimens`` of identification.json.
-    """
+    """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any."""
     told = [row for row in specimen.measured or () if row.name in _WORDS.keys() - _ASIDE]
     columns = _columns(told, specimen.units)
     if not columns:

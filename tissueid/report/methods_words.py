@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from markupsafe import Markup, escape
 
 from tissueid.digits import number
 from tissueid.documents.identification import Identification, Provenance, Specimen
-from tissueid.report.sentences import tissue_sentence
+from tissueid.report.wording import tissue_sentence
 
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"
@@ -71,18 +71,13 @@ def _recordings(specimen: Specimen, run: Identification) -> str:
 def _programs(run: Identification) -> str:
     """The program and the libraries behind it, with their versions and papers."""
     known = run.provenance.versions or {}
-    names = [f"{name} {version}{_cited(name)}" for name, version in sorted(known.items())]
+    cited = {name: f" [{paper}]" for name, paper in _LIBRARIES.items()}
+    names = [f"{name} {version}{cited.get(name, '')}" for name, version in sorted(known.items())]
     return f"tissueid {run.provenance.tissueid}" + (f" ({', '.join(names)})" if names else "")
-
-
-def _cited(name: str) -> str:
-    return f" [{_LIBRARIES[name]}]" if name in _LIBRARIES else ""
 
 
 def _model_words(specimen: Specimen) -> str:
     model = specimen.model
-    if model.key != "kelvin-voigt":
-        return f"with the contact model {model.key}"
     count = model.branches
     return (
         f"with a static force of degree {model.static_degree} and {_NUMBERS[count]} relaxing "
@@ -176,13 +171,12 @@ def _sampling_words(specimen: Specimen, run: Provenance) -> str:
 def _interval_words(specimen: Specimen) -> str:
     """Words on the intervals, and on numbers without one."""
     total = any(entry.ci95_total is not None for entry in specimen.parameters)
-    sources = " (gains of force and displacement, time skew, force filter, frame compliance)" if total else ""
-    both = (
-        "statistical (noise, scatter between trials, contact points) and total, which adds what is not known "
-        f"of the machine{sources}"
-        if total
-        else "statistical (noise, scatter between trials, contact points)"
-    )
+    both = "statistical (noise, scatter between trials, contact points)"
+    if total:
+        both += (
+            " and total, which adds what is not known of the machine (gains of force and displacement, time "
+            "skew, force filter, frame compliance)"
+        )
     end = "" if specimen.sampler is None or specimen.sampler.converged else " The sampler did not converge."
     withheld = [one.symbol for one in specimen.parameters if "withheld" in one.detail]
     if withheld:
@@ -200,51 +194,37 @@ def _result_words(specimen: Specimen) -> str:
     return f"Of specimen {name}, {sentence[0].lower()}{sentence[1:]} The model left {left} ({rmse})."
 
 
-def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
-    return "\n\n".join([before, *terms, *after])
-
-
 def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
     """Methods paragraph of one specimen.
 
-    ``specimen``: one of ``specimens`` of identification.json; ``run``: the document.  Returns ``before`` and
-    ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
+    Returns ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
     """
-    if specimen.model.key != "kelvin-voigt":
-        return _other_law(specimen, run)
-    degree, made = specimen.model.stiffness_degree, run.provenance
-    before = (
-        f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
-        f"{_model_words(specimen)}:"
-    )
-    after = [
-        "where x is the depth of the tool below the contact point, F_s the static force and s_j the stretch "
-        "of the spring of branch j, zero at rest; the viscosity of a branch is η_j = τ_j K_j"
-        + (", at half the fitted depth. " if degree else ". ")
-        + _fit_words(specimen, made),
-        _sampling_words(specimen, made),
-        _result_words(specimen),
-    ]
-    terms = [
-        "F(t) = F_s(x) + Σ_j K_j(x) s_j(t),   τ_j ds_j/dt + s_j = τ_j dx/dt",
-        "F_s(x) = a_1 x + a_2 x² + a_3 x³,   K_j(x) = b_j0"
-        + " + b_j1 x" * (degree > 0)
-        + " + b_j2 x²" * (degree > 1),
-    ]
+    made, key = run.provenance, specimen.model.key
+    recordings = f"{_recordings(specimen, run)} Contact force was described by"
+    ended = [_sampling_words(specimen, made), _result_words(specimen)]
+    if key != "kelvin-voigt":
+        # a law that is not the paper's stands without its equations
+        degree, terms = None, []
+        listed = "(static law, stiffness and relaxation as tissueid models lists them)"
+        before = f"{recordings} the contact model {key} {listed}."
+        after = [_fit_words(specimen, made), *ended]
+    else:
+        degree = specimen.model.stiffness_degree
+        before = f"{recordings} a modified Kelvin-Voigt model {_model_words(specimen)}:"
+        where = (
+            "where x is the depth of the tool below the contact point, F_s the static force and s_j the "
+            "stretch of the spring of branch j, zero at rest; the viscosity of a branch is η_j = τ_j K_j"
+        )
+        half = ", at half the fitted depth" if degree else ""
+        after = [f"{where}{half}. {_fit_words(specimen, made)}", *ended]
+        powers = "".join(f" + b_j{n} {x}" for n, x in ((1, "x"), (2, "x²")) if degree >= n)
+        terms = [
+            "F(t) = F_s(x) + Σ_j K_j(x) s_j(t),   τ_j ds_j/dt + s_j = τ_j dx/dt",
+            f"F_s(x) = a_1 x + a_2 x² + a_3 x³,   K_j(x) = b_j0{powers}",
+        ]
     return {
         "before": before,
         "after": after,
         "degree": degree,
-        "plain": _plain(before, terms, after),
+        "plain": "\n\n".join([before, *terms, *after]),
     }
-
-
-def _other_law(specimen: Specimen, run: Identification) -> dict[str, Any]:
-    """The paragraph of a law that is not the paper's: without its equations."""
-    made = run.provenance
-    before = (
-        f"{_recordings(specimen, run)} Contact force was described by the contact model "
-        f"{specimen.model.key} (static law, stiffness and relaxation as tissueid models lists them)."
-    )
-    after = [_fit_words(specimen, made), _sampling_words(specimen, made), _result_words(specimen)]
-    return {"before": before, "after": after, "degree": None, "plain": _plain(before, [], after)}

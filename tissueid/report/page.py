@@ -1,7 +1,4 @@
-"""Put a report together: words and numbers from :mod:`wording`, curves from :mod:`figures`, one template.
-
-The page is self-contained (style, scripts and, deflated, plotly) and asks the network for nothing.
-"""
+"""Pages from templates, self-contained: they ask the network for nothing; and the report of a fit."""
 
 from __future__ import annotations
 
@@ -26,25 +23,24 @@ from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
 from tissueid.errors import UsageError
-from tissueid.report.figures import curve_payload, curves_by_trial
-from tissueid.report.groups import curve_groups
-from tissueid.report.law_payload import law_payload
+from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
+from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
-from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
-from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
-from tissueid.report.sentences import overview_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
     event_words,
     in_units,
     misfit_raised,
+    overview_sentence,
     parameter_words,
+    remarks,
     symbol_words,
     took,
+    trial_label,
     unit_words,
     verdict,
 )
@@ -60,7 +56,7 @@ MOST_REASONS = 5
 #: Remarks that are said above the others, in other words.
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 #: In the order in which they need each other.
-_SCRIPTS = ("boxes.js", "grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
+_SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
 _SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
@@ -92,7 +88,29 @@ def page_environment() -> Environment:
         "MM_N": Units(length="mm", force="N", time="s"),
         "NOT_IDENTIFIED": NOT_IDENTIFIED,
     }
+    environment.globals["part"] = environment.get_template("macros.html.j2").module
     return environment
+
+
+def render_page(
+    template: str, *, scripts: Sequence[str], style: str = "", data: str = "payload", **words: Any
+) -> str:
+    """HTML, self-contained; without a time stamp ``created`` equal input gives an equal page.
+
+    ``scripts``: behind the drawing library, which a page without a ``payload`` does without; ``style``: a
+    sheet beside the common one; ``data``: id of the payload in the page.
+    """
+    return (
+        page_environment()
+        .get_template(f"{template}.html.j2")
+        .render(
+            **({"plotly": plotly_script()} if words["payload"] and "library" not in words else {}),
+            **words,
+            data=data,
+            style=asset("page.css") + (asset(style) if style else ""),
+            scripts=[asset(name) for name in ("boxes.js", *scripts)],
+        )
+    )
 
 
 def asset(name: str) -> Markup:
@@ -237,12 +255,10 @@ def render_report(
 ) -> str:
     """Write the report of one run as one self-contained HTML page.
 
-    ``identification``: the document of identification.json; ``curves``: from ``curves.h5``; trials without a
-    curve are listed but not drawn; ``posteriors``: from ``posteriors.h5``: draws, chains and predictive
-    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``beside``: other
-    documents of the run; ``created``: time stamp to print; without it equal input gives an equal page;
-    ``script_file``: where the drawing library stands, from the page; without it the page holds it;
-    ``digest``: SHA-256 of identification.json.  Returns HTML, UTF-8.
+    ``curves``: trials without a curve are listed but not drawn; ``posteriors``: draws, chains and predictive
+    bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``created``: time
+    stamp to print; ``script_file``: where the drawing library stands, from the page; without it the page
+    holds it; ``digest``: SHA-256 of identification.json.
     """
     specimens = identification.specimens
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
@@ -258,8 +274,8 @@ def render_report(
         "units": [plain(specimen.units) for specimen in specimens],
         "overview": _overview(specimens),
     }
-    template = page_environment().get_template("report.html.j2")
-    return template.render(
+    return render_page(
+        "report",
         title=_title(specimens),
         run=identification,
         unfitted=cycle_table(identification.unfitted_cycles),
@@ -274,8 +290,8 @@ def render_report(
         twin=beside.twin,
         cite=citation(identification.provenance.tissueid),
         created=created,
-        style=asset("page.css"),
-        scripts=[asset(name) for name in _SCRIPTS],
+        data="curves",
+        scripts=_SCRIPTS,
         library=None if script_file else _deflated_library(),
         script_file=script_file,
     )

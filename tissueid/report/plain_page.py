@@ -1,7 +1,4 @@
-"""Pages that are tables: of sections with figures whose numbers stand in the page; of a large cohort.
-
-For small documents that need no layout of their own.  Self-contained like the report.
-"""
+"""Pages that need no layout of their own: sections of tables and figures; the index of a large cohort."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.documents.identification import Specimen
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.report.page import render_page
 from tissueid.report.wording import misfit_raised, verdict
 
 
@@ -31,9 +28,13 @@ class Figure:
     #: Titles of the axes, with units.
     x: str
     y: str
-    #: As plotly takes them; a ``line`` or ``marker`` may name a colour of the page by ``"ink": "data"``.
+    #: As plotly takes them; what has a colour, such as a line, may name one of the page by ``"ink": "data"``.
     traces: Sequence[Mapping[str, Any]]
     layout: Mapping[str, Any] = field(default_factory=dict)
+
+    def payload(self) -> dict[str, Any]:
+        """Parts that the page's script draws."""
+        return {"x": self.x, "y": self.y, "traces": list(self.traces), "layout": dict(self.layout)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,29 +47,39 @@ class Section:
     figures: Sequence[Figure] = ()
 
 
-def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
-    """Write a page.
-
-    ``created``: time stamp to print; without it equal input gives an equal page.  Returns HTML, UTF-8.
-    """
-    figures = [figure for section in sections for figure in section.figures]
-    payload = [
-        {"x": one.x, "y": one.y, "traces": list(one.traces), "layout": dict(one.layout)} for one in figures
+def band(
+    x: Sequence[float],
+    low: Sequence[float],
+    high: Sequence[float],
+    faint: float,
+    *,
+    ink: str = "data",
+    **more: Any,
+) -> list[dict[str, Any]]:
+    """Traces of the ends of a band, the upper one filled down to the lower in a faint colour of the page."""
+    hidden = {"x": x, "mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False, **more}
+    return [
+        {**hidden, "y": low},
+        {**hidden, "y": high, "fill": "tonexty", "fillcolor": {"ink": ink, "faint": faint}},
     ]
-    return (
-        page_environment()
-        .get_template("plain.html.j2")
-        .render(
-            title=title,
-            sections=sections,
-            numbers={id(figure): number for number, figure in enumerate(figures)},
-            identity=id,
-            payload=payload,
-            created=created,
-            style=asset("page.css"),
-            scripts=[asset("boxes.js"), asset("plain.js")],
-            plotly=plotly_script() if figures else "",
-        )
+
+
+def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
+    """Write a page."""
+    figures = [figure for section in sections for figure in section.figures]
+    return render_page(
+        "plain",
+        title=title,
+        sections=sections,
+        numbers={id(figure): number for number, figure in enumerate(figures)},
+        identity=id,
+        payload=[
+            {"x": one.x, "y": one.y, "traces": list(one.traces), "layout": dict(one.layout)}
+            for one in figures
+        ],
+        data="figures",
+        created=created,
+        scripts=["plain.js"],
     )
 
 
@@ -79,10 +90,7 @@ _LISTED = 500
 
 
 def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
-    """A specimen of identification.json as a row of the table.
-
-    ``page``: address of its own page, from the table's.
-    """
+    """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
     values = {one.name: one for one in specimen.parameters}
     found = verdict(specimen)
     sure = not misfit_raised(specimen)
@@ -100,30 +108,18 @@ def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
 
 
 def render_index(
-    rows: Sequence[Mapping[str, Any]],
-    refused: Sequence[str],
-    *,
-    created: str | None = None,
+    rows: Sequence[Mapping[str, Any]], refused: Sequence[str], *, created: str | None = None
 ) -> str:
-    """Write the report of a large cohort as one self-contained HTML page with links to those of specimens.
-
-    ``rows``: from :func:`index_row`; ``refused``: what was left out, and why; ``created``: time stamp to
-    print.  Returns HTML, UTF-8.
-    """
+    """Write the report of a large cohort, with links to those of specimens."""
     tally = Counter((row["level"], row["verdict"]) for row in rows)
-    return (
-        page_environment()
-        .get_template("index.html.j2")
-        .render(
-            title=f"Contact mechanics of {len(rows):,} specimens",
-            count=len(rows),
-            counts=[(level, title, count) for (level, title), count in tally.most_common()],
-            refused=refused[:_LISTED],
-            more=max(len(refused) - _LISTED, 0),
-            payload={"rows": rows},
-            created=created,
-            style=asset("page.css"),
-            script=asset("index.js"),
-            plotly=plotly_script(),
-        )
+    return render_page(
+        "index",
+        title=f"Contact mechanics of {len(rows):,} specimens",
+        count=len(rows),
+        counts=[(level, title, count) for (level, title), count in tally.most_common()],
+        refused=refused[:_LISTED],
+        more=max(len(refused) - _LISTED, 0),
+        payload={"rows": rows},
+        created=created,
+        scripts=["index.js"],
     )

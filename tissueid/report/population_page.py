@@ -1,20 +1,103 @@
-"""The page of ``tissueid cohort``: what specimens have in common, how they differ, and what may be said.
-
-Self-contained like the report.  Every figure has its numbers in the tables beside it.
-"""
+"""The page of ``tissueid cohort``: what specimens have in common, how they differ, and what may be said."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from tissueid.digits import number
-from tissueid.documents.population import HeldOut, Population, Populations
-from tissueid.flags import flag_level
-from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.population_payload import MOST_DRAWN, population_payload
-from tissueid.report.remarks import Remark, remark_title
-from tissueid.report.wording import Verdict
+from tissueid.documents import plain
+from tissueid.documents.population import CohortSize, HeldOut, Population, Populations, Specimen
+from tissueid.model.channels import loading_force
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Table
+from tissueid.report.wording import Verdict, flag_remarks
 from tissueid.store.bundle import Bundle
+
+#: Specimens drawn one by one; of more, outliers and an even choice of the others.
+MOST_DRAWN = 200
+#: Depths of the bands, and specimens they are taken from.
+BAND_DEPTHS = 41
+BAND_DRAWS = 500
+QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
+_DRAWN = ("separate", "separate_ci95", "pooled", "pooled_ci95")
+#: Digits that a figure shows.
+DIGITS = 6
+
+
+def _rounded(values: Any) -> Any:
+    """Numbers to the digits that a figure shows."""
+    array = np.asarray(values, dtype=np.float64)
+    flat = [float(f"{value:.{DIGITS}g}") for value in array.ravel()]
+    return np.array(flat).reshape(array.shape).tolist()
+
+
+def force_bands(bundle: Bundle) -> dict[str, Any] | None:
+    """Force against depth at one speed: quantiles over specimens drawn from the population.
+
+    Returns ``depth_mm``, ``speed_mm_s``, ``typical`` and ``quantiles``, shape (5, n) [N]; ``None`` where no
+    speed is known.
+    """
+    model = bundle.contact_model()
+    slowest, fastest = bundle.speeds_mm_s
+    if not (model.viscous and bundle.draws is not None and fastest > 0.0):
+        return None
+    speed = float(np.sqrt(max(slowest, 1e-3 * fastest) * fastest))
+    depth = np.linspace(0.0, bundle.depth_mm, BAND_DEPTHS)
+    forces = np.array(
+        [loading_force(model, theta, depth, speed_mm_s=speed) for theta in bundle.draws[:BAND_DRAWS]]
+    )
+    return {
+        "depth_mm": _rounded(depth),
+        "speed_mm_s": speed,
+        "typical": _rounded(loading_force(model, bundle.theta, depth, speed_mm_s=speed)),
+        "quantiles": _rounded(np.quantile(forces, QUANTILES, axis=0)),
+    }
+
+
+def _shown(specimens: Sequence[Specimen]) -> Sequence[Specimen]:
+    """Those that are drawn, outliers among them."""
+    if len(specimens) <= MOST_DRAWN:
+        return specimens
+    outliers = [row for row in specimens if row.outlier is not None][:MOST_DRAWN]
+    rest = [row for row in specimens if row.outlier is None]
+    take = MOST_DRAWN - len(outliers)
+    return outliers + [rest[k] for k in np.linspace(0, len(rest) - 1, take).astype(int)] if take else outliers
+
+
+def population_payload(document: Population, bundle: Bundle | None) -> dict[str, Any]:
+    """Everything the page's script draws from."""
+    found = document.population
+    assert found is not None  # noqa: S101  (a page is of a population)
+    shown, held = _shown(found.specimens), found.held_out
+    return {
+        "quantities": [
+            {
+                "words": row.words,
+                "unit": "" if row.unit == "1" else row.unit,
+                "median": row.median,
+                "ci95": row.ci95,
+                "sd": row.sd_ln,
+            }
+            for row in found.quantities
+        ],
+        "specimens": [
+            {"name": row.specimen, "outlier": row.outlier is not None}
+            | {key: _rounded(getattr(row, key)) for key in _DRAWN}
+            for row in shown
+        ],
+        "correlation": _rounded(found.correlation),
+        "bands": None if bundle is None else force_bands(bundle),
+        "agreement": plain(document.agreement),
+        "held_out": held
+        and {
+            "range": _rounded([100.0 * row.nrmsd_range for row in held.trials]),
+            "mean": _rounded([100.0 * row.nrmsd_mean for row in held.trials]),
+            "paper_a": held.paper_a_percent,
+        },
+    }
 
 
 def _percent(value: float, digits: int = 3) -> str:
@@ -29,9 +112,7 @@ def _percents(ends: tuple[float, float]) -> str:
     return f"{_percent(ends[0])} to {_percent(ends[1])}"
 
 
-def _verdict(document: Population) -> Verdict:
-    found = document.population
-    assert found is not None  # noqa: S101  (a page is of a population)
+def _verdict(document: Population, found: Populations) -> Verdict:
     sampler = found.sampler
     how = f"R-hat {sampler.r_hat:.3f}, {sampler.ess:.0f} effective draws or more"
     if not sampler.converged:
@@ -44,19 +125,6 @@ def _verdict(document: Population) -> Verdict:
         f"The chains converged ({how}). Intervals are calibrated for the stated model, and say nothing of "
         "specimens that were chosen otherwise than these.",
     )
-
-
-def _remarks(document: Population) -> list[Remark]:
-    return [
-        Remark(
-            level=flag_level(flag.code),
-            code=flag.code,
-            title=remark_title(flag.code),
-            messages=(flag.message,),
-            where=(),
-        )
-        for flag in document.flags
-    ]
 
 
 def held_out_sentence(held: HeldOut) -> str:
@@ -107,52 +175,53 @@ def _outliers(found: Populations) -> list[dict[str, str]]:
     ]
 
 
-def _sizes(found: Populations) -> list[dict[str, Any]]:
-    """A row a quantity: specimens for each precision."""
-    rows: dict[str, dict[str, Any]] = {}
-    words = {row.name: row.words for row in found.quantities}
+def _sizes(found: Populations) -> Table:
+    """A row a quantity: specimens for each precision, of the median and of the spread."""
+    rows: dict[str, list[CohortSize]] = {}
     for row in found.cohort_size:
-        one = rows.setdefault(row.name, {"quantity": words[row.name], "cells": []})
-        one["cells"].append(
-            {
-                "precision": row.precision,
-                "mean": f"{row.mean:,} ({row.mean_range[0]:,} to {row.mean_range[1]:,})",
-                "sd": f"{row.sd:,} ({row.sd_range[0]:,} to {row.sd_range[1]:,})",
-            }
-        )
-    return list(rows.values())
+        rows.setdefault(row.name, []).append(row)
+    words = {row.name: row.words for row in found.quantities}
+    precisions = [f"{100 * row.precision:g} %" for row in next(iter(rows.values()))]
+    return Table(
+        ["Quantity", *(f"{of} to {precision}" for of in ("Median", "Spread") for precision in precisions)],
+        [
+            [
+                words[name],
+                *(f"{row.mean:,} ({row.mean_range[0]:,} to {row.mean_range[1]:,})" for row in cells),
+                *(f"{row.sd:,} ({row.sd_range[0]:,} to {row.sd_range[1]:,})" for row in cells),
+            ]
+            for name, cells in rows.items()
+        ],
+    )
+
+
+def _heads(found: Populations) -> list[str]:
+    between = ["CV between specimens [%]", "95 % interval [%]"]
+    levels = [f"Between {key}s, sd of ln" for key in found.quantities[0].levels]
+    return ["Quantity", "Median", "95 % interval", "Total 95 % interval", *between, *levels]
 
 
 def render_population(document: Population, bundle: Bundle | None, *, created: str | None = None) -> str:
-    """Write the page.
-
-    ``document``: the document of ``schemas/population.schema.json``, with a population; ``bundle``:
-    population.h5, for the bands of force; ``created``: time stamp to print; without it equal input gives an
-    equal page.  Returns HTML, UTF-8.
-    """
+    """Write the page of a document with a population; ``bundle``: population.h5, for the bands of force."""
     found = document.population
     assert found is not None  # noqa: S101  (a page is of a population)
-    return (
-        page_environment()
-        .get_template("population.html.j2")
-        .render(
-            title=f"Population of {len(document.specimens_used)} specimens",
-            run=document,
-            found=found,
-            verdict=_verdict(document),
-            remarks=_remarks(document),
-            interval=_interval,
-            percent=_percent,
-            percents=_percents,
-            effects=_effects(found),
-            outliers=_outliers(found),
-            sizes=_sizes(found),
-            held_out=None if found.held_out is None else held_out_sentence(found.held_out),
-            most_drawn=MOST_DRAWN,
-            payload=population_payload(document, bundle),
-            created=created,
-            style=asset("page.css") + asset("selfcheck.css"),
-            plotly=plotly_script(),
-            scripts=[asset("boxes.js"), asset("population.js")],
-        )
+    return render_page(
+        "population",
+        title=f"Population of {len(document.specimens_used)} specimens",
+        run=document,
+        found=found,
+        verdict=_verdict(document, found),
+        remarks=flag_remarks(document.flags),
+        interval=_interval,
+        percent=_percent,
+        percents=_percents,
+        heads=_heads(found),
+        effects=_effects(found),
+        outliers=_outliers(found),
+        sizes=_sizes(found),
+        held_out=None if found.held_out is None else held_out_sentence(found.held_out),
+        most_drawn=MOST_DRAWN,
+        payload=population_payload(document, bundle),
+        created=created,
+        scripts=["population.js"],
     )

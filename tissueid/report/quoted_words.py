@@ -5,14 +5,14 @@ A cell is text: a number with its standard error, or why there is none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
 from tissueid.documents.quantities import Cycle, Measure, Quantity, Quoted
 from tissueid.quantities import DEPTH_TEST
-from tissueid.report.remarks import trial_label
+from tissueid.report.wording import trial_label
 
 #: Rows of a table that are printed; the rest is in identification.json.
 MOST_ROWS = 12
@@ -61,15 +61,22 @@ def _cell(entry: Measure | Quantity | None, *, percent: bool = False) -> str:
 
 
 def _find(entries: Sequence[Quantity], name: str, **at: Any) -> Quantity | None:
-    for entry in entries:
-        if entry.name == name and all(getattr(entry.at, key) == value for key, value in at.items()):
-            return entry
-    return None
+    alike = (one for one in entries if one.name == name)
+    return next((one for one in alike if all(getattr(one.at, key) == at[key] for key in at)), None)
 
 
 def _values(entries: Sequence[Quantity], name: str, key: str) -> list[Any]:
     """Distinct conditions of a quantity, in the order they come."""
     return list(dict.fromkeys(getattr(entry.at, key) for entry in entries if entry.name == name))
+
+
+def _rows(
+    entries: Sequence[Quantity], names: Sequence[str], places: Iterable[tuple[str, Mapping[str, Any]]]
+) -> tuple[list[list[str]], list[str | None]]:
+    """A row a place, of words and conditions: the quantities there; and why some are missing."""
+    found = [(words, [_find(entries, name, **at) for name in names]) for words, at in places]
+    reasons = [entry.reason for _, own in found for entry in own if entry is not None]
+    return [[words, *map(_cell, own)] for words, own in found], reasons
 
 
 def _relaxed(quoted: Quoted) -> Table:
@@ -100,11 +107,8 @@ def _relaxed(quoted: Quoted) -> Table:
 def _oscillation(quoted: Quoted) -> Table | None:
     model = quoted.model
     names = ("storage_stiffness", "loss_stiffness", "tan_delta", "dissipated_energy")
-    rows, reasons = [], []
-    for frequency in _values(model, "tan_delta", "frequency_Hz"):
-        found = [_find(model, name, frequency_Hz=frequency) for name in names]
-        reasons += [entry.reason for entry in found if entry is not None]
-        rows.append([f"{number(frequency, 3)} Hz", *(_cell(entry) for entry in found)])
+    at = [(f"{number(one, 3)} Hz", {"frequency_Hz": one}) for one in _values(model, names[2], "frequency_Hz")]
+    rows, reasons = _rows(model, names, at)
     if not rows:
         return None
     energy = _find(model, "dissipated_energy")
@@ -120,11 +124,8 @@ def _oscillation(quoted: Quoted) -> Table | None:
 def _stiffness(quoted: Quoted) -> Table:
     model = quoted.model
     names = ("equilibrium_secant", "equilibrium_tangent", "instantaneous_secant", "instantaneous_tangent")
-    rows, reasons = [], []
-    for depth in _values(model, names[0], "depth_mm"):
-        found = [_find(model, name, depth_mm=depth) for name in names]
-        reasons += [entry.reason for entry in found if entry is not None]
-        rows.append([f"{number(depth, 3)} mm", *(_cell(entry) for entry in found)])
+    at = [(f"{number(one, 3)} mm", {"depth_mm": one}) for one in _values(model, names[0], "depth_mm")]
+    rows, reasons = _rows(model, names, at)
     sentence = (
         "Structural stiffness for this tip on this support [N/mm]: after every branch has relaxed, and at "
         "once (as far as these samples show). Secant: force over depth. Tangent: slope."
@@ -137,13 +138,12 @@ def _moduli(quoted: Quoted) -> Table | None:
     moduli = quoted.moduli
     if not moduli:
         return None
-    rows, reasons = [], []
-    keys = dict.fromkeys((entry.at.formula, entry.at.depth_mm) for entry in moduli)
-    for formula, depth in keys:
-        names = ("modulus_equilibrium", "modulus_instantaneous")
-        found = [_find(moduli, name, formula=formula, depth_mm=depth) for name in names]
-        reasons += [entry.reason for entry in found if entry is not None]
-        rows.append([f"{str(formula).capitalize()}, {number(depth, 3)} mm", *(_cell(one) for one in found)])
+    places = dict.fromkeys((entry.at.formula, entry.at.depth_mm) for entry in moduli)
+    at = [
+        (f"{str(formula).capitalize()}, {number(depth, 3)} mm", {"formula": formula, "depth_mm": depth})
+        for formula, depth in places
+    ]
+    rows, reasons = _rows(moduli, ("modulus_equilibrium", "modulus_instantaneous"), at)
     known = quoted.assumptions
     size = (
         f"half angle {number(known.half_angle_deg, 3)}°"
@@ -187,29 +187,17 @@ def _spectra(quoted: Quoted) -> Table | None:
     spectra = quoted.spectra
     if not spectra:
         return None
-    exponents = range(-6, 9)
-    shares = []
+    decades = [(n, 10.0**n, 10.0 ** (n + 1)) for n in range(-6, 9)]
+    used = [n for n, low, high in decades if any(low <= tau < high for one in spectra for tau in one.tau_s)]
+    rows = []
     for one in spectra:
+        by_decade: dict[int, float] = {}
+        for tau, amplitude in zip(one.tau_s, one.amplitude_N, strict=True):
+            for n in (n for n, low, high in decades if low <= tau < high):
+                by_decade[n] = by_decade.get(n, 0.0) + amplitude
         total = sum(one.amplitude_N)
-        by_decade = {
-            n: sum(
-                amplitude
-                for tau, amplitude in zip(one.tau_s, one.amplitude_N, strict=True)
-                if 10.0**n <= tau < 10.0 ** (n + 1)
-            )
-            for n in exponents
-        }
-        inside = {n for n in exponents if any(10.0**n <= tau < 10.0 ** (n + 1) for tau in one.tau_s)}
-        shares.append((one, total, by_decade, inside))
-    used = sorted(set().union(*(inside for *_, inside in shares)))
-    rows = [
-        [
-            trial_label(one),
-            *(f"{100.0 * by_decade[n] / total:.0f}" if n in inside and total > 0.0 else NONE for n in used),
-            number(one.plateau_N, 3),
-        ]
-        for one, total, by_decade, inside in shares
-    ]
+        shares = [f"{100.0 * by_decade[n] / total:.0f}" if n in by_decade and total else NONE for n in used]
+        rows.append([trial_label(one), *shares, number(one.plateau_N, 3)])
     head = ("Hold of", *(f"{10.0**n:g} to {10.0 ** (n + 1):g} s" for n in used), "Plateau [N]")
     sentence = (
         "Where the relaxing force of each hold lies [% of it], by relaxation time: a smoothed spectrum of "

@@ -93,10 +93,7 @@ def _device(row: RenderedDevice | RefusedDevice, depth_mm: float) -> dict[str, A
 
 
 def rendering_view(rendering: Rendering | str | None, specimen: Specimen) -> dict[str, Any] | None:
-    """Rows of devices and sentences on passivity; ``None`` where nothing was worked out.
-
-    ``rendering``: from :func:`tissueid.study.pages.rendering_of`.
-    """
+    """Rows of devices and sentences on passivity; ``None`` where nothing was worked out."""
     if rendering is None:
         return None
     if isinstance(rendering, str):
@@ -131,10 +128,7 @@ def rendering_view(rendering: Rendering | str | None, specimen: Specimen) -> dic
 
 
 def metadata_view(graded: StudyCheck | None) -> dict[str, Any] | None:
-    """Grade and missing items of a study's description; ``None`` where it was not graded.
-
-    ``graded``: the document of ``schemas/study-check.schema.json``.
-    """
+    """Grade and missing items of a study's description; ``None`` where it was not graded."""
     if graded is None:
         return None
     rows = [

@@ -1,7 +1,4 @@
-"""The page of ``tissueid rupture``: what broke the tissue, what speed has to do with it, what may be said.
-
-Self-contained like the report.  Every figure has its numbers in the tables beside it.
-"""
+"""The page of ``tissueid rupture``: what broke the tissue, what speed has to do with it, what may be said."""
 
 from __future__ import annotations
 
@@ -11,10 +8,9 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.rupture import Rupture, Speed
-from tissueid.flags import flag_level
-from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.remarks import Remark, remark_title
-from tissueid.report.wording import Verdict
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Figure
+from tissueid.report.wording import Verdict, flag_remarks
 
 S_PER_MIN = 60.0
 CRITERION_WORDS: Mapping[str, str] = {
@@ -24,6 +20,10 @@ CRITERION_WORDS: Mapping[str, str] = {
     "depth": "Depth",
     "none": "None",
 }
+
+
+_INKS = {"work": "data", "weighted-force": "model", "stored-energy": "aside", "depth": "serious"}
+_AT = "%{x:.4g} mm/min<extra></extra>"
 
 
 def _verdict(document: Rupture) -> Verdict:
@@ -45,69 +45,82 @@ def _with_sd(row: Speed, name: str) -> str:
     return number(mean) if sd is None else f"{number(mean)} ± {number(sd, 2)}"
 
 
-def _payload(document: Rupture) -> dict[str, Any]:
-    """The numbers behind the figures."""
-    return {
-        "tests": [
-            {
-                "specimen": one.specimen,
-                "speed": S_PER_MIN * one.speed_mm_s,
-                "ruptured": one.ruptured,
-                "force": one.force_N,
-                "work": one.work_N_mm,
-                "measures": {name: measure["value"] for name, measure in plain(one.measures).items()},
-            }
-            for one in document.tests
-        ],
-        "speeds": [
-            {
-                "speed": S_PER_MIN * row.speed_mm_s,
-                "force": [row.mean.force_N, row.sd.force_N],
-                "work": [row.mean.work_N_mm, row.sd.work_N_mm],
-            }
-            for row in document.speeds
-        ],
-        "criteria": [
-            {
-                "name": row.criterion,
-                "words": CRITERION_WORDS[row.criterion],
-                "unit": row.unit,
-                "median": row.median,
-                "ci95": row.ci95,
-            }
-            for row in document.criteria
-        ],
-        "likeliest": max(document.criteria, key=lambda row: row.ln_evidence).criterion,
+def _against_speed(document: Rupture, key: str, title: str, unit: str) -> Figure:
+    """Force or work at rupture: tests of each specimen joined, and the mean at each speed."""
+    lines = []
+    for name in dict.fromkeys(one.specimen for one in document.tests):
+        own = [one for one in document.tests if one.specimen == name and one.ruptured]
+        own.sort(key=lambda one: one.speed_mm_s)
+        trace: dict[str, Any] = {
+            "x": [S_PER_MIN * one.speed_mm_s for one in own],
+            "y": [getattr(one, key) for one in own],
+        }
+        trace |= {"text": [name] * len(own), "mode": "lines+markers", "showlegend": False}
+        look = {
+            "line": {"color": {"ink": "data", "faint": 0.35}, "width": 1},
+            "marker": {"ink": "data", "size": 6},
+        }
+        lines.append({**trace, **look, "hovertemplate": f"%{{text}}: %{{y:.4g}} {unit} at {_AT}"})
+    known = [row for row in document.speeds if getattr(row.mean, key) is not None]
+    mean = {
+        "x": [S_PER_MIN * row.speed_mm_s for row in known],
+        "y": [getattr(row.mean, key) for row in known],
+        "mode": "markers",
+        "name": "mean ± SD",
+        "marker": {"ink": "model", "size": 10, "symbol": "diamond"},
+        "error_y": {"type": "data", "array": [getattr(row.sd, key) or 0 for row in known], "ink": "model"}
+        | {"thickness": 2, "width": 6},
+        "hovertemplate": f"mean %{{y:.4g}} {unit} at {_AT}",
     }
+    layout = {"xaxis": {"type": "log"}, "yaxis": {"rangemode": "tozero"}}
+    return Figure(title, "Speed [mm/min]", f"{title} [{unit}]", [*lines, mean], layout)
+
+
+def _reached(document: Rupture) -> Figure:
+    """Each test's measure over the median of every criterion."""
+    tests, likeliest = document.tests, max(document.criteria, key=lambda row: row.ln_evidence).criterion
+    symbols = ["circle" if one.ruptured else "circle-open" for one in tests]
+    traces = []
+    for k, row in enumerate(document.criteria):
+        words, of = CRITERION_WORDS[row.criterion], f"{number(row.median)} {row.unit}"
+        measures = [plain(one.measures)[row.criterion]["value"] for one in tests]
+        traces.append(
+            {
+                # side by side, so that marks of one speed do not hide each other
+                "x": [S_PER_MIN * one.speed_mm_s * 1.06 ** (k - 1.5) for one in tests],
+                "y": [value / row.median for value in measures],
+                "mode": "markers",
+                "name": words,
+                "visible": True if row.criterion in (likeliest, "depth", "work") else "legendonly",
+                "marker": {"ink": _INKS[row.criterion], "size": 8, "symbol": symbols},
+                "text": [one.specimen for one in tests],
+                "hovertemplate": f"%{{text}}: %{{y:.3f}} of {of}<extra>{words}</extra>",
+            }
+        )
+    level = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1}
+    shapes = [{**level, "line": {"ink": "soft", "width": 1}}]
+    layout = {"xaxis": {"type": "log"}, "yaxis": {"type": "log"}, "shapes": shapes}
+    return Figure("Criteria", "Speed [mm/min]", "Reached over median", traces, layout)
 
 
 def render_rupture(document: Rupture, *, created: str | None = None) -> str:
-    """Write the page.
-
-    ``document``: the document of ``schemas/rupture.schema.json``; ``created``: time stamp to print; without
-    it equal input gives an equal page.  Returns HTML, UTF-8.
-    """
+    """Write the page."""
     ruptured = sum(one.ruptured for one in document.tests)
-    remarks = [
-        Remark(flag.code, flag_level(flag.code), remark_title(flag.code), (flag.message,), ())
-        for flag in document.flags
-    ]
-    return (
-        page_environment()
-        .get_template("rupture.html.j2")
-        .render(
-            title=f"Rupture in {ruptured} of {len(document.tests)} tests",
-            run=document,
-            verdict=_verdict(document),
-            remarks=remarks,
-            words=CRITERION_WORDS,
-            with_sd=_with_sd,
-            per_minute=S_PER_MIN,
-            interval=lambda ends: f"{number(ends[0])} to {number(ends[1])}",
-            payload=_payload(document),
-            created=created,
-            style=asset("page.css") + asset("selfcheck.css"),
-            plotly=plotly_script(),
-            scripts=[asset("boxes.js"), asset("rupture.js")],
-        )
+    return render_page(
+        "rupture",
+        title=f"Rupture in {ruptured} of {len(document.tests)} tests",
+        run=document,
+        verdict=_verdict(document),
+        remarks=flag_remarks(document.flags),
+        words=CRITERION_WORDS,
+        with_sd=_with_sd,
+        per_minute=S_PER_MIN,
+        interval=lambda ends: f"{number(ends[0])} to {number(ends[1])}",
+        payload=[
+            _against_speed(document, "force_N", "Force at rupture", "N").payload(),
+            _against_speed(document, "work_N_mm", "Work to rupture", "N mm").payload(),
+            _reached(document).payload(),
+        ],
+        created=created,
+        scripts=["plain.js"],
     )

@@ -1,13 +1,16 @@
-"""The page of ``tissueid calibrate``: rank histograms, ECDFs within their bands, coverage, verdict.
-
-Self-contained like the report.  Every figure has its numbers in the tables beside it.
-"""
+"""The page of ``tissueid calibrate``: rank histograms, ECDFs within their bands, coverage, verdict."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+from markupsafe import Markup
+
 from tissueid.digits import number
-from tissueid.documents.selfcheck import SelfCheck
-from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.documents.selfcheck import Parameter, SelfCheck
+from tissueid.report.page import render_page
+from tissueid.report.plain_page import Figure, band
 from tissueid.report.wording import Verdict, parameter_words
 
 _KINDS = {"recipe": "Recipe", "study": "Study", "bundle": "Bundle"}
@@ -80,40 +83,78 @@ def _facts(document: SelfCheck) -> list[tuple[str, str]]:
     ]
 
 
-def render_selfcheck(document: SelfCheck, *, created: str | None = None) -> str:
-    """Write the page.
+def _figures(document: SelfCheck, one: Parameter) -> list[Figure]:
+    """ECDF difference of the ranks of a number, and their histogram."""
+    bands, total = document.bands, document.simulations.done - len(document.simulations.failed)
+    x = [0, *bands.points, 1]
 
-    ``document``: the document of ``schemas/selfcheck.schema.json``; ``created``: time stamp to print; without
-    it equal input gives an equal page.  Returns HTML, UTF-8.
-    """
+    def difference(counts: Sequence[int]) -> list[float]:
+        return [0, *(count / total - z for count, z in zip(counts, bands.points, strict=True)), 0]
+
+    traces: list[dict[str, Any]] = []
+    for found, words, faint in ((bands.percent_99, "99 %", 0.25), (bands.percent_95, "95 %", 0.35)):
+        lower, upper = band(x, difference(found.low), difference(found.high), faint, name=words)
+        traces += [lower, {**upper, "showlegend": True}]
+    edge: dict[str, Any] = {
+        "mode": "lines",
+        "name": "99 % over all",
+        "legendgroup": "family",
+        "hoverinfo": "skip",
+    }
+    edge |= {"line": {"ink": "soft", "width": 1, "dash": "dash"}}
+    for ends, shown in ((bands.family.low, False), (bands.family.high, True)):
+        traces.append({**edge, "x": x, "y": difference(ends), "showlegend": shown})
+    said: dict[str, Any] = {"name": "ranks", "hovertemplate": "z %{x:.2f}: %{y:.4f}<extra></extra>"}
+    stepped = {"ink": "model", "width": 2, "shape": "hv"}
+    traces.append({**said, "x": x, "y": difference(one.ecdf), "mode": "lines", "line": stepped})
+    bins = len(one.histogram)
+    bars: dict[str, Any] = {
+        "x": [(i + 0.5) / bins for i in range(bins)],
+        "y": one.histogram,
+        "width": 0.9 / bins,
+    }
+    bars |= {"type": "bar", "marker": {"ink": "data"}, "name": "simulations", "showlegend": False}
+    level: dict[str, Any] = {
+        "x": [0, 1],
+        "y": [total / bins] * 2,
+        "mode": "lines",
+        "line": {"ink": "model", "width": 1.6},
+    }
+    level |= {"showlegend": False, "hoverinfo": "skip"}
+    layout = {"xaxis": {"range": [0, 1]}}
+    return [
+        Figure("ECDF difference", "z", "ECDF − z", traces, layout),
+        Figure(
+            "Ranks",
+            "Rank, as a share of the draws",
+            "Simulations",
+            [{**bars, "hovertemplate": "%{y} ranks<extra></extra>"}, level],
+            layout,
+        ),
+    ]
+
+
+def render_selfcheck(document: SelfCheck, *, created: str | None = None) -> str:
+    """Write the page."""
     views = [
         {"id": f"parameter-{k + 1}", "words": _words(one.name), "data": one}
         for k, one in enumerate(document.parameters)
     ]
-    simulations = document.simulations
-    payload = {
-        "simulations": simulations.done - len(simulations.failed),
-        "bands": document.bands,
-        "parameters": [
-            {"words": view["words"], "ecdf": one.ecdf, "histogram": one.histogram}
-            for view, one in zip(views, document.parameters, strict=True)
-        ],
-    }
-    return (
-        page_environment()
-        .get_template("selfcheck.html.j2")
-        .render(
-            title=f"Calibration of {document.source.specimen}",
-            run=document,
-            verdict=_verdict(document),
-            facts=_facts(document),
-            views=views,
-            levels=[row.level for row in document.parameters[0].coverage],
-            prior_words=_words,
-            payload=payload,
-            created=created,
-            style=asset("page.css") + asset("selfcheck.css"),
-            scripts=[asset("boxes.js"), asset("selfcheck.js")],
-            plotly=plotly_script(),
-        )
+    level = Markup("{:g} % interval<br>{:.1f} to {:.1f}")
+    levels = [
+        level.format(100 * row.level, 100 * row.low, 100 * row.high)
+        for row in document.parameters[0].coverage
+    ]
+    return render_page(
+        "selfcheck",
+        title=f"Calibration of {document.source.specimen}",
+        run=document,
+        verdict=_verdict(document),
+        facts=_facts(document),
+        heads=["Number", "Verdict", *levels, "Mean z", "Spread", "Contraction"],
+        views=views,
+        prior_words=_words,
+        payload=[one.payload() for checked in document.parameters for one in _figures(document, checked)],
+        created=created,
+        scripts=["plain.js"],
     )

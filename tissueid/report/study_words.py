@@ -1,4 +1,4 @@
-"""Words of the report on a study: its covariates, its calibration, what was decided and left out."""
+"""Words of the report on a study: what is stated, decided, left out and missing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from msgspec.structs import asdict
 
 from tissueid.digits import NOT_IDENTIFIED, number, with_error
 from tissueid.documents.identification import Calibration, Exclusion, StatedSpecimen, StatedTrial, StudyRecord
-from tissueid.report.remarks import trial_label
-from tissueid.report.wording import unit_words
+from tissueid.report.wording import trial_label, unit_words
 
 #: Unit at the end of a key -> how it is printed.
 _UNITS = {"_N_per_mm": "N/mm", "_mm_s": "mm/s", "_mm": "mm", "_years": "years", "_Hz": "Hz", "_deg": "°"}
@@ -109,10 +108,7 @@ def _change(without: float | None, with_it: float | None) -> str:
 
 
 def study_view(study: StudyRecord | None) -> dict[str, Any] | None:
-    """Everything the study section of the report prints, in words; ``None`` without a study.
-
-    ``study``: the ``study`` of identification.json.
-    """
+    """Everything the study section of the report prints, in words; ``None`` without a study."""
     if study is None:
         return None
     return {

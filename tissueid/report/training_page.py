@@ -30,9 +30,7 @@ def render_training(
 ) -> str:
     """Write the page.
 
-    ``document``: of ``schemas/training.schema.json``; ``tracks``: file of an attempt -> height above the
-    entry point and distance from the axis [mm]; ``created``: time stamp to print; without it equal input
-    gives an equal page.  Returns HTML, UTF-8.
+    ``tracks``: file of an attempt -> height above the entry point and distance from the axis [mm].
     """
     who = dict.fromkeys(row.pseudonym for row in document.attempts)
     sections = [_person(document, tracks, one) for one in who]

@@ -29,7 +29,7 @@ WORDS = {
 
 
 def render_twin(twin: Twin) -> str:
-    """Write the page.  Returns HTML, UTF-8."""
+    """Write the page."""
     first, *others = twin_sections(twin.found)
     return render_plain("Mechanical twin", [replace(first, figures=[_figure(twin)]), *others])
 

@@ -1,7 +1,7 @@
 """Uncertainty of a result, in words: intervals, sampler, noise, priors, sources, other models, checks.
 
-Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them
-(:func:`misfit_alarm`) no interval stands on the first screen.  What is not identified has no number.
+Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them no
+interval stands on the first screen.  What is not identified has no number.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
-from tissueid.documents.identification import BudgetRow, Estimate, Model, Specimen
+from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
@@ -79,13 +79,6 @@ def reported_order(parameters: Sequence[Estimate]) -> list[Estimate]:
     return sorted(parameters, key=place)
 
 
-def misfit_alarm(specimen: Specimen) -> list[str]:
-    """Misfit that model and noise can't make; empty without an alarm."""
-    if specimen.misfit is None or not misfit_raised(specimen):
-        return []
-    return [check.message.rstrip(".") for check in specimen.misfit.checks if check.raised]
-
-
 def _rows(specimen: Specimen, columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
     """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
 
@@ -129,25 +122,15 @@ def _columns(specimen: Specimen) -> list[str]:
 
 
 def paper_view(specimen: Specimen) -> dict[str, Any]:
-    """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``.
-
-    ``specimen``: one of ``specimens`` of identification.json.
-    """
+    """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``."""
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
     return {
-        "model": model_words(specimen.model),
+        "model": "modified Kelvin-Voigt" if specimen.model.key == "kelvin-voigt" else specimen.model.key,
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
-        "said": " ".join(
-            filter(None, (_fit_sentence(specimen), _range_sentence(specimen), _window_sentence(specimen)))
-        ),
+        "said": f"{_fit_sentence(specimen)} {_range_sentence(specimen)}{_window_sentence(specimen)}",
     }
-
-
-def model_words(model: Model) -> str:
-    """Name of a contact model in a heading."""
-    return "modified Kelvin-Voigt" if model.key == "kelvin-voigt" else str(model.key)
 
 
 def _fit_sentence(specimen: Specimen) -> str:
@@ -199,7 +182,7 @@ def window_words(specimen: Specimen) -> str:
 
 def _window_sentence(specimen: Specimen) -> str:
     said = window_words(specimen)
-    return f"One relaxation time: {said}." if said else ""
+    return f" One relaxation time: {said}." if said else ""
 
 
 def _sampler_sentence(specimen: Specimen) -> str:
@@ -229,16 +212,11 @@ def _sampler_sentence(specimen: Specimen) -> str:
 
 def _convergence_rows(specimen: Specimen) -> list[dict[str, Any]]:
     """Effective draws and R-hat of every parameter that has them."""
+    known = [entry for entry in reported_order(specimen.parameters) if entry.ess_bulk is not None]
     return [
-        {
-            "words": parameter_words(entry.name),
-            "symbol": entry.symbol,
-            "bulk": entry.ess_bulk,
-            "tail": entry.ess_tail,
-            "r_hat": entry.r_hat,
-        }
-        for entry in reported_order(specimen.parameters)
-        if entry.ess_bulk is not None
+        {"words": parameter_words(one.name), "symbol": one.symbol, "bulk": one.ess_bulk, "tail": one.ess_tail}
+        | {"r_hat": one.r_hat}
+        for one in known
     ]
 
 
@@ -354,16 +332,14 @@ def _comparison(specimen: Specimen) -> list[dict[str, Any]]:
 
 
 def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
-    """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled.
-
-    ``specimen``: one of ``specimens`` of identification.json.
-    """
+    """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled."""
     if specimen.sampler is None:
         return None
-    columns = _columns(specimen)
+    columns, raised = _columns(specimen), misfit_raised(specimen)
+    checks = () if specimen.misfit is None else specimen.misfit.checks
     return {
-        "alarm": misfit_alarm(specimen),
-        "raised": misfit_raised(specimen),
+        "alarm": [check.message.rstrip(".") for check in checks if check.raised] if raised else [],
+        "raised": raised,
         "rows": _rows(specimen, columns),
         "intervals": [_INTERVALS[key] for key in columns],
         "total": "ci95_total" in columns,
@@ -376,5 +352,5 @@ def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
         "priors": _prior_rows(specimen),
         "budget": _budget(specimen),
         "comparison": _comparison(specimen),
-        "checks": [] if specimen.misfit is None else specimen.misfit.checks,
+        "checks": checks,
     }

@@ -1,4 +1,4 @@
-"""Words of the report: the verdict, events, numbers with their errors and units.
+"""Words of the report: remarks, the verdict, sentences on the tissue, events, numbers with errors and units.
 
 A number that the data do not determine is never printed as a value: it is "not identified".
 """
@@ -6,17 +6,82 @@ A number that the data do not determine is never printed as a value: it is "not 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from markupsafe import Markup, escape
+from msgspec.structs import replace
 
-from tissueid.digits import number
-from tissueid.documents.identification import Specimen
+from tissueid.digits import number, together, typeset, with_error
+from tissueid.documents.base import Flag, Placed
+from tissueid.documents.identification import Estimate, Relaxation, Specimen, Trial, Validity
 from tissueid.documents.inspect import Units
+from tissueid.flags import FLAGS, flag_level, harm_rank
 from tissueid.quantity_words import QUANTITIES
-from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
+
+#: From harmless to grave.
+LEVELS = ("ok", "note", "caution", "serious")
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One flag for a reader, gathered over a specimen's trials."""
+
+    code: str
+    level: str  # ``note``, ``caution`` or ``serious``
+    title: str  # what it is about
+    messages: tuple[str, ...]  # its sentences, with numbers; none twice
+    where: tuple[str, ...]  # trials that carry it; empty for the specimen as a whole
+
+    @property
+    def message(self) -> str:
+        """All sentences in one, each closed once, powers of ten raised."""
+        return typeset("; ".join(part.rstrip(".") for part in self.messages))
+
+
+def flag_remarks(flags: Sequence[Flag]) -> list[Remark]:
+    """Flags of a whole document as remarks, one each."""
+    return [
+        Remark(one.code, flag_level(one.code), remark_title(one.code), (one.message,), ()) for one in flags
+    ]
+
+
+def remark_title(code: str) -> str:
+    """Title of a flag; a code of a later version is spelt out."""
+    return FLAGS[code].title if code in FLAGS else code.replace("_", " ").capitalize()
+
+
+def trial_label(trial: Placed) -> str:
+    """Short name of a trial: its file, and its sheet where there is one."""
+    name = trial.path.replace("\\", "/").rsplit("/", 1)[-1]
+    return name if trial.sheet is None else f"{name} [{trial.sheet}]"
+
+
+def remarks(specimen: Specimen, *, holds: bool = True) -> tuple[Remark, ...]:
+    """Every flag of a specimen, its trials and perhaps its holds, once a code, the one of most harm first."""
+    messages: dict[str, list[str]] = {}
+    where: dict[str, list[str]] = {}
+    for flag in specimen.flags:
+        said = messages.setdefault(flag.code, [])
+        where.setdefault(flag.code, [])
+        # several parameters may carry one code: each sentence is kept, and none twice
+        if flag.message not in said:
+            said.append(flag.message)
+    parts: list[Trial | Relaxation] = [*specimen.trials, *(specimen.relaxation if holds else ())]
+    for part in parts:
+        for flag in part.flags:
+            messages.setdefault(flag.code, [flag.message])
+            places = where.setdefault(flag.code, [])
+            if trial_label(part) not in places:
+                places.append(trial_label(part))
+    found = [
+        Remark(code, flag_level(code), remark_title(code), tuple(said), tuple(where[code]))
+        for code, said in messages.items()
+    ]
+    return tuple(sorted(found, key=lambda remark: harm_rank(remark.code)))
+
 
 _GREEK: Mapping[str, str] = {"tau": "τ", "eta": "η"}
 
@@ -102,13 +167,9 @@ def misfit_raised(specimen: Specimen) -> bool:
 
 def unit_words(unit: str) -> str:
     """``N s/mm^2`` as it is printed: ``N·s/mm²``."""
-    return (
-        unit.replace("^2", "²")
-        .replace("^3", "³")
-        .replace("N s", "N·s")
-        .replace("MPa s", "MPa·s")
-        .replace("N*s", "N·s")
-    )
+    for plain, printed in (("^2", "²"), ("^3", "³"), ("N s", "N·s"), ("MPa s", "MPa·s"), ("N*s", "N·s")):
+        unit = unit.replace(plain, printed)
+    return unit
 
 
 def in_units(heading: str, units: Units | None) -> str:
@@ -144,10 +205,6 @@ _WORDS: Mapping[str, tuple[str, str]] = {
 def event_words(values: Mapping[str, float], units: Units) -> str:
     """The numbers of an event as a list in words.
 
-    ``values``: of an event of ``schemas/inspect.schema.json``; ``units``: ``units`` of its recording.
-
-    Examples
-    --------
     >>> event_words({"drop_N": 12.5, "depth_mm": 3.0}, Units(length='mm', force='N', time='s'))
     'falls by 12.50 N, depth 3.000 mm'
     """
@@ -164,3 +221,130 @@ def event_words(values: Mapping[str, float], units: Units) -> str:
 def took(duration_s: float) -> str:
     """Duration of a stop: none is shorter than sampling shows."""
     return "too short to see" if duration_s == 0.0 else f"took {number(duration_s, 2)} s"
+
+
+_S_PER_MIN = 60.0
+_WIDEST = (("ci95_total", "95 % total intervals"), ("ci95", "95 % statistical intervals"))
+
+
+def _estimate_words(entry: Estimate, interval: str | None) -> str:
+    """A value with its unit and its interval in brackets, or its standard error where nothing was sampled."""
+    unit = unit_words(entry.unit)
+    ends: tuple[float, float] | None = None if interval is None else getattr(entry, interval)
+    if ends is None or entry.value is None:
+        return f"{with_error(entry.value, entry.stderr)} {unit}"
+    value, low, high = together([entry.value, *ends], entry.sd)
+    return f"{value} {unit} [{low} to {high}]"
+
+
+def _static_words(known: Mapping[str, Estimate], depth_mm: float, length: str, interval: str | None) -> str:
+    names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3")
+    values = [known[name].value for name in names if name in known]
+    if not values or values[0] is None:
+        return "its static stiffness is not identified"
+    first = known[names[0]]
+    words = f"its static stiffness is {_estimate_words(first, interval)} at contact"
+    terms = [value * depth_mm**power for power, value in enumerate(values) if value is not None]
+    if len(terms) == len(values) and depth_mm > 0:
+        secant = sum(terms)
+        unit = unit_words(first.unit)
+        words += f" ({number(secant, 3)} {unit} on average over {number(depth_mm, 3)}{length})"
+    return words
+
+
+def _listed(parts: Sequence[str], *, last: str = " and ") -> str:
+    return f"{', '.join(parts[:-1])}{last}{parts[-1]}" if len(parts) > 1 else parts[0]
+
+
+def _dynamic_words(known: Mapping[str, Estimate], branches: Sequence[str], interval: str | None) -> list[str]:
+    parts = []
+    for name, words, lost in (
+        ("relaxation_time_s", "it relaxes in", "its relaxation time"),
+        ("viscosity_N_s_per_mm", "its viscosity is", "its viscosity"),
+    ):
+        entries = [known[f"{name}{suffix}"] for suffix in branches if f"{name}{suffix}" in known]
+        said = [_estimate_words(entry, interval) for entry in entries if entry.value is not None]
+        missing = "" if len(said) == len(entries) else f" ({len(entries) - len(said)} more not identified)"
+        if said:
+            parts.append(f"{words} {_listed(said)}{missing}")
+        elif entries:
+            parts.append(f"{lost} is not identified")
+    return parts
+
+
+def _valid_words(validity: Validity, *, normalised: bool) -> str:
+    slow, fast = validity.speeds_mm_s
+
+    def span(factor: float) -> str:
+        ends = [number(factor * value, 3) for value in (slow, fast)]
+        return ends[0] if ends[0] == ends[1] else " to ".join(ends)
+
+    deep = number(validity.depth_mm, 3)
+    if normalised:
+        return f"valid to a strain of {deep} and for loading at {span(1.0)} 1/s"
+    tip = validity.tip_radius_mm
+    tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
+    return (
+        f"found with {tool}, valid to {deep} mm deep and for loading at {span(1.0)} mm/s "
+        f"({span(_S_PER_MIN)} mm/min)"
+    )
+
+
+def tissue_sentence(specimen: Specimen) -> str:
+    """The tissue in one sentence: stiffness, relaxation, viscosity, tip, and where it is valid.
+
+    Numbers carry their total 95 % interval, else the statistical one, else their standard error; none of
+    these where the residuals contradict the model.
+    """
+    known = {entry.name: entry for entry in specimen.parameters}
+    interval, told = None, ""
+    if misfit_raised(specimen):
+        known = {name: replace(entry, stderr=None) for name, entry in known.items()}
+    else:
+        for key, words in _WIDEST:
+            if interval is None and any(getattr(entry, key) is not None for entry in known.values()):
+                interval, told = key, f" (brackets: {words})"
+    normalised = specimen.units.length != "mm"
+    branches = [suffix for suffix in ("", "_b2", "_b3") if f"relaxation_time_s{suffix}" in known]
+    parts = [
+        _static_words(known, specimen.validity.depth_mm, "" if normalised else " mm", interval),
+        *_dynamic_words(known, branches, interval),
+    ]
+    listed = _listed(parts, last=", and " if branches[1:] or interval else " and ")
+    valid = _valid_words(specimen.validity, normalised=normalised)
+    return f"{listed[0].upper()}{listed[1:]}{told}; {valid}."
+
+
+def overview_sentence(specimens: Sequence[Specimen]) -> str:
+    """Several specimens in one sentence: medians and ranges of what is identified."""
+    parts = []
+    for name, words in (
+        ("static_1_N_per_mm", "static stiffness at contact"),
+        ("relaxation_time_s", "relaxation time"),
+        ("viscosity_N_s_per_mm", "viscosity"),
+    ):
+        entries = [entry for specimen in specimens for entry in specimen.parameters if entry.name == name]
+        found = [entry for entry in entries if entry.value is not None]
+        values = [entry.value for entry in found if entry.value is not None]
+        units = {unit_words(entry.unit) for entry in found}
+        if len(units) > 1:
+            parts.append(f"{words} in different units ({', '.join(sorted(units))}), not compared")
+        elif values:
+            unit = units.pop()
+            low, middle, high = (number(value, 3) for value in (min(values), median(values), max(values)))
+            known = "" if len(values) == len(specimens) else f", identified in {len(values)}"
+            parts.append(f"{words} {middle} {unit} ({low} to {high}{known})")
+        else:
+            parts.append(f"{words} not identified in any")
+    return f"{len(specimens)} specimens; median and range of each quantity: {'; '.join(parts)}."
+
+
+def speed_unit(units: Units) -> str:
+    """``mm/s``, or ``1/s`` where depth is a strain."""
+    return f"{units.length}/s"
+
+
+def program_words(speed_mm_s: float, depth_mm: float, units: Units) -> str:
+    """Speed and depth of a program: ``4.15 mm/s to 8.01 mm``."""
+    length = f" {units.length}" if units.length == "mm" else ""
+    return f"{number(speed_mm_s, 3)} {speed_unit(units)} to {number(depth_mm, 3)}{length}"

@@ -8,9 +8,8 @@ from typing import Any
 from tissueid.documents.identification import Identification
 from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
 from tissueid.report.measured_words import measured_name
-from tissueid.report.remarks import trial_label
 from tissueid.report.uncertainty_words import reported_order
-from tissueid.report.wording import parameter_words
+from tissueid.report.wording import parameter_words, trial_label
 from tissueid.store.tidy import tidy_table
 from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 
@@ -26,10 +25,7 @@ _Row = tuple[int | None, MeasuredHold | None, MeasuredPush | None]
 
 
 def report_workbook(document: Identification, digest: str | None = None) -> bytes:
-    """A workbook of the document of identification.json, whose SHA-256 is ``digest``.
-
-    Returns XLSX.
-    """
+    """A workbook of the document of identification.json, whose SHA-256 is ``digest``."""
     sheets = [_parameters(document), _measured(document), _pushes(document)]
     sheets += [_tidy(document, name, title, digest) for name, title in _TIDY.items()]
     return xlsx_bytes([sheet for sheet in sheets if sheet.rows] or sheets[:1])

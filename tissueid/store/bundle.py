@@ -10,61 +10,178 @@ Layout (schema version 1)::
     |-- draws        (n, p)  float64   only where a posterior was sampled; every row is passive
     `-- population_mean, population_sd  (m, p)  of a population: draws of mean and spread of ln quantities
 
-The draws of a population's bundle are specimens drawn from it; its covariance is theirs.
-Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
-hash covers the document and every number, so that an edited file is told from a written one; it is a
-seal against accidents, not a signature.  A group ``specimen`` beside them is passed over.
+The draws of a population's bundle are specimens drawn from it; its covariance is theirs.  Equal contents give
+equal bytes: no time stamps, no version of the library that wrote it.  The content hash covers the document
+and every number: a seal against accidents, not a signature.  A group ``specimen`` beside them is passed over.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
+from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
 from tissueid.rupture_law import RuptureLaw
-from tissueid.store.bundle_content import (
-    ARRAYS,
-    BUNDLE_FORMAT,
-    BUNDLE_SCHEMA_VERSION,
-    OPTIONAL,
-    Bundle,
-)
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.hdf5 import check_format, get_text, new_file, open_file, put_text
 from tissueid.store.schema import check
-from tissueid.trial import TipShape
+from tissueid.trial import Axes, TipShape
 
+if TYPE_CHECKING:
+    from tissueid.model.channels import ChannelModel
+
+
+BUNDLE_FORMAT = "tissueid/bundle"
+BUNDLE_SCHEMA_VERSION = 1
+OPTIONAL = ("draws", "population_mean", "population_sd")
+ARRAYS = ("theta", "covariance", *OPTIONAL)
+UNITS = Axes().as_json()
+_DOCUMENT = "document"
+SPECIMEN_GROUP = "specimen"
+#: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
+MOST_DRAWS = 2_000
 #: A covariance that went through a Cholesky factor and back is positive semi-definite to rounding only.
 _COVARIANCE_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle(Shown):
+    """One identified tissue.
+
+    Attributes
+    ----------
+    specimen : str
+    model : ModelChoice
+        Key and options of the contact model.
+    theta_names : tuple of str
+    theta : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+    parameters : tuple of Estimate
+        What was reported, in the words of identification.json.
+    depth_mm : float
+        The model is claimed on [0, depth_mm].
+    speeds_mm_s : tuple of float
+        Slowest and fastest loading speed it was fitted to [mm/s].
+    tip_radius_mm : float or None
+    tip : TipShape or None
+        Shape of the tip, where it was stated.
+    sigma_N : float
+        Residual standard deviation [N].
+    flags : tuple of mapping
+    provenance : mapping
+        Input hashes, versions, options, seed.
+    draws : ndarray, shape (n, p), or None
+        Posterior draws of theta; of a population, specimens drawn from it.
+    population_mean, population_sd : ndarray, shape (m, p), or None
+        In the coordinates of :mod:`tissueid.population.coordinates`.
+    rupture : RuptureLaw or None
+        When it breaks, as `tissueid rupture` found; ``None`` where nothing is claimed.
+    units : mapping
+    schema_version : int
+    """
+
+    specimen: str
+    model: ModelChoice
+    theta_names: tuple[str, ...]
+    theta: FloatArray
+    covariance: FloatArray
+    parameters: tuple[Estimate, ...]
+    depth_mm: float
+    speeds_mm_s: tuple[float, float]
+    tip_radius_mm: float | None
+    sigma_N: float
+    flags: tuple[Mapping[str, Any], ...]
+    provenance: Mapping[str, Any]
+    tip: TipShape | None = None
+    draws: FloatArray | None = None
+    population_mean: FloatArray | None = None
+    population_sd: FloatArray | None = None
+    rupture: RuptureLaw | None = None
+    units: Mapping[str, str] = field(default_factory=lambda: dict(UNITS))
+    schema_version: int = BUNDLE_SCHEMA_VERSION
+
+    def __post_init__(self) -> None:
+        for name in ARRAYS:
+            values = getattr(self, name)
+            if values is not None:
+                array = np.array(values, dtype=np.float64, copy=True)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+
+    @property
+    def is_population(self) -> bool:
+        """True where its draws are specimens of a population, and not what is known of one."""
+        return self.population_mean is not None
+
+    def contact_model(self) -> ChannelModel:
+        """Build the contact model these parameters belong to, as it was fitted."""
+        from tissueid.model.grammar import rebuilt
+
+        return rebuilt(self.model, self.depth_mm)
+
+    def require_renderable(self) -> None:
+        """Check that a device could render this tissue.
+
+        Raises
+        ------
+        BundleError
+            The recording was normalised: a device moves millimetres and pushes newtons.
+        """
+        if dict(self.units) != UNITS:
+            units = ", ".join(f"{key} in {unit}" for key, unit in self.units.items())
+            msg = (
+                f"{self.specimen}: the recordings were normalised ({units}), and a device renders mm and N; "
+                "fit recordings of displacement and force to feel this tissue"
+            )
+            raise BundleError(msg)
+
+    def parameter(self, name: str) -> Estimate:
+        """Return the reported parameter of that name (``KeyError`` where there is none)."""
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document of ``schemas/bundle.schema.json``."""
+        return {
+            "schema": f"{BUNDLE_FORMAT}/{self.schema_version}",
+            "specimen": self.specimen,
+            "model": self.model.as_json(),
+            "theta_names": list(self.theta_names),
+            "parameters": [estimate.as_json() for estimate in self.parameters],
+            "validity": {
+                "depth_mm": self.depth_mm,
+                "speeds_mm_s": list(self.speeds_mm_s),
+                "tip_radius_mm": self.tip_radius_mm,
+                **({} if self.tip is None else {"tip": self.tip.as_json()}),
+            },
+            "sigma_N": self.sigma_N,
+            "units": dict(self.units),
+            "flags": [dict(flag) for flag in self.flags],
+            "provenance": dict(self.provenance),
+            "rupture": None if self.rupture is None else self.rupture.as_json(),
+        }
 
 
 def array_problem(bundle: Bundle) -> str | None:
     """Fault of the sizes and numbers of a bundle's arrays, ``None`` where nothing is."""
     size = len(bundle.theta_names)
-    shapes: Sequence[tuple[str, FloatArray | None, tuple[int, ...]]] = (
-        ("theta", bundle.theta, (size,)),
-        ("covariance", bundle.covariance, (size, size)),
-        *(
-            (name, array, (-1 if array is None else len(array), size))
-            for name, array in (
-                ("draws", bundle.draws),
-                ("population_mean", bundle.population_mean),
-                ("population_sd", bundle.population_sd),
-            )
-        ),
-    )
-    for name, array, shape in shapes:
+    known: Mapping[str, tuple[int, ...]] = {"theta": (size,), "covariance": (size, size)}
+    for name in ARRAYS:
+        array: FloatArray | None = getattr(bundle, name)
         if array is None:
             continue
+        shape = known[name] if name in known else (len(array), size)
         if array.shape != shape:
             return f"{name} has shape {array.shape}, the {size} parameters need {shape}"
         if not np.isfinite(array).all():
@@ -101,28 +218,10 @@ def model_problem(bundle: Bundle) -> str | None:
     return None
 
 
-__all__ = [
-    "BUNDLE_SCHEMA_VERSION",
-    "SPECIMEN_GROUP",
-    "Bundle",
-    "bundle_from_fit",
-    "bundle_of_document",
-    "load_bundle",
-    "put_bundle",
-    "write_bundle",
-]
-
-_DOCUMENT = "document"
-SPECIMEN_GROUP = "specimen"
-#: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
-MOST_DRAWS = 2_000
-
-
 def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundle:
     """Make the bundle of one specimen's fit; its covariance and draws are the posterior's where there is one.
 
-    ``provenance``: of the run: versions, options, seed, inputs.  Inputs that this specimen did not use are
-    left out.
+    ``provenance``: of the run; inputs that this specimen did not use are left out.
     """
     own = {(trial.path, trial.sheet) for trial in fit.trials}
     inputs = [
@@ -161,26 +260,16 @@ def _thinned(draws: FloatArray) -> FloatArray:
 def write_bundle(bundle: Bundle, path: Path | str) -> None:
     """Write a bundle, whole or not at all, after the checks that :func:`load_bundle` makes.
 
-    ``path``: its folder must exist.  Raises BundleError: if the bundle could not be loaded again.
+    Raises BundleError: if the bundle could not be loaded again.
     """
-    path = Path(path)
-    document = _checked(bundle, where=str(path))
-    with new_file(path) as file:
-        _put(file, bundle, document)
+    with new_file(Path(path)) as file:
+        put_bundle(file, bundle, where=str(path))
 
 
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
     """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
-    _put(file, bundle, _checked(bundle, where=where))
-
-
-def _checked(bundle: Bundle, *, where: str) -> dict[str, Any]:
-    document: dict[str, Any] = plain_json(bundle.as_json())
+    document = plain_json(bundle.as_json())
     _check_contents(bundle, document, where=where)
-    return document
-
-
-def _put(file: Any, bundle: Bundle, document: Mapping[str, Any]) -> None:
     arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
     file.attrs["format"] = BUNDLE_FORMAT

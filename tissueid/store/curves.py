@@ -1,12 +1,9 @@
 """The curves of every trial in one file, so that a report never needs the raw logs again.
 
-Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text)
-names the trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no
-more than their numbers.  A group ``residual`` holds what the full rate said of the residuals.
-
-Summaries of residuals beside the curves they belong to.
-Layout: ``residual/trial`` says which trials have one; quantities of one length a trial stand in tables, the
-others end to end, with ``*_offsets`` between them.
+Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text) names the
+trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no more than their
+numbers. A group ``residual`` holds what the full rate said of the residuals: ``trial`` says which trials have
+one; quantities of one length a trial stand in tables, the others end to end, with ``*_offsets`` between them.
 """
 
 from __future__ import annotations
@@ -79,14 +76,10 @@ def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
         msg = "its residuals do not match its index"
         raise ValueError(msg)
     for k, trial in enumerate(where.tolist()):
-        series = {name: columns[name][ends[name][k] : ends[name][k + 1]] for name in _SERIES}
-        residuals[trial] = ResidualSummary(
-            start_s=float(columns["clock_s"][k, 0]),
-            step_s=float(columns["clock_s"][k, 1]),
-            edges_N=columns["edges_N"][k],
-            counts=columns["counts"][k],
-            **series,
-        )
+        arrays = {name: columns[name][k] for name in _TABLES}
+        arrays |= {name: columns[name][ends[name][k] : ends[name][k + 1]] for name in _SERIES}
+        start_s, step_s = columns["clock_s"][k].tolist()
+        residuals[trial] = ResidualSummary(start_s=start_s, step_s=step_s, **arrays)
     return residuals
 
 
@@ -115,10 +108,7 @@ def curves_of_fits(fits: Iterable[SpecimenFit]) -> tuple[TrialCurve, ...]:
 
 
 def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
-    """Write curves, whole or not at all; equal curves give equal bytes.
-
-    ``curves``: at least one; ``path``: its folder must exist.
-    """
+    """Write curves, whole or not at all; equal curves give equal bytes."""
     with hdf5.new_file(Path(path)) as file:
         put_curves(file, curves)
 
@@ -138,10 +128,7 @@ def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
 
 
 def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
-    """Read what :func:`write_curves` wrote.
-
-    Raises BundleError: if the file is damaged or another kind of file.
-    """
+    """Read what :func:`write_curves` wrote; BundleError if the file is damaged or another kind of file."""
     path = Path(path)
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it into its output folder"
@@ -166,10 +153,7 @@ def get_curves(group: Any) -> tuple[TrialCurve, ...]:
             entry["path"],
             entry["sheet"],
             Curve(
-                time_s=columns["time_s"][start:stop],
-                depth_mm=columns["depth_mm"][start:stop],
-                force_N=columns["force_N"][start:stop],
-                model_N=columns["model_N"][start:stop],
+                **{name: columns[name][start:stop] for name in _QUANTITIES},
                 fitted=columns["fitted"][start:stop].astype(bool),
             ),
             residual,

@@ -22,7 +22,6 @@ import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from types import TracebackType
 from typing import IO, Any, Self
 
 import numpy as np
@@ -61,10 +60,7 @@ def replace_file(temporary: Path, target: Path) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file or nothing.
-
-    ``path``: its folder must exist.
-    """
+    """Write a whole file or nothing."""
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     try:
         temporary.write_bytes(content)
@@ -193,16 +189,11 @@ class JsonList:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def add(self, value: Any) -> None:
-        """Append one element.
-
-        Raises ValueError: for NaN or infinity, which JSON does not have.
-        """
+        """Append one element; ValueError for NaN or infinity, which JSON does not have."""
         pad = b" " * (_INDENT * self.level)
         self._file.write((b",\n" if self.count else b"\n") + pad + _spelled(value, self.level))
         self.count += 1
@@ -219,10 +210,7 @@ class JsonList:
 
 
 def write_json(stream: IO[bytes], value: Any, *, level: int = 0) -> None:
-    """Write a document whose mappings may hold :class:`JsonList` in place of lists.
-
-    ``level``: how deep it stands.
-    """
+    """Write a document whose mappings may hold :class:`JsonList` in place of lists."""
     if isinstance(value, JsonList):
         value.copy_into(stream)
     elif isinstance(value, Mapping) and value:

@@ -1,32 +1,117 @@
-"""The public files of a set put together from those of its specimens, one specimen in memory at a time.
+"""One specimen of a run in one HDF5 file, and the public files of a set put together from these.
 
-Compressed columns are copied as they are: what a specimen's file holds is what the public file holds.
+``OUT/specimens/<key>.h5`` is named by a hash of what made it.  Its root is a bundle, so that ``tissueid
+render`` opens it as it is; what else the run found stands in a group beside it::
+
+    <key>.h5
+    |  document, theta, covariance, draws      as in a bundle; none of them where nothing could be fitted
+    `-- specimen/
+        |  attributes: format = "tissueid/specimen", schema_version = 1
+        |-- record       JSON text: its entry of identification.json, refusals, inputs, rows of the study
+        |-- curves/      as curves.h5
+        `-- posterior/   as posteriors.h5, where one was sampled
+
+It is written and read as bytes, so that whoever computes it needs no folder of the run.  Sets are merged with
+one specimen in memory at a time; compressed columns are copied as they are.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
 import h5py
+import numpy as np
 
 from tissueid.errors import BundleError
-from tissueid.store.bundle import SPECIMEN_GROUP, load_bundle, write_bundle
-from tissueid.store.curves import get_curves, write_curves
-from tissueid.store.files import (
-    CURVES,
-    ONLY_BUNDLE,
-    POSTERIORS,
-    bundle_names,
-    json_bytes,
-)
-from tissueid.store.hdf5 import HDF5_ERRORS, get_text, new_file, put_text
+from tissueid.store.bundle import SPECIMEN_GROUP, Bundle, load_bundle, put_bundle, write_bundle
+from tissueid.store.curves import TrialCurve, get_curves, put_curves, write_curves
+from tissueid.store.files import CURVES, ONLY_BUNDLE, POSTERIORS, bundle_names, json_bytes
+from tissueid.store.hdf5 import HDF5_ERRORS, get_text, new_file, open_file, put_text
 from tissueid.store.outputs import OutputSet
+from tissueid.store.posteriors import StoredPosterior, get_posteriors, put_posteriors
+
+SPECIMEN_SCHEMA_VERSION = 1
+_FORMAT = "tissueid/specimen"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenResult:
+    """Result of one job."""
+
+    #: ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
+    #: ``unfitted_cycles``, ``inputs``, ``provenance``, ``reasons`` (why its exit code is not 0), ``trials``
+    #: and ``exclusions`` (rows of the study).
+    record: dict[str, Any]
+    bundle: Bundle | None = None
+    curves: tuple[TrialCurve, ...] = ()
+    posterior: StoredPosterior | None = None
+
+
+def specimen_bytes(result: SpecimenResult) -> bytes:
+    """The bytes of a specimen's file; equal results give equal bytes.
+
+    Raises BundleError: if its bundle could not be loaded again.
+    """
+    buffer = io.BytesIO()
+    with new_file(buffer) as file:
+        if result.bundle is not None:
+            put_bundle(file, result.bundle, where=result.bundle.specimen)
+        group = file.create_group(SPECIMEN_GROUP)
+        group.attrs["format"] = _FORMAT
+        group.attrs["schema_version"] = np.int64(SPECIMEN_SCHEMA_VERSION)
+        put_text(group, "record", json_bytes(result.record))
+        if result.curves:
+            put_curves(group.create_group("curves"), result.curves)
+        if result.posterior is not None:
+            put_posteriors(group.create_group("posterior"), [result.posterior])
+    return buffer.getvalue()
+
+
+@contextmanager
+def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
+    """The group of a specimen's file; whatever libhdf5 says of a damaged one becomes a BundleError."""
+    anew = "run the same `tissueid fit` again, which computes it anew"
+    with open_file(path, "a specimen of a run", anew) as file:
+        group = file[SPECIMEN_GROUP]
+        version = group.attrs.get("schema_version")
+        if group.attrs.get("format") != _FORMAT or version != SPECIMEN_SCHEMA_VERSION:
+            msg = f"format {group.attrs.get('format')!r}, schema version {version}"
+            raise ValueError(msg)
+        yield group
+
+
+def load_record(path: Path) -> dict[str, Any]:
+    """The JSON of a specimen's file alone.
+
+    Raises BundleError: if the file is missing, damaged or another kind of file.
+    """
+    with _opened(path) as group:
+        record: dict[str, Any] = json.loads(get_text(group, "record"))
+    return record
+
+
+def load_specimen(
+    path: Path | IO[bytes],
+) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
+    """Record, curves and draws of a specimen's file: all that a report draws.
+
+    ``path``: where it stands, or its bytes.  Raises BundleError: if the file is missing, damaged or another
+    kind of file.
+    """
+    with _opened(path) as group:
+        curves = get_curves(group["curves"]) if "curves" in group else ()
+        posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()
+        record = json.loads(get_text(group, "record"))
+        return record, curves, posteriors[0] if posteriors else None
+
 
 #: Folder of the files of specimens, in the output folder.
 SPECIMENS = "specimens"
@@ -56,10 +141,7 @@ def list_specimens(rows: Iterable[ListedSpecimen], stream: IO[str]) -> None:
 
 
 def read_listed(path: Path) -> Iterator[ListedSpecimen]:
-    """Read what :func:`list_specimens` wrote.
-
-    Raises BundleError: it is damaged or another kind of file.
-    """
+    """Read what :func:`list_specimens` wrote; BundleError where it is damaged or another kind of file."""
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             reader = csv.reader(stream)

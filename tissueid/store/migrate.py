@@ -17,6 +17,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from msgspec import ValidationError
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
@@ -93,7 +94,7 @@ def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> M
         write_bundle(bundle, temporary)
         load_bundle(temporary)
         replace_file(temporary, path)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ValidationError) as error:
         msg = f"{path}: can't be brought to version {BUNDLE_SCHEMA_VERSION} ({error}); fit again"
         raise BundleError(msg) from error
     finally:

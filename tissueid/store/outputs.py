@@ -13,7 +13,6 @@ A run is written into its own folder.  Renaming ``.current`` commits it.  The pu
 refreshed one by one; a kill in between leaves a mixture for as long as no command looks, because every
 command calls :func:`complete_refresh` first, which finishes the work from the committed run.
 
-One writer at a time in an output folder.
 The lock is the operating system's (``flock``, or ``msvcrt.locking`` on Windows) on the file ``.lock``,
 so it vanishes with the process that held it, however that died: there are no stale locks to judge by
 process numbers, which systems use again.  The file's text names the holder for the message.
@@ -30,9 +29,9 @@ import shutil
 import sys
 import time
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from tissueid.errors import BundleError
@@ -110,9 +109,7 @@ class FolderLock:
         self._stream = stream
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._stream is not None:
             # closing gives the lock back; the file stays, since deleting it would race with the next writer
             self._stream.truncate(0)
@@ -154,12 +151,9 @@ def current_run(out: Path | str) -> CommittedRun | None:
     Raises BundleError: if the folder names a run that is not there or whose manifest is damaged.
     """
     out = Path(out)
-    try:
-        run_id = (out / _CURRENT).read_text(encoding="ascii").strip()
-    except (FileNotFoundError, NotADirectoryError):
+    run_id = _run_id(out)
+    if run_id is None:
         return None
-    except ValueError:
-        run_id = ""
     folder = out / _RUNS / run_id
     if not run_id.isdigit() or not (folder / _MANIFEST).is_file():
         msg = f"{out}: its current run {run_id!r} is missing; restore the folder or run `tissueid fit` again"
@@ -173,22 +167,27 @@ def current_run(out: Path | str) -> CommittedRun | None:
     return CommittedRun(folder, document["files"], tuple(document["replaces"]))
 
 
+def _run_id(out: Path) -> str | None:
+    """Name of the committed run; empty where its mark is damaged, ``None`` where there is none."""
+    try:
+        return (out / _CURRENT).read_text(encoding="ascii").strip()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValueError:
+        return ""
+
+
 def _is_refreshed(out: Path) -> bool:
     """True where there is nothing to finish: two small reads, so that every command can afford it."""
-    try:
-        run_id = (out / _CURRENT).read_text(encoding="ascii").strip()
-    except (FileNotFoundError, NotADirectoryError):
-        return True
-    except ValueError:
-        return False
-    return (out / _RUNS / run_id / _REFRESHED).exists()
+    run_id = _run_id(out)
+    return run_id is None or (out / _RUNS / run_id / _REFRESHED).exists()
 
 
 def complete_refresh(out: Path | str) -> None:
     """Finish a refresh that a kill interrupted; cheap where there is nothing to do.
 
-    ``out``: an output folder; need not exist.  Raises BundleError: if another process is writing, a public
-    file is held open elsewhere, or the run is damaged.
+    Raises BundleError: if another process is writing, a public file is held open elsewhere, or the run is
+    damaged.
     """
     out = Path(out)
     if _is_refreshed(out):
@@ -256,7 +255,7 @@ class OutputSet:
 
     def __init__(self, out: Path | str) -> None:
         self.out = Path(out)
-        self._lock: FolderLock | None = None
+        self._held = ExitStack()  # the lock, until the context is left
         self._folder: Path | None = None
         self._previous: CommittedRun | None = None
 
@@ -266,28 +265,20 @@ class OutputSet:
         except OSError as error:
             msg = f"{self.out}: can't be made a folder ({error.strerror}); choose another output folder"
             raise BundleError(msg) from error
-        lock = FolderLock(self.out)
-        lock.__enter__()
-        try:
+        with ExitStack() as held:
+            held.enter_context(FolderLock(self.out))
             if not _is_refreshed(self.out):
                 _refresh(self.out)
             self._previous = current_run(self.out)
             self._folder = self._new_folder()
-        except BaseException:
-            lock.__exit__(None, None, None)
-            raise
-        self._lock = lock
+            self._held = held.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
-        if self._lock is not None:
-            self._lock.__exit__(kind, error, trace)
-            self._lock = None
+        self._held.close()
 
     def path(self, name: str) -> Path:
         """Place to write the file that will be public as ``name`` (a plain file name)."""
@@ -325,13 +316,13 @@ class OutputSet:
         for leftover in folder.glob(f"{TEMPORARY_PREFIX}*"):
             leftover.unlink()
         files = {path.name: path for path in sorted(folder.iterdir())}
+        sealed = {
+            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in files.items()
+        }
         manifest = {
             "schema": _SCHEMA,
             "run": folder.name,
-            "files": {
-                name: {"sha256": sha256_of(path), "bytes": path.stat().st_size}
-                for name, path in files.items()
-            },
+            "files": sealed,
             "replaces": sorted(self._previous.files) if self._previous else [],
         }
         write_file(folder / _MANIFEST, json_bytes(manifest))

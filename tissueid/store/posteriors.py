@@ -99,8 +99,7 @@ def _thinned(chain: FloatArray) -> FloatArray:
 def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
     """Write posteriors, whole or not at all; equal posteriors give equal bytes.
 
-    ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen; ``path``:
-    its folder must exist.
+    ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen;
     """
     with hdf5.new_file(Path(path)) as file:
         put_posteriors(file, posteriors)

@@ -1,10 +1,10 @@
 """Files of a fit's output folder, by name, and how it is read back and checked.
 
-``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
-one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
-``specimens.csv`` (which files of ``specimens/``
-belong to the run: each holds all of these for one specimen).  A large cohort has the document, the list and
-the files of specimens only.  A report is written into the same set by whoever made it.
+``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is one
+specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
+``specimens.csv`` (which files of ``specimens/`` belong to the run: each holds all of these for one).  A large
+cohort has the document, the list and the files of specimens only.  A report is written into the same set by
+whoever made it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tissueid.store.files import (
     plain_json,
     sha256_of,
 )
-from tissueid.store.merged import LISTED, SPECIMENS, read_listed
+from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
 from tissueid.store.posteriors import (
     StoredPosterior,
@@ -41,7 +41,6 @@ from tissueid.store.posteriors import (
     write_posteriors,
 )
 from tissueid.store.schema import check
-from tissueid.store.specimen_file import load_specimen
 
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
@@ -52,8 +51,8 @@ _WAY_OUT = "run `tissueid fit` again"
 def write_results(run: OutputSet, identification: Identification) -> IdentificationDocument:
     """Write the numbers, bundles, curves and draws of a fit into an output set.
 
-    ``run``: open, not yet committed.  Returns the document of identification.json, for the report.  Raises
-    BundleError: if the result breaks its schema or a bundle would not load again.
+    Returns the document of identification.json, for the report.  Raises BundleError: if the result breaks its
+    schema or a bundle would not load again.
     """
     plain = plain_json(identification.as_json())
     check(plain, "identification", where=IDENTIFICATION)
@@ -72,18 +71,12 @@ def write_results(run: OutputSet, identification: Identification) -> Identificat
 
 
 def read_identification(out: Path | str) -> IdentificationDocument:
-    """Read the identification document of an output folder alone.
-
-    Raises BundleError: if there is no committed set or it is damaged.
-    """
+    """Read the identification document of an output folder alone."""
     return load_identification(_committed(Path(out)).folder / IDENTIFICATION)
 
 
 def read_plain(out: Path | str) -> dict[str, Any]:
-    """Read the same as plain dicts, lists and values, to be printed or written again.
-
-    Raises BundleError: if there is no committed set or it is damaged.
-    """
+    """Read the same as plain dicts, lists and values, to be printed or written again."""
     return _checked(_committed(Path(out)).folder / IDENTIFICATION)
 
 
@@ -99,10 +92,7 @@ def read_twin(out: Path) -> Twin | None:
 
 
 def load_identification(path: Path) -> IdentificationDocument:
-    """Read an identification document by its file.
-
-    Raises BundleError: it can't be read, or is none.
-    """
+    """Read an identification document by its file; BundleError where it can't be read, or is none."""
     return typed(_checked(path), IdentificationDocument)
 
 

@@ -17,39 +17,14 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissueid.documents.schemas import ROOTS
 from tissueid.errors import BundleError
 
 if TYPE_CHECKING:
     from jsonschema.protocols import Validator
 
 #: Every schema, by the name :func:`load_schema` takes.
-SCHEMA_NAMES = (
-    "bundle",
-    "contrast",
-    "control",
-    "design",
-    "devices",
-    "flag",
-    "frame",
-    "identification",
-    "inspect",
-    "measured",
-    "measured-contrast",
-    "outputs",
-    "population",
-    "quantities",
-    "reproduction",
-    "rupture",
-    "scene",
-    "selfcheck",
-    "session",
-    "status",
-    "study",
-    "study-check",
-    "training",
-    "twin",
-    "watch",
-)
+SCHEMA_NAMES = tuple(ROOTS)
 
 _LONGEST_MESSAGE = 300
 
@@ -81,10 +56,7 @@ def schema_folder() -> Traversable:
 
 @cache
 def load_schema(name: str) -> Mapping[str, Any]:
-    """Load one schema as parsed JSON.
-
-    ``name``: one of :data:`SCHEMA_NAMES`.
-    """
+    """Load one schema, by its name, as parsed JSON."""
     if name not in SCHEMA_NAMES:
         msg = f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}"
         raise KeyError(msg)
@@ -127,27 +99,21 @@ def _non_finite(value: Any, path: tuple[str | int, ...] = ()) -> SchemaProblem |
 
 
 def first_problem(document: Any, name: str) -> SchemaProblem | None:
-    """Find the most telling way in which a document breaks a schema, or ``None``.
-
-    ``document``: plain dicts, lists, strings, numbers, booleans and ``None``; ``name``: one of
-    :data:`SCHEMA_NAMES`.
-    """
+    """Find the most telling way in which a document of plain values breaks a schema, or ``None``."""
     from jsonschema.exceptions import best_match
 
     error = best_match(_validator(name).iter_errors(document))
     if error is None:
         return _non_finite(document)
-    message = error.message
-    if len(message) > _LONGEST_MESSAGE:
-        message = message[:_LONGEST_MESSAGE] + " ..."
-    return SchemaProblem(_pointer(tuple(error.absolute_path)), message)
+    cut = " ..." if len(error.message) > _LONGEST_MESSAGE else ""
+    return SchemaProblem(_pointer(tuple(error.absolute_path)), error.message[:_LONGEST_MESSAGE] + cut)
 
 
 def check(document: Any, name: str, *, where: str = "") -> None:
     """Refuse a document that breaks its schema.
 
-    ``name``: one of :data:`SCHEMA_NAMES`; ``where``: file or stage the document came from, for the message.
-    Raises BundleError: naming the JSON pointer of the first problem.
+    ``where``: file or stage the document came from, for the message.  Raises BundleError: naming the JSON
+    pointer of the first problem.
     """
     problem = first_problem(document, name)
     if problem is not None:

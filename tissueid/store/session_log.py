@@ -72,7 +72,9 @@ def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
         {
             **head,
             "schema": f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}",
-            "record": [[name, *_shape(record, name)] for name in record.names or ()],
+            "record": [
+                [name, record[name].base.str, list(record[name].shape)] for name in record.names or ()
+            ],
             "summary": None,
         }
     )
@@ -127,8 +129,8 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
 def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> None:
     """Turn a raw log into the HDF5 file, whole or not at all; the raw one is left as it is.
 
-    ``summary``: of the session.  Raises BundleError: the raw log is none, or the summary does not follow the
-    schema; OSError: there is no room for it.
+    Raises BundleError: the raw log is none, or the summary does not follow the schema; OSError: there is no
+    room for it.
     """
     head, start, record = _raw_layout(raw)
     count = (raw.stat().st_size - start) // record.itemsize
@@ -139,16 +141,9 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
     with new_file(target) as file, raw.open("rb") as stream:
         stream.seek(start)
         put_text(file, "document", text)
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "track_times": False}
         table = file.create_dataset(
-            "records",
-            shape=(count,),
-            dtype=record,
-            chunks=(_CHUNK,),
-            maxshape=(None,),
-            compression="gzip",
-            compression_opts=1,
-            shuffle=True,
-            track_times=False,
+            "records", shape=(count,), dtype=record, chunks=(_CHUNK,), maxshape=(None,), **packed
         )
         for first in range(0, count, _PIECE):
             piece = stream.read(min(_PIECE, count - first) * record.itemsize)
@@ -157,11 +152,6 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
         file.attrs["format"] = SESSION_FORMAT
         file.attrs["schema_version"] = np.int64(SESSION_SCHEMA_VERSION)
         file.attrs["content_sha256"] = digest.hexdigest()
-
-
-def _shape(record: np.dtype[Any], name: str) -> tuple[str, list[int]]:
-    kind = record[name]
-    return kind.base.str, list(kind.shape)
 
 
 def _seal(text: bytes, record: np.dtype[Any], count: int) -> bytes:
@@ -195,11 +185,7 @@ def _read_hdf5(data: bytes) -> tuple[bytes, RecordArray, dict[str, Any]]:
 
 
 def _read_raw(data: bytes, name: str) -> SessionLog:
-    try:
-        head, start, record = _parsed_head(data, name)
-    except (ValueError, TypeError, KeyError) as error:
-        msg = f"{name}: its head is damaged ({error}); nothing of this log can be read"
-        raise BundleError(msg) from error
+    head, start, record = _parsed_head(data, name)
     count = (len(data) - start) // record.itemsize
     return SessionLog(head, np.frombuffer(data, record, count, start).copy(), None)
 
@@ -209,23 +195,23 @@ def _raw_layout(path: Path) -> tuple[dict[str, Any], int, np.dtype[Any]]:
         data = stream.read(len(RAW_MAGIC) + _LENGTH_BYTES)
         length = int.from_bytes(data[len(RAW_MAGIC) :], "little")
         data += stream.read(min(length, _LARGEST_HEAD))
-    try:
-        return _parsed_head(data, str(path))
-    except (ValueError, TypeError, KeyError) as error:
-        msg = f"{path}: its head is damaged ({error})"
-        raise BundleError(msg) from error
+    return _parsed_head(data, str(path))
 
 
 def _parsed_head(data: bytes, name: str) -> tuple[dict[str, Any], int, np.dtype[Any]]:
     """Head of a raw log, where its records start, and what they are."""
     begin = len(RAW_MAGIC) + _LENGTH_BYTES
     length = int.from_bytes(data[len(RAW_MAGIC) : begin], "little")
-    if length > _LARGEST_HEAD or len(data) < begin + length:
-        msg = "it is cut, or no head"
-        raise ValueError(msg)
-    head = _document(data[begin : begin + length], name)
-    record = np.dtype([(field, kind, tuple(shape)) for field, kind, shape in head["record"]])
-    _check_record(record)
+    try:
+        if length > _LARGEST_HEAD or len(data) < begin + length:
+            msg = "it is cut, or no head"
+            raise ValueError(msg)  # noqa: TRY301 -- told like what numpy says of a wrong layout
+        head = _document(data[begin : begin + length], name)
+        record = np.dtype([(field, kind, tuple(shape)) for field, kind, shape in head["record"]])
+        _check_record(record)
+    except (ValueError, TypeError, KeyError) as error:
+        msg = f"{name}: its head is damaged ({error}); nothing of this log can be read"
+        raise BundleError(msg) from error
     return head, begin + length, record
 
 

@@ -15,86 +15,52 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from msgspec.structs import fields
+
 from tissueid.documents.base import Flag, Placed
 from tissueid.documents.identification import (
     Exclusion,
     Identification,
     Relaxation,
     Specimen,
+    StatedSpecimen,
     Trial,
 )
 from tissueid.documents.inspect import Refusal
 from tissueid.documents.quantities import Cycle, Measure
 
 _PARAMETERS = (
-    "static_1_N_per_mm",
-    "static_2_N_per_mm2",
-    "static_3_N_per_mm3",
-    "stiffness_0_N_per_mm",
-    "stiffness_1_N_per_mm2",
-    "stiffness_2_N_per_mm3",
-    "relaxation_time_s",
-    "viscosity_N_s_per_mm",
+    *("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3"),
+    *("stiffness_0_N_per_mm", "stiffness_1_N_per_mm2", "stiffness_2_N_per_mm3"),
+    *("relaxation_time_s", "viscosity_N_s_per_mm"),
 )
 _BRANCH_PARAMETERS = tuple(name for name in _PARAMETERS if not name.startswith("static"))
 #: Intervals of an estimate; a column for each end.
 _INTERVALS = ("ci95", "ci95_total")
 _PLAIN_PARTS = ("stderr", "identified", "mean", "sd")
 _PARTS = (*_PLAIN_PARTS, *(f"{interval}_{end}" for interval in _INTERVALS for end in ("low", "high")))
+_MODEL = ("branches", "static_degree", "stiffness_degree", "static_pooling")
 _SAMPLED = ("sampler", "converged", "draws", "noise", "phi", "misfit")
 
+_TRIAL_COVARIATES = ("site", "protocol", "run", "rest_s", "listed", "overridden", "notes")
 #: Columns of ``study.specimens``; the two that a trial has as well are told apart.
 _SPECIMEN_COVARIATES: Mapping[str, str] = MappingProxyType(
     {
-        "species": "species",
-        "tissue": "tissue",
-        "donor": "donor",
-        "sex": "sex",
-        "age_years": "age_years",
-        "age_group": "age_group",
-        "side": "side",
-        "thickness_mm": "thickness_mm",
-        "thickness_mm_sd": "thickness_mm_sd",
-        "storage": "storage",
-        "freeze_thaw_cycles": "freeze_thaw_cycles",
-        "hydration": "hydration",
-        "temperature_C": "temperature_C",
-        "time_post_mortem_h": "time_post_mortem_h",
-        "support": "support",
-        "site": "specimen_site",
-        "notes": "specimen_notes",
+        field.name: f"specimen_{field.name}" if field.name in _TRIAL_COVARIATES else field.name
+        for field in fields(StatedSpecimen)
+        if field.name != "specimen"
     }
 )
-_TRIAL_COVARIATES = ("site", "protocol", "run", "rest_s", "listed", "overridden", "notes")
 _TRIAL_FIT = (
-    "n_samples",
-    "speed_mm_s",
-    "depth_mm",
-    "gain",
-    "contact_offset_mm",
-    "nrmsd",
-    "nrmsd_mean",
-    "rmse_N",
-    "max_residual_fraction",
-    "residual_acf1",
+    *("n_samples", "speed_mm_s", "depth_mm", "gain", "contact_offset_mm", "nrmsd", "nrmsd_mean", "rmse_N"),
+    *("max_residual_fraction", "residual_acf1"),
 )
 _HOLD = (
     *("holds", "hold_start_s", "hold_end_s", "hold_peak_force_N", "tau_single_s", "nrmsd_single"),
     *("tau_double_1_s", "tau_double_2_s", "tau_triple_1_s", "tau_triple_2_s", "tau_triple_3_s"),
 )
 _LOOP_PLAIN = ("number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
-_LOOP_MEASURES = (
-    *(
-        "peak_force_N",
-        "loading_work_mJ",
-        "dissipated_mJ",
-        "hysteresis",
-        "secant_N_per_mm",
-        "tangent_N_per_mm",
-    ),
-    *("residual_depth_mm", "viscosity_N_s_per_mm", "viscosity_model_N_s_per_mm", "peak_force_change"),
-    "dissipated_change",
-)
+_LOOP_MEASURES = tuple(field.name for field in fields(Cycle) if field.type is Measure)
 _CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
 _PROVENANCE = ("tissueid", "identification_sha256")
 
@@ -110,10 +76,7 @@ class TidyTable:
 
 
 def tidy_table(document: Identification, name: str, *, digest: str | None = None) -> TidyTable:
-    """One of :data:`TABLES`, from the document of identification.json.
-
-    ``digest``: SHA-256 of that file, where it is known.
-    """
+    """One of :data:`TABLES`, from the document of identification.json, whose SHA-256 is ``digest``."""
     columns, rows = TABLES[name]
     provenance = {"tissueid": document.provenance.tissueid, "identification_sha256": digest}
     found = [{**row, **provenance} for row in rows(document)]
@@ -162,19 +125,10 @@ def _specimen_columns(document: Identification) -> list[str]:
     ]
     return [
         *("specimen", "status", "trials", "excluded_trials", *_SPECIMEN_COVARIATES.values()),
-        *("length_unit", "force_unit", "tip_radius_mm", "model", "branches", "static_degree"),
-        *("stiffness_degree", "static_pooling", *estimates, "valid_depth_mm", "slowest_mm_s", "fastest_mm_s"),
-        *(
-            "n_samples",
-            "sigma_N",
-            "nrmsd",
-            "nrmsd_mean",
-            "rmse_N",
-            "optimisers_agree",
-            *_SAMPLED,
-            "flags",
-            "trial_flags",
-        ),
+        *("length_unit", "force_unit", "tip_radius_mm", "model", *_MODEL, *estimates),
+        *("valid_depth_mm", "slowest_mm_s", "fastest_mm_s"),
+        *("n_samples", "sigma_N", "nrmsd", "nrmsd_mean", "rmse_N", "optimisers_agree", *_SAMPLED),
+        *("flags", "trial_flags"),
     ]
 
 
@@ -207,10 +161,7 @@ def _fit_of(specimen: Specimen) -> Row:
         "force_unit": units.force,
         "tip_radius_mm": validity.tip_radius_mm,
         "model": model.key,
-        "branches": model.branches,
-        "static_degree": model.static_degree,
-        "stiffness_degree": model.stiffness_degree,
-        "static_pooling": model.static_pooling,
+        **{key: getattr(model, key) for key in _MODEL},
         "valid_depth_mm": validity.depth_mm,
         "slowest_mm_s": slowest,
         "fastest_mm_s": fastest,
@@ -229,10 +180,7 @@ def _fit_of(specimen: Specimen) -> Row:
         row |= {f"{estimate.name}_{part}": getattr(estimate, part) for part in _PLAIN_PARTS}
         for interval in _INTERVALS:
             low, high = getattr(estimate, interval) or (None, None)
-            row |= {
-                f"{estimate.name}_{interval}_low": low,
-                f"{estimate.name}_{interval}_high": high,
-            }
+            row |= {f"{estimate.name}_{interval}_low": low, f"{estimate.name}_{interval}_high": high}
     return row
 
 

@@ -58,7 +58,7 @@ class Sheet:
 def xlsx_bytes(sheets: Sequence[Sheet]) -> bytes:
     """A workbook of these sheets, each with its head in bold and kept in sight.
 
-    ``sheets``: at least one.  Raises ValueError: without a sheet, or of more rows than a sheet can hold.
+    Raises ValueError: without a sheet, or of more rows than a sheet can hold.
     """
     if not sheets:
         msg = "a workbook needs a sheet"

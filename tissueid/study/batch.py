@@ -43,10 +43,18 @@ from tissueid.store.files import (
     write_json,
 )
 from tissueid.store.index import Index, JobRow
-from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, merge_files
+from tissueid.store.merged import (
+    LISTED,
+    SPECIMENS,
+    ListedSpecimen,
+    list_specimens,
+    load_record,
+    merge_files,
+    specimen_bytes,
+)
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
-from tissueid.store.specimen_file import load_record, specimen_bytes
+from tissueid.study.batch import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import (
     Inventory,
     Progress,

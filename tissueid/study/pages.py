@@ -27,10 +27,10 @@ from tissueid.rendering.precheck import Demands, Precheck, check_before_force, d
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
+from tissueid.report.law_payload import tissue_of
 from tissueid.report.page import Beside, plotly_script
 from tissueid.report.plain_page import index_row, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
-from tissueid.report.tissue import tissue_of
 from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import (
@@ -42,10 +42,9 @@ from tissueid.store.files import (
     plain_json,
     write_file,
 )
-from tissueid.store.merged import LISTED, SPECIMENS, read_listed
+from tissueid.store.merged import LISTED, SPECIMENS, load_record, load_specimen, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
-from tissueid.store.specimen_file import load_record, load_specimen
 from tissueid.study.completeness import completeness_of_result
 from tissueid.study.specimen_job import fit_specimen_job
 from tissueid.study.tasks import Task, Workforce, attempt, packed

@@ -20,9 +20,9 @@ from tissueid.result import Identification, Refusal
 from tissueid.store.bundle import bundle_from_fit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.merged import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
-from tissueid.store.specimen_file import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
 from tissueid.study.inventory import RecentTrials, refusal_of
 from tissueid.study.recordings import facts_of, read_decided, read_decided_one
 from tissueid.study.tasks import unpacked, versions

@@ -28,7 +28,7 @@ from tissueid.rendering.choice import as_tissue
 from tissueid.rendering.session_plan import read_script
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.store.bundle_content import Bundle
+from tissueid.store.bundle import Bundle
 from tissueid.trial import Source, Trial
 from tissueid.twin.program import Program, program_of_script
 from tissueid.twin.sessions import Felt, Setup, emulated_falcon, felt_by_a_machine, planned, simulated

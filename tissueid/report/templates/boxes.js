@@ -1,13 +1,25 @@
 "use strict";
 // Boxes of figures, for every page that has some: drawn when they come into view, again in other colours,
 // all of them on paper, and each saved as SVG.
+// what the figures of the page are drawn from
+const payload = JSON.parse(document.querySelector('script[type="application/json"]').textContent);
+const bytes = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+const floats = (text) => new Float32Array(bytes(text).buffer);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const faint = (name, opacity) => colour(name).replace(/^#(..)(..)(..)$/, (_, r, g, b) => `rgba(${[r, g, b].map((part) => parseInt(part, 16)).join(",")},${opacity})`);
 const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
+// straight across the figure at a value of the one axis
+const level = (y, line) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line });
+// a band between two lines; `more` is of the upper one, which is filled
+const between = (x, low, high, fillcolor, more = {}, common = {}) => {
+  const hidden = { x, mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false, ...common };
+  return [{ ...hidden, y: low }, { ...hidden, y: high, fill: "tonexty", fillcolor, ...more }];
+};
 
 // `figure(box)` gives traces, the titles x and y of the axes, and a layout that is laid over the common one;
+// `after(box)` follows each drawing; without `paper` none is saved, and a printer gets what was seen;
 // what comes back draws the wanted ones of those that are drawn again
-const figureBoxes = (figure) => {
+const figureBoxes = (figure, { after = () => {}, paper = true } = {}) => {
   const described = (box) => {
     const { traces, x, y, layout = {} } = figure(box);
     // a grid of small axes brings its own
@@ -21,7 +33,8 @@ const figureBoxes = (figure) => {
   const draw = (box) => {
     const { data, layout } = described(box);
     box.dataset.drawn = "yes";
-    return Plotly.react(box, data, layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
+    Plotly.react(box, data, layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
+    after(box);
   };
   // on white whatever the screen is, at the size it has on the screen
   const save = async (box) => {
@@ -35,6 +48,13 @@ const figureBoxes = (figure) => {
     link.click();
   };
   const boxes = [...document.querySelectorAll("[data-figure]")];
+  const redraw = (wanted = () => true) => boxes.filter((box) => box.dataset.drawn && wanted(box)).forEach(draw);
+  const seen = new IntersectionObserver((entries) => {
+    for (const entry of entries) if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
+  }, { rootMargin: "300px" });
+  boxes.forEach((box) => seen.observe(box));
+  for (const media of ["(prefers-color-scheme: dark)", "print"]) matchMedia(media).addEventListener("change", () => redraw());
+  if (!paper) return redraw;
   boxes.forEach((box) => {
     const button = document.createElement("button");
     Object.assign(button, { type: "button", className: "save", textContent: "SVG" });
@@ -42,18 +62,21 @@ const figureBoxes = (figure) => {
     button.addEventListener("click", () => save(box));
     box.after(button);
   });
-  const redraw = (wanted = () => true) => boxes.filter((box) => box.dataset.drawn && wanted(box)).forEach(draw);
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-    }
-  }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw());
-  matchMedia("print").addEventListener("change", () => redraw());
   addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((details) => { details.open = true; });
     boxes.forEach(draw);
   });
   return redraw;
+};
+
+// what a link points into is opened, with everything around it
+const followLinks = () => {
+  const follow = () => {
+    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!target) return;
+    for (let part = target.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
+    target.scrollIntoView();
+  };
+  addEventListener("hashchange", follow);
+  follow();
 };

@@ -1,9 +1,6 @@
 "use strict";
 // The figures of the page, made from the packed curves when they come into view.
 (() => {
-  const payload = JSON.parse(document.getElementById("curves").textContent);
-  const bytes = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
-  const floats = (text) => new Float32Array(bytes(text).buffer);
   const opened = new Map();
   const curves = (specimen) => {
     if (!opened.has(specimen)) {
@@ -51,9 +48,6 @@
       return [...(trial.on.includes(0) ? [trace(false, "not fitted", "aside")] : []), trace(true, "fitted", "model")];
     })];
   };
-  const unitsOf = (specimen) => payload.units[specimen] ?? payload.units[0];
-  const force = (specimen) => `Force [${unitsOf(specimen).force}]`;
-  const depth = (specimen) => (unitsOf(specimen).length === "mm" ? "Depth [mm]" : "Strain");
   const mainLayout = (specimen, box) => {
     const beside = box.clientWidth >= 800;
     const place = (title, domain, more) => named(title, { domain, nticks: 8, ...more });
@@ -61,7 +55,7 @@
     axesOf(layout, 0, place("Time from contact [s]", beside ? [0, 0.6] : [0, 1], { anchor: "y2" }), place(force(specimen), beside ? [0.32, 1] : [0.62, 1], {}));
     // what was not fitted may leave far more than what was
     const left = chosen(specimen).reduce((most, trial) => trial.f.reduce((m, f, k) => (trial.on[k] ? Math.max(m, Math.abs(f - trial.m[k])) : m), most), 0);
-    layout.yaxis2 = place(`Residual [${unitsOf(specimen).force}]`, beside ? [0, 0.26] : [0.43, 0.57], { nticks: 5, ...(left > 0 ? { range: [-1.25 * left, 1.25 * left] } : {}) });
+    layout.yaxis2 = place(`Residual [${units(specimen).force}]`, beside ? [0, 0.26] : [0.43, 0.57], { nticks: 5, ...(left > 0 ? { range: [-1.25 * left, 1.25 * left] } : {}) });
     layout.xaxis3 = place(depth(specimen), beside ? [0.67, 1] : [0, 1], { anchor: "y3" });
     layout.yaxis3 = place(beside ? "" : force(specimen), beside ? [0, 1] : [0, 0.33], { anchor: "x3" });
     return { layout, height: beside ? 370 : 620 };
@@ -97,12 +91,12 @@
       name: "viscosity", hovertemplate: "%{x}: %{y:.4g}<extra></extra>", showlegend: false }];
   };
 
-  const known = posteriorKinds(payload, bytes);
+  const known = posteriorKinds();
   const kinds = {
     main: { traces: main, own: mainLayout }, group: { traces: group, own: groupLayout },
     overview: { traces: overview, own: () => ({ layout: { xaxis: axis(""), yaxis: axis("Viscosity [N·s/mm]") }, height: 300 }) },
     ...known.kinds,
-    ...lawKinds(payload, curves, known.cloud),
+    ...lawKinds(curves, known.cloud),
   };
   const redraw = figureBoxes((box) => {
     const kind = kinds[box.dataset.figure], specimen = Number(box.dataset.specimen);
@@ -113,13 +107,5 @@
   document.querySelectorAll("select[data-choice]").forEach((choice) => {
     choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure === "main"));
   });
-  // what a link points into is opened, with everything around it
-  const follow = () => {
-    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-    if (!target) return;
-    for (let part = target.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
-    target.scrollIntoView();
-  };
-  addEventListener("hashchange", follow);
-  follow();
+  followLinks();
 })();

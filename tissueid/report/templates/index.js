@@ -1,8 +1,8 @@
-// The table of a large cohort: sorted, filtered, and drawn a piece at a time.
 "use strict";
+// The table of a large cohort: sorted, filtered, and drawn a piece at a time.
 (() => {
   const PIECE = 200;
-  const rows = JSON.parse(document.getElementById("rows").textContent).rows;
+  const { rows } = payload;
   const body = document.querySelector("#cohort tbody");
   const columns = [
     (row) => row.name, (row) => row.verdict,
@@ -18,26 +18,13 @@
     return error > 0 ? `${value.toPrecision(4)} ± ${error.toPrecision(2)}` : value.toPrecision(4);
   };
 
-  const cell = (text, number) => {
-    const element = document.createElement("td");
-    element.textContent = text;
-    if (number) element.className = "num";
-    return element;
-  };
-
+  const element = (name, more) => Object.assign(document.createElement(name), more);
   const drawMore = () => {
     for (const row of order.slice(drawn, drawn + PIECE)) {
-      const line = document.createElement("tr");
-      const head = document.createElement("th");
-      head.scope = "row";
-      const link = document.createElement("a");
-      link.href = row.page;
-      link.textContent = row.name;
-      head.append(link);
-      line.append(head, cell(row.verdict, false));
-      row.values.forEach((value, k) => line.append(cell(digits(value, row.errors[k]), true)));
-      line.append(cell(row.nrmsd.toFixed(2), true), cell(String(row.trials), true));
-      line.append(cell(row.depth.toPrecision(3), true));
+      const line = element("tr"), head = element("th", { scope: "row" });
+      head.append(element("a", { href: row.page, textContent: row.name }));
+      const numbers = [...row.values.map((value, k) => digits(value, row.errors[k])), row.nrmsd.toFixed(2), String(row.trials), row.depth.toPrecision(3)];
+      line.append(head, element("td", { textContent: row.verdict }), ...numbers.map((textContent) => element("td", { textContent, className: "num" })));
       body.append(line);
     }
     drawn = Math.min(drawn + PIECE, order.length);
@@ -80,12 +67,8 @@
 
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   const text = dark ? "#e8e8e8" : "#222222";
-  const shown = [
-    ["stiffness at contact [N/mm]", (row) => row.values[0]],
-    ["relaxation time [s]", (row) => row.values[1]],
-    ["viscosity [N s/mm]", (row) => row.values[2]],
-    ["NRMSD [% of range]", (row) => row.nrmsd],
-  ];
+  const words = ["stiffness at contact [N/mm]", "relaxation time [s]", "viscosity [N s/mm]", "NRMSD [% of range]"];
+  const shown = words.map((title, k) => [title, columns[k + 2]]);
   const traces = shown.map(([, key], k) => ({
     type: "histogram",
     x: rows.map(key).filter((value) => value !== null),
@@ -97,8 +80,8 @@
     margin: { l: 48, r: 12, t: 12, b: 48 },
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: text },
   };
-  shown.forEach(([words], k) => {
-    layout[`xaxis${k + 1}`] = { title: { text: words } };
+  shown.forEach(([title], k) => {
+    layout[`xaxis${k + 1}`] = { title: { text: title } };
     layout[`yaxis${k + 1}`] = { title: { text: k % 2 ? "" : "specimens" } };
   });
   Plotly.newPlot("histograms", traces, layout, { displayModeBar: false, responsive: true });

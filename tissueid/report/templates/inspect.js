@@ -1,18 +1,14 @@
 "use strict";
 // Recordings are drawn when they come into view; entries are copied; the index is filtered.
 (() => {
-  const packed = JSON.parse(document.getElementById("recordings").textContent);
-  const bytes = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
-  const floats = (text) => Array.from(new Float32Array(bytes(text).buffer));
   const opened = new Map();
   const recording = (id) => {
     if (!opened.has(id)) {
-      const one = packed[id];
-      opened.set(id, { ...one, t: floats(one.t).map((value) => value + one.t0), x: floats(one.x), f: floats(one.f) });
+      const one = payload[id], numbers = (text) => Array.from(floats(text));
+      opened.set(id, { ...one, t: numbers(one.t).map((value) => value + one.t0), x: numbers(one.x), f: numbers(one.f) });
     }
     return opened.get(id);
   };
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const number = (value) => Number(value.toPrecision(5)).toString();
 
   // one trace a kind of phase: its stretches, with a hole between them
@@ -36,6 +32,10 @@
     : { type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, fillcolor: ink, opacity, line: { width: 0 }, layer: "below" };
   const label = (x, text, y, ink) => ({ x, xref: "x", y, yref: "paper", yanchor: "bottom", showarrow: false, text, font: { size: 11, color: ink } });
 
+  // titles stand above the legend, axes are those of a recording
+  const figure = (traces, shapes, annotations, axes) => ({ traces, layout: {
+    margin: { l: 56, r: 12, t: 44, b: 44 }, legend: { orientation: "h", x: 0, y: 1.05, yanchor: "bottom" }, shapes, annotations, ...axes } });
+  const plain = (title) => ({ ...axis(title), zerolinecolor: colour("line") });
   const overTime = (one) => {
     const ink = colour("mark");
     const shapes = one.corners.slice(0, 60).map((corner) => upright(corner.t, corner.t, colour("aside"), "dot"));
@@ -52,45 +52,27 @@
     });
     const force = traces(one, "t", "f", { xaxis: "x", yaxis: "y", showlegend: true });
     const motion = traces(one, "t", "x", { xaxis: "x", yaxis: "y2", showlegend: false });
-    return { data: [...force, ...motion], shapes, notes, layout: {
-      xaxis: { ...axis("Time as recorded [s]"), anchor: "y2" },
-      yaxis: { ...axis("Force [N]"), domain: [0.46, 1] },
-      yaxis2: { ...axis("Displacement [mm]"), domain: [0, 0.4] },
-    } };
+    return figure([...force, ...motion], shapes, notes, {
+      xaxis: { ...plain("Time as recorded [s]"), anchor: "y2" },
+      yaxis: { ...plain("Force [N]"), domain: [0.46, 1] },
+      yaxis2: { ...plain("Displacement [mm]"), domain: [0, 0.4] },
+    });
   };
   const overDepth = (one) => {
-    const ink = colour("mark");
-    const shapes = [];
-    const notes = [];
+    const ink = colour("mark"), shapes = [], notes = [];
     if (one.contact) {
       const { x, sd, base } = one.contact;
       if (sd > 0) shapes.push(upright(x - sd, x + sd, ink, "", 0.25));
       shapes.push(upright(x, x, ink, "dash"));
       notes.push(label(x, "contact", 1, ink));
-      if (base !== null) shapes.push({ type: "line", xref: "paper", yref: "y", x0: 0, x1: 1, y0: base, y1: base, line: { color: colour("aside"), width: 1, dash: "dot" } });
+      if (base !== null) shapes.push({ ...level(base, { color: colour("aside"), width: 1, dash: "dot" }), yref: "y" });
     }
     const data = traces(one, "x", "f", { showlegend: true });
     if (one.events.length) {
       data.push({ x: one.events.map((event) => event.x), y: one.events.map((event) => event.f), text: one.events.map((event) => event.kind), mode: "markers+text",
         textposition: "top center", marker: { color: ink, size: 9, symbol: "x" }, name: "event", hovertemplate: "%{text}: %{x:.5g} mm, %{y:.5g} N<extra></extra>" });
     }
-    return { data, shapes, notes, layout: { xaxis: axis("Displacement as recorded [mm]"), yaxis: axis("Force [N]") } };
-  };
-
-  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("line"), linecolor: colour("line"), automargin: true });
-  const draw = (box) => {
-    const one = recording(box.dataset.recording);
-    const { data, shapes, notes, layout } = (box.dataset.figure === "time" ? overTime : overDepth)(one);
-    box.dataset.drawn = "yes";
-    const whole = {
-      margin: { l: 56, r: 12, t: 44, b: 44 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, shapes, annotations: notes,
-      legend: { orientation: "h", x: 0, y: 1.05, yanchor: "bottom" }, hovermode: "closest", ...layout,
-    };
-    const options = { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
-    Plotly.react(box, data, whole, options);
-    box.removeAllListeners("plotly_click");
-    box.on("plotly_click", (event) => clicked(box, event.points[0]));
+    return figure(data, shapes, notes, { xaxis: plain("Displacement as recorded [mm]"), yaxis: plain("Force [N]") });
   };
   const say = (text) => { document.getElementById("said").textContent = text; };
 
@@ -121,11 +103,10 @@
     say(`${wanted} set to ${number(point.x)}`);
   };
 
-  const boxes = [...document.querySelectorAll("[data-figure]")];
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-  }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
+  figureBoxes((box) => (box.dataset.figure === "time" ? overTime : overDepth)(recording(box.dataset.recording)), { paper: false, after: (box) => {
+    box.removeAllListeners("plotly_click");
+    box.on("plotly_click", (event) => clicked(box, event.points[0]));
+  } });
 
   document.addEventListener("click", (event) => {
     const button = event.target.closest("button[data-copy]");
@@ -154,13 +135,5 @@
     text.addEventListener("input", filter);
     least.addEventListener("change", filter);
   }
-  const follow = () => {
-    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-    if (target && target.tagName === "DETAILS") { target.open = true; target.scrollIntoView(); }
-  };
-  addEventListener("hashchange", follow);
-  follow();
-  const redraw = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  matchMedia("print").addEventListener("change", redraw);
+  followLinks();
 })();

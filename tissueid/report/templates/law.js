@@ -1,10 +1,10 @@
 "use strict";
 // Figures of a specimen's law: holds, parts, peaks, residuals, profiles.
-const lawKinds = (payload, curves, draws) => {
+const units = (s) => payload.units[s] ?? payload.units[0];
+const depth = (s) => (units(s).length === "mm" ? "Depth [mm]" : "Strain");
+const force = (s) => `Force [${units(s).force}]`;
+const lawKinds = (curves, draws) => {
   const law = (s) => payload.laws[s];
-  const units = (s) => payload.units[s];
-  const depth = (s) => (units(s).length === "mm" ? "Depth [mm]" : "Strain");
-  const force = (s) => `Force [${units(s).force}]`;
   const stiffness = (s) => `K [${units(s).length === "mm" ? "N/mm" : units(s).force}]`;
   const speed = (s) => `Loading speed [${units(s).length}/s]`;
   const line = (x, y, i, name, ink, more = {}) => ({ x, y, ...cell(i), mode: "lines", name, showlegend: false, line: { color: ink, width: 1.6 }, hovertemplate: `%{x:.4g}, %{y:.4g}<extra>${name}</extra>`, ...more });

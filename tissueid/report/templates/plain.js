@@ -1,13 +1,12 @@
 "use strict";
-// Figures whose traces stand in the page; a colour of the page is named by `ink`.
+// Figures whose traces stand in the page; what names an `ink` is of that colour of the page, or a `faint` one is it.
 (() => {
-  const figures = JSON.parse(document.getElementById("figures").textContent);
-  const inked = (trace) => {
-    const parts = ["line", "marker"].filter((name) => trace[name]?.ink);
-    return { ...trace, ...Object.fromEntries(parts.map((name) => [name, { ...trace[name], color: colour(trace[name].ink) }])) };
+  const inked = (node) => {
+    if (Array.isArray(node)) return node.map(inked);
+    if (node === null || typeof node !== "object") return node;
+    if ("faint" in node) return faint(node.ink, node.faint);
+    const { ink, ...rest } = Object.fromEntries(Object.entries(node).map(([key, value]) => [key, inked(value)]));
+    return ink ? { ...rest, color: colour(ink) } : rest;
   };
-  figureBoxes((box) => {
-    const one = figures[Number(box.dataset.figure)];
-    return { ...one, traces: one.traces.map(inked) };
-  });
+  figureBoxes((box) => inked(payload[Number(box.dataset.place ?? box.dataset.figure)]));
 })();

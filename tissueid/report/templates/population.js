@@ -1,36 +1,34 @@
 "use strict";
 // Figures of a population, drawn when they come into view.
 (() => {
-  const found = JSON.parse(document.getElementById("population").textContent);
   const chosen = document.getElementById("quantity");
-  const level = (y, dash, width) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line: { color: colour("model"), width: width, dash: dash } });
+  const across = (y, dash) => level(y, { color: colour("model"), width: 1.5, dash });
   const bar = (low, high, value) => ({ type: "data", symmetric: false, array: high.map((v, i) => v - value[i]), arrayminus: low.map((v, i) => value[i] - v), thickness: 1, width: 0 });
 
   const figures = {
     bands: () => {
-      const band = found.bands;
-      const line = (k, extra) => ({ x: band.depth_mm, y: band.quantiles[k], mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false, ...extra });
+      const { depth_mm: x, quantiles, typical } = payload.bands;
+      const band = (low, high, opacity, name) => between(x, quantiles[low], quantiles[high], faint("data", opacity), { name, showlegend: true });
       return {
-        traces: [line(0), line(4, { fill: "tonexty", fillcolor: faint("data", 0.25), name: "95 % of specimens", showlegend: true }),
-          line(1), line(3, { fill: "tonexty", fillcolor: faint("data", 0.45), name: "68 % of specimens", showlegend: true }),
-          { x: band.depth_mm, y: band.typical, mode: "lines", line: { color: colour("model"), width: 2.5 }, name: "typical tissue", hovertemplate: "%{x:.2f} mm: %{y:.4g} N<extra></extra>" }],
+        traces: [...band(0, 4, 0.25, "95 % of specimens"), ...band(1, 3, 0.45, "68 % of specimens"),
+          { x, y: typical, mode: "lines", line: { color: colour("model"), width: 2.5 }, name: "typical tissue", hovertemplate: "%{x:.2f} mm: %{y:.4g} N<extra></extra>" }],
         x: "Depth [mm]", y: "Force [N]",
       };
     },
     correlation: () => {
-      const words = found.quantities.map((one) => one.words);
+      const words = payload.quantities.map((one) => one.words);
       return {
-        traces: [{ type: "heatmap", z: found.correlation, x: words, y: words, zmin: -1, zmax: 1, zmid: 0,
+        traces: [{ type: "heatmap", z: payload.correlation, x: words, y: words, zmin: -1, zmax: 1, zmid: 0,
           colorscale: [[0, "#0072b2"], [0.5, colour("paper")], [1, "#d55e00"]], colorbar: { title: { text: "r" }, thickness: 12 },
-          text: found.correlation.map((row) => row.map((r) => r.toFixed(2))), texttemplate: "%{text}", hovertemplate: "%{x}, %{y}: %{z:.2f}<extra></extra>" }],
+          text: payload.correlation.map((row) => row.map((r) => r.toFixed(2))), texttemplate: "%{text}", hovertemplate: "%{x}, %{y}: %{z:.2f}<extra></extra>" }],
         x: "", y: "", layout: { yaxis: { autorange: "reversed", automargin: true }, xaxis: { automargin: true, tickangle: -30 } },
       };
     },
     shrinkage: () => {
       const k = Number(chosen.value);
-      const one = found.quantities[k];
-      const order = found.specimens.map((row, i) => i).sort((a, b) => found.specimens[a].pooled[k] - found.specimens[b].pooled[k]);
-      const rows = order.map((i) => found.specimens[i]);
+      const one = payload.quantities[k];
+      const order = payload.specimens.map((row, i) => i).sort((a, b) => payload.specimens[a].pooled[k] - payload.specimens[b].pooled[k]);
+      const rows = order.map((i) => payload.specimens[i]);
       const trace = (kind, words, symbol, name, shift) => {
         const value = rows.map((row) => row[kind][k]);
         return { x: rows.map((_, i) => i + shift), y: value, mode: "markers", name: words,
@@ -44,24 +42,24 @@
         traces: [trace("separate", "alone", "circle-open", "aside", -0.18), trace("pooled", "with the population", "circle", "data", 0.18)],
         x: "Specimen", y: one.unit ? `${one.words} [${one.unit}]` : one.words,
         layout: {
-          shapes: [level(one.median, "solid", 1.5), { type: "rect", xref: "paper", x0: 0, x1: 1, y0: low, y1: top, fillcolor: faint("model", 0.1), line: { width: 0 }, layer: "below" }],
+          shapes: [across(one.median, "solid"), { type: "rect", xref: "paper", x0: 0, x1: 1, y0: low, y1: top, fillcolor: faint("model", 0.1), line: { width: 0 }, layer: "below" }],
           yaxis: { type: "log" },
           xaxis: rows.length <= 40 ? { tickvals: rows.map((_, i) => i), ticktext: rows.map((row) => row.name) } : { showticklabels: false },
         },
       };
     },
     agreement: () => {
-      const one = found.agreement;
+      const one = payload.agreement;
       const percent = (value) => 100 * value;
       return {
         traces: [{ x: one.pairs.map((pair) => pair.force_N), y: one.pairs.map((pair) => percent(pair.ln_ratio)), mode: "markers", marker: { color: colour("data"), size: 7 },
           text: one.pairs.map((pair) => pair.specimen), hovertemplate: "%{text}: %{y:.2f} %<extra></extra>", showlegend: false }],
         x: "Mean force of the pair at the common depth [N]", y: "Later less earlier [% of ln force]",
-        layout: { shapes: [level(percent(one.bias), "solid", 1.5), level(percent(one.lower), "dash", 1.5), level(percent(one.upper), "dash", 1.5)] },
+        layout: { shapes: [across(percent(one.bias), "solid"), across(percent(one.lower), "dash"), across(percent(one.upper), "dash")] },
       };
     },
     held_out: () => {
-      const one = found.held_out;
+      const one = payload.held_out;
       const box = (values, words, name) => ({ type: "box", x: values, name: words, boxpoints: values.length <= 400 ? "all" : "outliers", jitter: 0.4, pointpos: 0,
         marker: { color: colour(name), size: 4 }, line: { color: colour(name) }, showlegend: false, hovertemplate: "%{x:.2f} %<extra></extra>" });
       return {

@@ -1,6 +1,6 @@
 "use strict";
 // Figures of a posterior: every parameter against every other, traces of the chains.
-const posteriorKinds = (payload, bytes) => {
+const posteriorKinds = () => {
   // columns packed in steps of their range
   const columnsOf = ({ low, high, steps }) => {
     const all = new Uint16Array(bytes(steps).buffer), count = all.length / low.length;
@@ -10,8 +10,7 @@ const posteriorKinds = (payload, bytes) => {
   const posterior = (specimen) => {
     if (!opened.has(specimen)) {
       const raw = payload.posteriors[specimen];
-      const table = (packed) => columnsOf(packed);
-      opened.set(specimen, { ...raw, draws: table(raw.draws), total: raw.total && table(raw.total),
+      opened.set(specimen, { ...raw, draws: columnsOf(raw.draws), total: raw.total && columnsOf(raw.total),
         chain: { ...raw.chain, columns: columnsOf(raw.chain) } });
     }
     return opened.get(specimen);
@@ -76,8 +75,7 @@ const posteriorKinds = (payload, bytes) => {
     const wide = box.clientWidth < 520 ? 1 : Math.min(names.length, 3);
     const layout = grid(names.length, wide, {});
     names.forEach((name, i) => {
-      layout[`xaxis${i ? i + 1 : ""}`] = { showticklabels: false, showgrid: false, zeroline: false };
-      layout[`yaxis${i ? i + 1 : ""}`] = named(name);
+      axesOf(layout, i, { showticklabels: false, showgrid: false, zeroline: false }, named(name));
     });
     return { layout, height: 120 * Math.ceil(names.length / wide) + 40 };
   };

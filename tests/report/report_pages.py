@@ -1,0 +1,95 @@
+"""Pages of fits, and tabs of a browser that show a page and hear what it says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fit_factory import identification
+from typed_call import typed_call
+
+from tissueid.report import render_report
+from tissueid.result import SpecimenFit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+
+render_report = typed_call(render_report)
+
+
+def document_of(*fits: SpecimenFit, refused: bool = False) -> dict[str, Any]:
+    """identification.json of these fits."""
+    return plain_json(identification(fits, refused=refused).as_json())
+
+
+def page(*fits: SpecimenFit, refused: bool = False, **more: Any) -> str:
+    document = document_of(*fits, refused=refused)
+    return render_report(document, curves_of_fits(fits), posteriors_of_fits(fits), **more)
+
+
+def self_contained(render: Callable[..., str]) -> str:
+    """A page that asks no network; equal input gives an equal one, without a time unless it is told."""
+    html = render()
+    # what stands before the drawing library, whose own text holds addresses
+    assert re.findall(r'(?:src|href)="(?!data:|#)', html.partition("<script>")[0]) == []
+    assert html == render()
+    assert "Written" not in html
+    assert "Written 2026-01-01." in render(created="2026-01-01")
+    return html
+
+
+def opened(
+    browser: Any, folder: Path, html: str, *, width: int = 1400, height: int = 900, **context: Any
+) -> tuple[Any, list[str]]:
+    """A tab that shows a page, and all it says: errors, warnings, requests beyond the page itself."""
+    path = folder / "page.html"
+    path.write_text(html, encoding="utf-8")
+    tab = browser.new_context(viewport={"width": width, "height": height}, **context).new_page()
+    said: list[str] = []
+    tab.on("console", lambda one: said.append(one.text) if one.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    own = (path.as_uri(), "data:", "blob:")
+    tab.on("request", lambda one: None if one.url.startswith(own) else said.append(one.url))
+    tab.goto(path.as_uri())
+    return tab, said
+
+
+def open_all(tab: Any) -> None:
+    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+
+
+def wait_for_figures(tab: Any, count: int) -> None:
+    tab.wait_for_function(
+        "count => document.querySelectorAll('[data-drawn]').length === count", arg=count, timeout=60_000
+    )
+
+
+def drawn(tab: Any, kind: str, **data: Any) -> list[dict[str, Any]]:
+    """Traces of a figure as plotly holds them."""
+    box = "".join(f'[data-{key}="{value}"]' for key, value in {"figure": kind, **data}.items())
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
+    traces: list[dict[str, Any]] = tab.evaluate(
+        """box => document.querySelector(box).data.map(one => ({name: one.name, fill: one.fill,
+            axis: one.xaxis || "x", x: Array.from(one.x || []), y: Array.from(one.y)}))""",
+        box,
+    )
+    return traces
+
+
+def wide(tab: Any) -> int:
+    return int(tab.evaluate("document.documentElement.scrollWidth"))
+
+
+def violations(tab: Any) -> list[tuple[str, str, list[str]]]:
+    """Issues that axe-core finds: name, impact, and elements."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    found = axe.run(tab).response["violations"]
+    return [(one["id"], one["impact"], [node["html"][:160] for node in one["nodes"]][:3]) for one in found]
+
+
+def grave(tab: Any) -> list[tuple[str, str, list[str]]]:
+    return [one for one in violations(tab) if one[1] in {"serious", "critical"}]
