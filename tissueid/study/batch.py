@@ -54,7 +54,6 @@ from tissueid.store.merged import (
 )
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
-from tissueid.study.batch import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import (
     Inventory,
     Progress,
