@@ -329,7 +329,7 @@ def _holds(specimen: Specimen, trials: Trials) -> list[dict[str, Any]]:
 
 def _residuals(specimen: Specimen, trials: Trials) -> dict[str, Any] | None:
     """Histogram of all logs together; autocorrelation and means in the holds of each."""
-    known = [(trial, own.residual) for trial, own in trials if own.residual is not None]
+    known = [(trial_label(trial), own.residual) for trial, own in trials if own.residual is not None]
     if not known:
         return None
     summaries = [one for _, one in known]
@@ -340,22 +340,13 @@ def _residuals(specimen: Specimen, trials: Trials) -> dict[str, Any] | None:
         "edges": brief(edges),
         "counts": np.sum([one.counts for one in summaries], axis=0).tolist() if same else [],
         "correlation": [
-            {
-                "label": trial_label(trial),
-                "lag": brief(one.lags * one.step_s),
-                "value": brief(one.correlation),
-            }
-            for trial, one in known
+            {"label": label, "lag": brief(one.lags * one.step_s), "value": brief(one.correlation)}
+            for label, one in known
         ],
         "together": _together(summaries),
         "holds": [
-            {
-                "label": trial_label(trial),
-                "since": brief(one.hold_since_s),
-                "mean": brief(one.hold_mean_N),
-                "count": one.hold_count.tolist(),
-            }
-            for trial, one in known
+            {"label": label, "since": brief(one.hold_since_s), "mean": brief(one.hold_mean_N)}
+            for label, one in known
             if one.hold_count.size
         ],
         "pooled": _pooled_holds(summaries, specimen.sigma_N),
@@ -411,8 +402,6 @@ def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
                     "tau": curve["tau_s"],
                     "rise": curve["rise"],
                     "stiffness": curve["stiffness_N_per_mm"],
-                    "estimate": entry.detail.get("estimate"),
-                    "identified": entry.identified,
                 }
             )
     return found

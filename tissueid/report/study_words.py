@@ -91,14 +91,8 @@ def _exclusion(row: Exclusion) -> dict[str, Any]:
         }
         for one in row.with_it
     ]
-    return {
-        "trial": trial_label(row),
-        "numbers": numbers,
-        "path": row.path,
-        "specimen": row.specimen,
-        "because": row.because,
-        "note": row.note,
-    }
+    said = {key: getattr(row, key) for key in ("specimen", "because", "note")}
+    return {"trial": trial_label(row), "numbers": numbers, **said}
 
 
 def _change(without: float | None, with_it: float | None) -> str:

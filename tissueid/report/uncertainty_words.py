@@ -258,7 +258,6 @@ def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
         )
         rows.append(
             {
-                "name": row.name,
                 "words": _NUISANCE_WORDS.get(row.name) or parameter_words(row.name),
                 "prior": row.prior,
                 "stated": row.stated,
@@ -293,7 +292,6 @@ def _budget(specimen: Specimen) -> dict[str, Any] | None:
                 "words": parameter_words(entry.name),
                 "symbol": entry.symbol,
                 "unit": unit_words(entry.unit),
-                "identified": entry.identified,
                 "shares": shares,
                 "largest": max(shares, key=lambda share: share["percent"], default=None),
                 "sd": [number(own[source].sd, 2) if source in own else "–" for source in (*sources, *beside)],
