@@ -270,9 +270,9 @@ def fit_while_read(
 def _trials(inventory: Inventory, names: dict[str, str], recent: RecentTrials) -> Iterator[Trial]:
     """Trials of one specimen as they are read; its name as shown goes into ``names``."""
     for position in range(len(inventory.request.found)):
-        file = inventory.file(position)
-        if file is None:
+        if isinstance(inventory.request.found[position], Refusal):
             continue
+        file = inventory.file(position)
         found = []
         for item in read_decided(Path(file.path), file.options, file.study):
             found.append(found_in(item))
@@ -286,7 +286,7 @@ def _trials(inventory: Inventory, names: dict[str, str], recent: RecentTrials) -
                 source = Source(path=row.path, sheet=row.sheet)
                 names.update(display_names([(row.specimen, source)]))
             yield item
-        inventory.put_down(position, found)
+        inventory.put_down(file, found)
     inventory.request.all_read()
     recent.clear()
 

@@ -6,8 +6,8 @@ specimens counts by the share of specimens that state it.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from msgspec.structs import asdict
@@ -23,7 +23,7 @@ GRADES: Mapping[str, float] = {"A": 0.95, "B": 0.80, "C": 0.60, "D": 0.40, "E": 
 _NEEDS_ESSENTIALS = {"A", "B"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Item:
     """One thing to state."""
 
@@ -33,7 +33,7 @@ class Item:
     why: str  # why it is asked for
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Missing:
     """An item that is not, or not everywhere, stated; ``where`` names the specimens or trials without it."""
 
@@ -42,16 +42,10 @@ class Missing:
 
     def as_json(self) -> dict[str, Any]:
         """The ``missing`` object of ``schemas/study-check.schema.json``."""
-        return {
-            "table": self.item.table,
-            "keys": list(self.item.keys),
-            "weight": self.item.weight,
-            "why": self.item.why,
-            "where": list(self.where),
-        }
+        return {**dataclasses.asdict(self.item), "keys": list(self.item.keys), "where": list(self.where)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Completeness:
     """The verdict on a study file."""
 

@@ -264,29 +264,23 @@ class Inventory:
         self.request, self.index, self.parts = request, index, parts
         self._missing = set(range(len(request.found)))
 
-    def file(self, position: int) -> NamedFile | None:
-        """The file at a position; ``None`` where a refusal stands there."""
+    def file(self, position: int) -> NamedFile:
+        """The file at a position where no refusal stands."""
         one = self.request.found[position]
-        if isinstance(one, Refusal):
-            return None
+        assert not isinstance(one, Refusal)  # noqa: S101  (refusals are put down first)
         path, sheet = str(one[0]), one[1]
-        options: ReadOptions = self.request.reading
-        if sheet is not None:
-            options = replace(options, sheet=sheet)
-        study: Study | None = None if self.parts is None else self.parts.of_file(path)
-        return NamedFile(position, path, options, study)
+        reading: ReadOptions = self.request.reading
+        options = reading if sheet is None else replace(reading, sheet=sheet)
+        return NamedFile(position, path, options, None if self.parts is None else self.parts.of_file(path))
 
-    def put_down(self, position: int, found: Sequence[Found]) -> None:
-        """Say what the file at a position holds."""
-        file = self.file(position)
-        if file is None:
-            refusal = self.request.found[position]
-            assert isinstance(refusal, Refusal)  # noqa: S101  (file() says so)
-            path, key = refusal.path, f"refused before it was read, {position}"
-        else:
-            path, key = _stored(file.path), reading_key(file.options, file.study)
+    def put_down(self, file: NamedFile, found: Sequence[Found]) -> None:
+        """Say what a file holds."""
+        self._put_down(file.position, (file.path, *_key(file)), found)
+
+    def _put_down(self, position: int, named: tuple[str, str, str], found: Sequence[Found]) -> None:
+        path, stored, key = named
         rows = list(recording_rows(path, found, self.parts))
-        self.index.add_file(position, path, key, rows)
+        self.index.add_file(position, stored, key, rows)
         self._missing.discard(position)
         for row in rows:
             if row.refusal is None:
@@ -297,7 +291,8 @@ class Inventory:
         with self.index.batch():
             for position, one in enumerate(self.request.found):
                 if isinstance(one, Refusal):
-                    self.put_down(position, [Found(one.sheet, "", "", 0, one)])
+                    named = one.path, one.path, f"refused before it was read, {position}"
+                    self._put_down(position, named, [Found(one.sheet, "", "", 0, one)])
 
     def complete(self, workplace: Workplace, recent: RecentTrials, progress: Progress) -> None:
         """Look into every file that was not looked into yet."""
@@ -344,29 +339,21 @@ class Inventory:
         if result is None:
             assert fault is not None  # noqa: S101  (a task has either)
             file = self.file(chunk[0])
-            assert file is not None  # noqa: S101  (refusals are never looked into)
             refusal = Refusal(file.path, None, fault.code, f"it can't be read: {fault.message}")
-            self.put_down(chunk[0], [Found(None, "", "", 0, refusal)])
+            self.put_down(file, [Found(None, "", "", 0, refusal)])
             return
         for position, found in unpacked(result):
-            if found is None:
-                file = self.file(position)
-                assert file is not None  # noqa: S101  (only files are looked into)
-                found = found_again(
-                    self.index.known_file(_stored(file.path), reading_key(file.options, file.study))
-                )
-            self.put_down(position, found)
+            file = self.file(position)
+            self.put_down(file, found_again(self.index.known_file(*_key(file))) if found is None else found)
 
     def _known(self, position: int) -> NamedFile:
         file = self.file(position)
-        assert file is not None  # noqa: S101  (refusals are put down first)
-        rows = self.index.known_file(_stored(file.path), reading_key(file.options, file.study))
+        rows = self.index.known_file(*_key(file))
         return replace(file, known=next((row.sha256 for row in rows if row.sha256), None))
 
     def _bytes(self, position: int) -> int:
-        file = self.file(position)
         try:
-            return 0 if file is None else Path(file.path).stat().st_size
+            return Path(self.file(position).path).stat().st_size
         except OSError:
             return 0
 
@@ -378,6 +365,8 @@ def files_a_task(files: int, size: float) -> int:
     return max(FEW_FILES, min(MANY_FILES, files // TASKS, int(BYTES_A_TASK / size)))
 
 
-def _stored(path: str) -> str:
-    """A path as a database can hold it; one that is not UTF-8 names a file that is refused."""
-    return path.encode("utf-8", "backslashreplace").decode("utf-8")
+def _key(file: NamedFile) -> tuple[str, str]:
+    """Path and way of reading by which the index knows a file."""
+    # a path that is not UTF-8 names a file that is refused; a database can't hold it
+    path = file.path.encode("utf-8", "backslashreplace").decode("utf-8")
+    return path, reading_key(file.options, file.study)
