@@ -58,7 +58,7 @@ def emulated(
     given = EmulatorSettings(hand=pressing(), waits_for_blue=True, faults=faults, **settings)
     with EmulatedLink(given, pty=True) as link:
         options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS, **device_options}
-        monkeypatch.setattr(render_command, "_device_options", lambda _flags: options)
+        monkeypatch.setattr(render_command, "configured", lambda *_: options)
         yield link
 
 

@@ -371,30 +371,34 @@ def population_flags(
     """Flags of a population; ``floored``: specimen -> draws of which a number was zero."""
     flags = [*_of_chains(draws), *_of_outliers(specimens)]
 
-    def flag(code: str, message: str, **values: object) -> None:
-        flags.append(Flag(code, message, values))
-
     smoothed = [row.specimen for row in specimens if row.smoothed]
     if smoothed:
         message = (
             f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
             f"(first {smoothed[0]})"
         )
-        flag("likelihood_smoothed", message, specimens=smoothed)
+        flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
     if floored:
         message = (
             f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
             f"{sum(floored.values())} draws"
         )
-        flag("draws_floored", message, specimens=list(floored), draws=list(floored.values()))
+        values = {"specimens": list(floored), "draws": list(floored.values())}
+        flags.append(Flag("draws_floored", message, values))
     if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
         share = 100 * predictive.refused_share
         message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
         message += ", the typical one too" if predictive.typical_is_drawn else ""
-        flag("population_not_passive", message, refused=predictive.refused, kept=len(predictive.theta))
+        flags.append(
+            Flag(
+                "population_not_passive",
+                message,
+                {"refused": predictive.refused, "kept": len(predictive.theta)},
+            )
+        )
     for key, who in described.missing.items():
         message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
-        flag("covariate_missing", message, covariate=key, specimens=list(who))
+        flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
     return flags
 
 
