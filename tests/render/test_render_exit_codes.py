@@ -23,7 +23,6 @@ import pytest
 from emulated_session import pressing
 from owner_to_kill import LIMITS
 
-from tissueid.cli import render_command
 from tissueid.cli.main import main
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
@@ -58,7 +57,7 @@ def emulated(
     given = EmulatorSettings(hand=pressing(), waits_for_blue=True, faults=faults, **settings)
     with EmulatedLink(given, pty=True) as link:
         options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS, **device_options}
-        monkeypatch.setattr(render_command, "configured", lambda *_: options)
+        monkeypatch.setattr("tissueid.haptics.registry.configured", lambda *_: options)
         yield link
 
 
