@@ -24,6 +24,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
 )
 from tissueid.reproduce.recordings import Effort
@@ -71,9 +72,11 @@ def table_3(readings: Readings, numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"table-3/virtual-mass-{variant}",
                 virtual_mass_bound(settings),
-                words=f"Virtual mass below which variant {variant} is unstable, its estimates true",
-                unit="kg",
-                where="Table 3",
+                said=Said(
+                    f"Virtual mass below which variant {variant} is unstable, its estimates true",
+                    unit="kg",
+                    where="Table 3",
+                ),
                 note='"the value of the mass has been selected to maintain the closed-loop stability": the '
                 "measured force holds the hand's inertia, which comes back through the virtual tool",
             )
@@ -127,9 +130,7 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
         ledger.item(
             f"{key}-x{scale:g}",
             one.error_rms_mm,
-            words=f"Position error, {words}, tissue x{scale:g}, rms",
-            unit="mm",
-            where="Fig. 7",
+            said=Said(f"Position error, {words}, tissue x{scale:g}, rms", unit="mm", where="Fig. 7"),
             note=f"V' beyond its bound after {100.0 * one.violated_share:.2g} % of the ticks, by at most "
             f"{one.violation_max_W:.2g} W: the loop is sampled and its sensor one sample late",
         )
@@ -141,8 +142,7 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
     rows.append(
         ledger.claim(
             f"{key}-stable",
-            f"Stable at 100 times the stiffness, {words}: error x100 over error x1",
-            "Fig. 7",
+            Said(f"Stable at 100 times the stiffness, {words}: error x100 over error x1", where="Fig. 7"),
             worse,
             lambda ratio: bounded and ratio <= MOST_WORSE,
             f"bounded, and at most {MOST_WORSE:g}",

@@ -21,6 +21,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     near,
 )
@@ -49,8 +50,7 @@ def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"restitution/{asked}",
                 _after_drop(damping_factor(asked), mass),
-                words=f"Restitution reached where e = {asked} is asked for",
-                where="Equation (1)",
+                said=Said(f"Restitution reached where e = {asked} is asked for", where="Equation (1)"),
                 note="below what is asked for: the factor as printed holds for e near 1; mass, stiffness and "
                 "speed do not enter",
             )
@@ -100,30 +100,32 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
     items = [
         ledger.claim(
             "guidance/nothing-on-the-axis",
-            "No impedance force without a radial error: largest force on the axis",
-            "Fig. 4",
+            Said(
+                "No impedance force without a radial error: largest force on the axis",
+                unit="N",
+                where="Fig. 4",
+            ),
             at_axis,
             lambda force: force == 0.0,
             "zero",
-            unit="N",
         ),
         ledger.claim(
             "guidance/steeper",
-            "The stiffness rises as the axial displacement falls: least rise from height to height",
-            "Fig. 4",
+            Said(
+                "The stiffness rises as the axial displacement falls: least rise from height to height",
+                unit="N/m",
+                where="Fig. 4",
+            ),
             float(np.diff(slopes).min()),
             lambda least: least > 0.0,
             "greater than zero",
-            unit="N/m",
         ),
         ledger.claim(
             "guidance/free-inside",
-            "No contact, no force of the surface: largest force within it",
-            "Fig. 4",
+            Said("No contact, no force of the surface: largest force within it", unit="N", where="Fig. 4"),
             inside,
             lambda force: force == 0.0,
             "zero",
-            unit="N",
         ),
         _time_constant(numbers),
     ]

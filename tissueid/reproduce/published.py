@@ -125,6 +125,15 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
+class Said:
+    """Words of a row of which the paper prints no number: its unit, and its place in the paper."""
+
+    words: str = ""
+    unit: str = ""
+    where: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Trace:
     """One line of a figure."""
 
@@ -247,16 +256,13 @@ class Ledger:
         recomputed: float | tuple[float, float] | None,
         *,
         against: str | None = None,
-        words: str = "",
-        unit: str = "",
-        where: str = "",
+        said: Said | None = None,
         interval: tuple[float, float] | None = None,
         judge: Judgement | None = None,
-        instrument: str | None = None,
         note: str | None = None,
     ) -> Item:
         """A row of the comparison; its kind follows from what this ledger handed out."""
-        beside = against or key
+        beside, said = against or key, said or Said()
         printed = self._numbers.get(beside)
         agrees = None
         if printed is not None and judge is not None and recomputed is not None:
@@ -264,9 +270,9 @@ class Ledger:
         return Item(
             item=key,
             paper=self.paper,
-            where=where if printed is None else printed.where,
-            words=words if words or printed is None else printed.words,
-            unit=unit if printed is None else printed.unit,
+            where=said.where if printed is None else printed.where,
+            words=said.words if said.words or printed is None else printed.words,
+            unit=said.unit if printed is None else printed.unit,
             published=None if printed is None else printed.value,
             recomputed=recomputed,
             interval=interval,
@@ -276,7 +282,7 @@ class Ledger:
             reading="; ".join(self._readings) or None,
             inputs=tuple(self._used),
             assumed=tuple(self._assumed),
-            instrument=instrument,
+            instrument=None,
             note=note,
         )
 
@@ -291,14 +297,14 @@ class Ledger:
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
-        return replace(self.item(key, None, words=words, note=note), kind=Kind.GIVEN)
+        return replace(self.item(key, None, said=Said(words), note=note), kind=Kind.GIVEN)
 
     def claim(
-        self, key: str, words: str, where: str, value: float, holds: Callable[[float], bool], rule: str,
-        *, unit: str = "", note: str | None = None,
+        self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,
+        *, note: str | None = None,
     ) -> Item:  # fmt: skip
         """A sentence of the paper without a number, and whether what is computed bears it out."""
-        row = self.item(key, value, words=words, unit=unit, where=where, note=note)
+        row = self.item(key, value, said=said, note=note)
         return replace(row, agrees=holds(value), rule=rule)
 
 

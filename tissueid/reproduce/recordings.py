@@ -29,6 +29,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     overlaps,
     within_interval,
@@ -130,9 +131,7 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
             Ledger(SADEGHNEJAD, numbers).item(
                 f"table-2/{name}",
                 None,
-                words=f"Coefficient {name} of the static force",
-                unit=unit,
-                where="Table 2",
+                said=Said(f"Coefficient {name} of the static force", unit=unit, where="Table 2"),
                 note="the cell did not survive in the text that this was made from",
             )
             for name, unit in (("a1", "N/mm"), ("a2", "N/mm2"), ("a3", "N/mm3"))
@@ -153,9 +152,7 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,
         interval=interval,
-        words="Viscosity K tau",
-        unit="N s/mm",
-        where="Table 2",
+        said=Said("Viscosity K tau", unit="N s/mm", where="Table 2"),
         note="known ten times better than K and tau by themselves",
     )
 
@@ -204,7 +201,7 @@ def specimen_scatter(
             f"figure-5/nrmsd-by-{name}",
             tuple(100.0 * float(q) for q in np.quantile(column, CENTRAL)),  # type: ignore[arg-type]
             against="figure-5/nrmsd",
-            words=f"NRMSD of a held-out specimen by {name}, central 68 %",
+            said=Said(f"NRMSD of a held-out specimen by {name}, central 68 %"),
             judge=overlaps(),
             note=f"median {100.0 * float(np.median(column)):.3g} %; scatter between specimens gives it, not "
             "the model's form",

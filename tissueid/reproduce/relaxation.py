@@ -6,6 +6,8 @@ settled and the load channel followed with its filter: the instrument alone may 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
@@ -19,6 +21,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     near,
     rounded,
@@ -165,17 +168,21 @@ def _rows(ledger: Ledger, readings: Readings, effort: Effort, depth: int, trials
         interval = None if interval is None else (1.0 / interval[1], 1.0 / interval[0])
     imitation = elastic_imitation(ledger.branch(), readings, depth)
     return [
-        ledger.item(
-            f"table-1/peak-{depth}mm",
-            float(trials[0].force_N.max()),
-            judge=near(PEAK_TOLERANCE_N, "N"),
+        replace(
+            ledger.item(
+                f"table-1/peak-{depth}mm",
+                float(trials[0].force_N.max()),
+                judge=near(PEAK_TOLERANCE_N, "N"),
+            ),
             instrument="no: a force, not a time",
         ),
-        ledger.item(
-            f"table-1/tau-{depth}mm",
-            value,
-            interval=interval,
-            judge=within_interval(),
+        replace(
+            ledger.item(
+                f"table-1/tau-{depth}mm",
+                value,
+                interval=interval,
+                judge=within_interval(),
+            ),
             instrument=imitation,
         ),
     ]
@@ -194,7 +201,7 @@ def _mean(numbers: Numbers) -> Item:
         "table-2/mean-of-table-1",
         mean,
         against="table-2/tau",
-        words="Relaxation time of Table 2 as the mean of Table 1's",
+        said=Said("Relaxation time of Table 2 as the mean of Table 1's"),
         judge=rounded(3),
     )
 
@@ -208,9 +215,7 @@ def _share_left(readings: Readings, numbers: Numbers) -> Item:
     return ledger.item(
         "figure-2/drop-8mm",
         force,
-        words="Force that relaxes after the ramp to 8 mm",
-        unit="N",
-        where="Fig. 2",
+        said=Said("Force that relaxes after the ramp to 8 mm", unit="N", where="Fig. 2"),
         note=f"{over}: a curve that falls over 30 s needs a second, slower branch"
         if readings.relaxation == "time"
         else over,
