@@ -33,9 +33,11 @@ def told(shared_data: Path, out: Path) -> str:
         (out / f"{number}.json").write_text(inspected(shared_data / name), encoding="utf-8")
     spec = importlib.util.spec_from_file_location("bench_check", shared_data / "bench_check.py")
     script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        # nothing is written beside the recordings
+        patch.setattr(sys, "dont_write_bytecode", True)
+        spec.loader.exec_module(script)
         patch.setattr(sys, "argv", ["bench_check", str(labels), str(out)])
         script.main()
     return said.getvalue()
