@@ -12,7 +12,7 @@ import math
 import secrets
 import socket
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -52,8 +52,8 @@ class _Plane(msgspec.Struct, forbid_unknown_fields=True):
 class _Datagram(msgspec.Struct, forbid_unknown_fields=True):
     """Members that a datagram may have."""
 
-    v: Literal[1]
-    token: str
+    v: float  # 1; programs write numbers as they like
+    token: str | int
     tissue: Annotated[int, msgspec.Meta(ge=0, lt=65536)] | None = None
     plane: _Plane | msgspec.UnsetType = msgspec.UNSET
     engage: bool | None = None
@@ -77,7 +77,7 @@ def parse_request(data: bytes, token: str) -> BridgeRequest | None:
         found = msgspec.json.decode(data, type=_Datagram)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    if not hmac.compare_digest(found.token.encode(), token.encode()):
+    if found.v != VERSION or not hmac.compare_digest(str(found.token).encode(), token.encode()):
         return None
     plane = None
     if found.plane is not msgspec.UNSET:
