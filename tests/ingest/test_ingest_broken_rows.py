@@ -98,10 +98,10 @@ def test_a_rupture_and_a_number_of_four_digits_are_no_broken_rows(tmp_path: Path
     force[120:] = -0.01 + np.random.default_rng(5).normal(0.0, 1e-3, COUNT - 120)
     for values in (force, np.where(np.arange(COUNT) < 100, FORCE, np.round(1e3 * FORCE) / 1e3)):
         rows = [[cell(v) for v in row] for row in zip(TIME, TRAVEL, values, strict=True)]
-        read(written(tmp_path / "a.csv", rows))
+        assert read(written(tmp_path / "a.csv", rows)).time_s.size == COUNT
     # significant digits: decimals end where the number has enough of them
     steep = np.linspace(5.0, 4000.0, COUNT)
     rows = [
         [cell(t), cell(x), f"{f:.4g}".replace(".", ",")] for t, x, f in zip(TIME, TRAVEL, steep, strict=True)
     ]
-    read(written(tmp_path / "b.csv", rows))
+    assert read(written(tmp_path / "b.csv", rows)).time_s.size == COUNT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from tissueid.documents.study import Priors as Recorded
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
 from tissueid.manifest import Study
+from tissueid.model import grammar
+from tissueid.model.laws.power import Power
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.store.schema import first_problem
 
@@ -244,3 +247,16 @@ def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path: P
         identify([], study=study)
     options = IdentifyOptions(fit=FitOptions(model="power * prony:2"))
     assert identify([], study=study, options=options).exit.code == 3
+
+
+def test_a_law_that_is_registered_later_has_its_priors(tmp_path: Path, monkeypatch) -> None:
+    text = "[priors.static_own]\nmedian = 1.5\nsd_ln = 0.1\n"
+    with pytest.raises(InputError, match="no prior of 'static_own'"):
+        priors_in(tmp_path, text)
+    spec = replace(Power.shapes[0].spec, name="static_own")
+    own = type("Own", (Power,), {
+        "about": replace(Power.about, key="own"),
+        "shapes": (replace(Power.shapes[0], spec=spec),),
+    })  # fmt: skip
+    monkeypatch.setitem(grammar._OWN, "own", own)
+    assert priors_in(tmp_path, text).shapes["static_own"] == SpreadPrior(1.5, 0.1)

@@ -175,7 +175,6 @@ def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
     }
 
 
-@lru_cache
 def stated_names() -> Mapping[str, bool]:
     """Parameters of all laws, beside their times, of which priors may be stated; true of coefficients."""
     of_kind = {kind: [key for key, one in known_laws().items() if one.about.kind == kind] for kind in KINDS}
