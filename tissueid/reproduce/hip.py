@@ -97,7 +97,24 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
         float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
     )
     at_axis = max(float(pushed[0, 0]) for pushed in swept.values())
-    items = [
+    items = [*_guidance_claims(ledger, at_axis, slopes, inside), _time_constant(numbers)]
+    figure = Figure(
+        "paper-b-figure-4",
+        PIRES,
+        "Fig. 4",
+        "Impedance and surface force against radial error",
+        Kind.ASSUMED,
+        f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
+        "Radial error [mm]",
+        "Force [N]",
+        tuple(traces),
+    )
+    return items, figure
+
+
+def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside: float) -> list[Item]:
+    """Sentences about Fig. 4: largest forces on the axis and within the surface [N], slopes [N/m]."""
+    return [
         ledger.claim(
             "guidance/nothing-on-the-axis",
             Said(
@@ -127,20 +144,7 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
             lambda force: force == 0.0,
             "zero",
         ),
-        _time_constant(numbers),
     ]
-    figure = Figure(
-        "paper-b-figure-4",
-        PIRES,
-        "Fig. 4",
-        "Impedance and surface force against radial error",
-        Kind.ASSUMED,
-        f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
-        "Radial error [mm]",
-        "Force [N]",
-        tuple(traces),
-    )
-    return items, figure
 
 
 def _sweep(plan: Guidance, height_mm: float, error_mm: FloatArray) -> FloatArray:
