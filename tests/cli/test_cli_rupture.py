@@ -12,6 +12,9 @@ from command_line import REPOSITORY, Ended, run
 
 from tissueid.cli.rupture_command import ASKED as OFFERED
 from tissueid.haptics.states import Lamp
+from tissueid.model.base import ContactPath
+from tissueid.model.grammar import parsed
+from tissueid.model.rupture import rupture_measures
 from tissueid.rupture.study import ASKED
 from tissueid.store.bundle import load_bundle
 from tissueid.store.schema import first_problem
@@ -107,6 +110,56 @@ def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(
     assert records["tissue_force_N"][first] == pytest.approx(
         row["law"]["residual"] * records["tissue_force_N"][first - 1], rel=0.02
     )
+
+
+QUASI_LINEAR = "power * tangent * prony"
+RATE_HZ, AIR_MM, DEEPEST_MM, WORK_N_MM, LEFT = 500.0, 1.0, 8.0, 100.0, 0.2
+
+
+def quasi_linear_cohort(folder: Path) -> None:
+    """Four specimens that break at one work, at three speeds each, under a law without K(x)."""
+    rng, model = np.random.default_rng(5), parsed(QUASI_LINEAR).model(DEEPEST_MM, 1.0 / RATE_HZ, 1.0)
+    for specimen in range(4):
+        theta = np.array([5.0 * np.exp(rng.normal(0.0, 0.1)), 1.8, 1.2, 0.05])
+        for speed in (2.0, 10.0, 50.0):
+            time = np.arange(0.0, (AIR_MM + DEEPEST_MM) / speed, 1.0 / RATE_HZ)
+            depth = np.maximum(speed * time - AIR_MM, 0.0)
+            measures = rupture_measures(model, theta, ContactPath(time, depth))
+            force = np.where(measures["work"] < WORK_N_MM, 1.0, LEFT) * measures["force"]
+            force += rng.normal(0.0, 0.1, time.size)
+            rows = [f"{t:.4f},{speed * t:.4f},{f:.3f}" for t, f in zip(time, force, strict=True)]
+            head = f'Text Inputs : Specimen label,"q-{specimen}"\n\nTime,Extension,Load\n(sec),(mm),(N)'
+            name = f"q-{specimen}-{speed:.0f}.csv"
+            (folder / name).write_text("\n".join([head, *rows, ""]), encoding="utf-8")
+
+
+def test_ruptures_under_a_quasi_linear_law_are_decided_and_felt(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    quasi_linear_cohort(tmp_path / "logs")
+    out = tmp_path / "out"
+    ended = run(
+        "rupture", tmp_path / "logs", "-o", out, "--model", QUASI_LINEAR, "--criterion", "auto", "--json"
+    )
+    document = ended.json()
+    assert (document["decision"]["answer"], document["taken"]) == ("decided", "work")
+    work = next(row for row in document["criteria"] if row["criterion"] == "work")
+    assert work["median"] == pytest.approx(WORK_N_MM, rel=0.03)
+    # the sign test is of exponentials outside the convolution
+    assert document["hardening"] is None
+    assert any("outside the convolution" in one for one in document["sentences"])
+    bundle, log = load_bundle(out / document["laws"][0]["bundle"]), tmp_path / "log.h5"
+    assert bundle.model.name == QUASI_LINEAR
+    script = "indent 7 mm at 600 mm/min; hold 0.2 s"
+    named = out / document["laws"][0]["bundle"]
+    run("render", named, "--device", "sim", "--virtual", "--script", script, "--log", log)
+    assert (read_session_log(log).records["lamps"] & Lamp.RUPTURED > 0).any()
+
+
+@pytest.mark.parametrize(
+    ("model", "words"), [("yardstick", "no parameters to quote"), ("power * sand", "sand")]
+)
+def test_a_law_that_can_not_be_quoted_or_is_none_is_refused(tmp_path: Path, model: str, words: str) -> None:
+    run("rupture", SET, "-o", tmp_path / "out", "--model", model, code=2, said=words)
 
 
 def test_what_a_fit_wrote_is_not_replaced(tmp_path: Path) -> None:

@@ -7,13 +7,17 @@ import pytest
 
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel, branch_states, loading_force
+from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.rupture import (
     hardening_ratio,
     peak_force_against_speed,
     rupture_at_speed,
     rupture_measures,
+    stored_energy_in,
 )
+from tissueid.model.servo_law import servo_law
 from tissueid.rupture_law import CRITERIA
 
 #: 10 to 500 mm/min, the ends of paper A's rates.
@@ -113,3 +117,83 @@ def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: t
     slope = (near[1] - near[0]) / (0.4 * speed)
     # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x
     assert slope == pytest.approx(STIFFNESS * TAU_S * (1.0 - ratio), rel=0.02)
+
+
+OF_EVERY_KIND = (
+    "power * tangent * prony", "power * tangent * fung", "polynomial * tangent * prony:2",
+    "hertz * linear * stretched", "flat * fractional", "sneddon * quadratic * power-law",
+    "flat * poroelastic", "power * spectrum",
+)  # fmt: skip
+TYPICAL = {
+    "static_exponent": 1.4, "stiffness_0": 30.0, "stiffness_1": 4.0, "stiffness_2": 0.5,
+    "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 100.0, "relaxation_ratio": 1.2,
+    "static_": 12.0,
+}  # fmt: skip
+
+
+def of_name(name: str) -> tuple[ChannelModel, np.ndarray]:
+    model = parsed(name).model(6.0, 0.01, 2.0)
+    values = [next(v for key, v in TYPICAL.items() if one.name.startswith(key)) for one in model.parameters]
+    return model, np.array(values)
+
+
+def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.ndarray:
+    """What the dampers of every exponential have turned into heat, (n,) [N mm]."""
+    x, elastic, power = path.depth_mm, model.static_force(theta, path.depth_mm), np.zeros(path.time_s.size)
+    fine = np.linspace(0.0, x.max(), 20_001)
+    force = model.static_force(theta, fine)
+    for part in model.parts:
+        weights, tau = model.exponentials(theta, part)
+        for weight, time, state in zip(
+            weights, tau, branch_states(path.time_s, elastic if model.inside else x, tau), strict=True
+        ):
+            if part.ratio is not None:
+                way = x - np.interp(elastic - state, force, fine)
+                power += theta[part.ratio] * weight * state * way / time
+                continue
+            rows = enumerate(theta[part.stiffness])
+            power += (
+                weight
+                * state
+                / time
+                * sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in rows)
+            )
+    steps = 0.5 * np.diff(path.time_s) * (power[1:] + power[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("name", OF_EVERY_KIND)
+def test_stored_energy_and_heat_make_up_the_work_under_any_law(name: str) -> None:
+    model, theta = of_name(name)
+    time = np.linspace(0.0, 1.0, 20_001)
+    # forth, a little back, and forth again
+    path = ContactPath(time, 4.0 * time * (1.0 + 0.3 * np.sin(20.0 * time)))
+    measures = rupture_measures(model, theta, path)
+    stored = measures["stored-energy"] + heat_of(model, theta, path)
+    assert stored == pytest.approx(measures["work"], rel=1e-3, abs=1e-4 * measures["work"].max())
+    assert (measures["stored-energy"] >= 0.0).all()
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("name", OF_EVERY_KIND)
+def test_the_servo_stores_the_energy_of_the_law(name: str) -> None:
+    model, theta = of_name(name)
+    time = np.arange(0.0, 1.0, 1e-3)
+    path = ContactPath(time, 5.0 * time * (1.0 + 0.2 * np.sin(12.0 * time)))
+    expected = rupture_measures(model, theta, path)["stored-energy"]
+    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
+    found = np.zeros(time.size)
+    for k, depth in enumerate(path.depth_mm[1:], 1):
+        tissue_step_in(law, 0, state, 0, float(depth), 1e-3)
+        found[k] = stored_energy_in(law, 0, state, 0)
+    assert found == pytest.approx(expected, rel=2e-3, abs=2e-3 * expected.max())
+
+
+def test_a_damped_law_stores_its_static_work_alone() -> None:
+    model = parsed("power * impact").model(6.0, 0.01, 2.0)
+    x = np.linspace(0.0, 4.0, 2001)
+    theta = np.array([12.0, 1.4, 0.8])
+    measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
+    assert measures["stored-energy"] == pytest.approx(12.0 * x**2.4 / 2.4, rel=1e-5, abs=1e-6)
+    assert measures["dynamic"] == pytest.approx(model.factor(theta) * 12.0 * x**1.4, rel=1e-9, abs=1e-9)

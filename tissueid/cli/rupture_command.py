@@ -28,6 +28,7 @@ EXAMPLES = """
 tissueid rupture study.toml -o rupture
 tissueid rupture lab_data/ -o rupture --criterion auto
 tissueid rupture lab_data/ -o rupture --criterion work --specimen-by "(sheep-[0-9]+)"
+tissueid rupture lab_data/ -o rupture --model "power * tangent * prony"
 """
 #: What may be asked for, written out so that help need not load it; a test holds it against the code.
 ASKED = ("none", "auto", "work", "weighted-force", "stored-energy", "depth")
@@ -44,6 +45,7 @@ class _RuptureFlags(ReadingFlags, OutputFlags):
         type=click.Choice(ASKED), default="none",
     )
     weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)
+    model: str | None = option("Law of the tissue, as of tissueid fit.", metavar="NAME")
     study: str | None = option("Study file, where not the folder's own.", type=PATH, metavar="FILE")
     no_study: bool = option("Without the folder's study.toml.")
     # fmt: on
@@ -72,6 +74,7 @@ def command(flags: _RuptureFlags) -> int:
 
 
 def _run(flags: _RuptureFlags, progress: Any) -> RuptureRun:
+    from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import IdentifyOptions
     from tissueid.rupture.run import run_rupture
     from tissueid.study.recordings import locate_study, read_decided_one
@@ -82,7 +85,7 @@ def _run(flags: _RuptureFlags, progress: Any) -> RuptureRun:
     return run_rupture(
         read_all(read_in_order(paths, reading, study), refused),
         study=study,
-        options=IdentifyOptions(segment=segment_options(flags)),
+        options=IdentifyOptions(fit=FitOptions(model=flags.model), segment=segment_options(flags)),
         reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
         refused=refused,
         asked=flags.criterion,

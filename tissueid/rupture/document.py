@@ -77,8 +77,8 @@ def _sign(study: RuptureStudy) -> str:
     found = study.hardening
     if found is None:
         return (
-            "The sign test x F_s'/F can't be made: every test ruptured so fast that the relaxing branch was "
-            "not in its steady state."
+            "The sign test x F_s'/F can't be made: it is of exponentials outside the convolution in their "
+            "steady state, and no test ruptured so slowly under such a law."
         )
     low, high = found.ci95
     means = {

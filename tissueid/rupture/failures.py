@@ -170,7 +170,8 @@ class Failure:
     #: x F_s'/F.
     hardening: float
     hardening_sd: float
-    settled: bool  # the depth is many times v tau, as the sign test supposes
+    #: The depth is many times v tau of exponentials outside the convolution, as the sign test supposes.
+    settled: bool
 
     @property
     def ruptured(self) -> bool:
@@ -282,5 +283,6 @@ def _failure(
         dynamic_share=found.dynamic_share,
         hardening=found.hardening,
         hardening_sd=spread([one.hardening for one in drawn]),
-        settled=depth_mm >= SETTLED * test.speed_mm_s * float(law.model.split(law.theta)[2].max(initial=0.0)),
+        settled=law.model.viscous
+        and depth_mm >= SETTLED * test.speed_mm_s * law.model.times(law.theta).max(),
     )

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissueid.decided import decided_options, decided_trial, why_excluded
-from tissueid.errors import InputError, NotIdentifiedError
+from tissueid.errors import InputError, NotIdentifiedError, UsageError
 from tissueid.manifest import Study
-from tissueid.model.grammar import KELVIN_VOIGT, rebuilt
-from tissueid.pipeline import IdentifyOptions, identify
+from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
+from tissueid.pipeline import IdentifyOptions, identify, with_model
 from tissueid.result import Identification, Refusal, SpecimenFit
 from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.study import RuptureStudy, rupture_study
@@ -88,10 +88,8 @@ def run_rupture(
     could be fitted; the first refusal says why; NotIdentifiedError: too few tests ruptured, or the recordings
     are normalised.
     """
-    asked_of_fit = options or IdentifyOptions()
-    # energies are those of a Kelvin-Voigt tissue, whatever the study fits
-    kelvin_voigt = replace(asked_of_fit.fit, model=KELVIN_VOIGT)
-    fit_options = replace(asked_of_fit, fit=kelvin_voigt, posterior=None, required=())
+    fit_options = replace(with_model(options or IdentifyOptions(), study), posterior=None, required=())
+    _refuse_yardstick(fit_options.fit.model or KELVIN_VOIGT)
     ends = _Ends(study, fit_options.segment)
     identification = identify(
         ends.watch(trials),
@@ -123,6 +121,17 @@ def run_rupture(
     return RuptureRun(found, identification, tuple(left_out))
 
 
+def _refuse_yardstick(name: str) -> None:
+    """Refuse a model without parameters, and a name that is none."""
+    try:
+        laws = candidates(name)
+    except ModelNameError as error:
+        raise UsageError(str(error)) from None
+    if laws.paper is None and all(one.mark for one in laws.laws):
+        msg = f"{name} has no parameters to quote: name a law of `tissueid models` for a rupture"
+        raise UsageError(msg)
+
+
 def _nothing_fitted(identification: Identification) -> InputError:
     """The first refusal, with how many there are."""
     if not identification.refused:
@@ -143,5 +152,4 @@ def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
 
 def _law(fit: SpecimenFit) -> SpecimenLaw:
     model = rebuilt(fit.model, fit.depth_mm)
-    assert model.viscous  # noqa: S101 -- the only law that is fitted
     return SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))
