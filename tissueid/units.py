@@ -26,6 +26,7 @@ INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
 _SPELLINGS: Mapping[str, str] = MappingProxyType(
     {
         "Sec": "s",
+        "S": "s",
         "sek": "s",
         "Sek": "s",
         "seg": "s",
@@ -39,6 +40,13 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "牛顿": "N",
         "千牛": "kN",
         "毫牛": "mN",
+        "초": "s",
+        "с": "s",  # Cyrillic, as the next five
+        "сек": "s",
+        "мин": "min",
+        "мм": "mm",
+        "Н": "N",
+        "кН": "kN",
         "inches": "inch",
         "in": "inch",
         "gf": "force_gram",

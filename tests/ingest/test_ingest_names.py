@@ -37,6 +37,67 @@ def test_units_glued_to_a_name_and_french_crossheads_are_read(
     assert trial.force_N[2] == pytest.approx(1.5 * factors[1])
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Čas (s),Posunutí (mm),Síla (N)",
+        "Tijd (s),Verplaatsing (mm),Kracht (N)",
+        "Tid (s),Förskjutning (mm),Kraft (N)",
+        "Tid (s),Forskydning (mm),Belastning (N)",
+        "Zaman (s),Uzama (mm),Kuvvet (N)",
+        "시간(초),변위(mm),하중(N)",
+        "Время (с),Перемещение (мм),Нагрузка (Н)",
+        "Time_S,Displacement_mm,Force_N",
+        "Time (s),Deformation (mm),Loadcell (N)",
+        "time_s,pos_z_mm,fz_N",
+    ],
+)
+def test_names_of_eight_more_languages_and_of_loggers_are_read(tmp_path: Path, head: str) -> None:
+    trial = read(written(tmp_path / "a.csv", head))
+    assert trial.flags == ()
+    assert (trial.displacement_mm[2], trial.force_N[2]) == (0.1, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("codec", "head"),
+    [
+        ("cp1251", "Время;Перемещение;Нагрузка\nс;мм;Н"),
+        ("cp949", "시간(s);변위(mm);하중(N)"),
+        ("cp1250", "Čas (s);Posunutí (mm);Síla (N)"),
+        ("cp1254", "Zaman (s);Yer değiştirme (mm);Kuvvet (N)"),
+    ],
+)
+def test_their_code_pages_are_told_by_their_words(tmp_path: Path, codec: str, head: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes((head + "\n" + ROWS.replace(",", ";").replace(".", ",")).encode(codec))
+    trial = read(path)
+    assert trial.flags == ()
+    assert (trial.displacement_mm[2], trial.force_N[2]) == (0.1, 1.5)
+
+
+def test_an_indenters_export_of_micrometres_and_micronewtons_is_read(tmp_path: Path) -> None:
+    head = "Fn contact : 25 µN\n\nMeasured values\nTime (s)\tPd (µm)\tFn (µN)\tFnRef (µN)\tSegmentID\n"
+    rows = "".join(f"{k / 10:.1f}\t{50.5 * k:.2f}\t{1e3 + 250.25 * k:.4f}\t5.35\t1\n" for k in range(30))
+    path = tmp_path / "a.TXT"
+    path.write_text(head + "\n" + rows, encoding="cp1252")
+    trial = read(path)
+    assert trial.source.columns == {"time": "Time (s)", "displacement": "Pd (µm)", "force": "Fn (µN)"}
+    assert trial.displacement_mm[2] == pytest.approx(0.101)
+    assert trial.force_N[2] == pytest.approx(1.5005e-3)
+
+
+@pytest.mark.parametrize("name", ["Deformation", "Compression", "Pd"])
+def test_what_may_be_a_strain_or_a_letter_needs_a_unit_of_length(tmp_path: Path, name: str) -> None:
+    assert refusal(written(tmp_path / "a.csv", f"Time (s),{name},Force (N)")).code == "no_columns"
+
+
+def test_whole_nanometres_have_lost_no_mark_and_whole_micrometres_may_have(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 10:.1f},{k * 1500},{1 + k * 0.25:.3f}\n" for k in range(30))
+    assert codes(read(written(tmp_path / "a.csv", "Time (s),Depth (nm),Load (uN)", rows))) == []
+    coarse = read(written(tmp_path / "b.csv", "Time (s),Depth (um),Load (mN)", rows))
+    assert codes(coarse) == ["no_decimals"]
+
+
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
     trial = read(written(tmp_path / "a.csv", "t,x,F"))
     assert codes(trial) == ["units_assumed"] * 3

@@ -156,6 +156,8 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
 
 #: Rows from which a column of whole numbers is worth a remark.
 _WHOLE_FROM = 20
+#: Units below this share of mm and N are those in which instruments count: nm, µN.
+FINEST = 2e-6
 #: A lost mark makes a number ten times larger or more; half of that stands out from a steep curve.
 _TIMES = 5.0
 _PADDED = re.compile(r"\s*[+-]?0\d+\s*")
@@ -194,11 +196,11 @@ def _flag(channel: Channel, what: str) -> Flag:
 
 
 def _worth_a_remark(channel: Channel, column: FloatArray, factor: float, *, all_whole: bool) -> bool:
-    """True where whole numbers surprise: not where a clock counts seconds, or small units."""
+    """True where whole numbers surprise: not where a clock counts seconds, or a channel nm or µN."""
     if all_whole:
         return factor < 1.0  # whole in s, mm and N as well is said of the recording
     if channel != "time":
-        return bool(column.any())
+        return bool(column.any()) and factor > FINEST
     steps = np.diff(column)
     return factor >= 1.0 and float(steps[steps > 0].min(initial=np.inf)) > 1.0
 

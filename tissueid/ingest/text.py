@@ -192,6 +192,8 @@ def is_protocol_key(key: str) -> bool:
 
 _PIECE_BYTES = 1 << 20
 _CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk", "cp932")
+#: Code pages that known words alone speak for.
+_BY_WORDS = ("cp1251", "cp949", "cp1254")
 _MAGIC = (
     (b"\x89PNG", "a PNG image"),
     (b"\xff\xd8\xff", "a JPEG image"),
@@ -350,7 +352,7 @@ def _is_utf8(data: bytes) -> bool:
 def _code_page(head: bytes) -> tuple[str, bool]:
     """The code page in which most names are known words, and whether that is certain."""
     scores = {}
-    for codec in _CODE_PAGES:
+    for codec in (*_CODE_PAGES, *_BY_WORDS):
         try:
             decoded = head.decode(codec)
         except UnicodeDecodeError as error:
@@ -365,6 +367,8 @@ def _code_page(head: bytes) -> tuple[str, bool]:
     best = max(scores, key=lambda codec: scores[codec])
     if scores[best] > plain:
         return best, True
+    scores = {codec: score for codec, score in scores.items() if codec in _CODE_PAGES}
+    best = max(scores, key=lambda codec: scores[codec], default="latin-1")
     guess = charset_normalizer.from_bytes(head, cp_isolation=list(scores)).best()
     if guess is not None:
         found = {"latin_1": "latin-1", "gb2312": "gbk", "gb18030": "gbk"}.get(guess.encoding, guess.encoding)

@@ -1,5 +1,6 @@
-"""The words test machines print: column names and header keys in nine languages.
+"""The words test machines print: column names and header keys in nine languages, names in eight more.
 
+The eight are Czech, Danish, Dutch, Korean, Norwegian, Russian, Swedish and Turkish.
 One table says which printed name is a time, a displacement or a force, and which of several is taken: the
 lower rank wins, the leftmost column among equals.  It is the written rule behind the ``column_choice`` flag.
 """
@@ -29,6 +30,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
             r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
+            r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|시간"
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
@@ -40,6 +42,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?"
             r"|eindring(?:tiefe|weg)|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade"
             r"|profondita|glebokosc|压入深度|压痕深度"
+            r"|indring(?:diepte|ing)|intrangningsdjup|hloubka|derinlik|глубина(?: внедрения)?|깊이"
         ),
         1: (  # travel of the machine from its zero
             r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
@@ -52,6 +55,9 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|curso|estensione|spostamento|allungamento"
             r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
             r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ"
+            r"|verplaatsing|verlenging|forskjutning|forlangning|forskydning|forskyvning|forlengelse"
+            r"|posunuti|posuv|prodlouzeni|yer degistirme|uzama|deplasman"
+            r"|перемещение(?: траверсы)?|смещение|удлинение|ход|변위|신장"
         ),
         2: (  # the same with the sense of the test
             rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
@@ -61,7 +67,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
         3: (  # absolute position
             r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
             r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
-            r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja"
+            r"|traversen(?:position|weg absolut)|pos(?:ition)?(?: absolue| z)?|posicion|posizione|pozycja"
             r"|stroke|actuator|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
         ),
         4: (  # what is left between the tools
@@ -79,7 +85,8 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|force standard"
             r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
             r"|forca|forza(?: standard)?|carico|sila(?: standardowa)?|obciazenie"
-            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load cell(?: 1)?"
+            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load ?cell(?: 1)?"
+            r"|kracht|belasting|belastning|zatizeni|kuvvet|yuk|сила|нагрузка|усилие|하중|시험력|힘"
         ),
         1: (  # the same with the sense of the test
             rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
@@ -88,6 +95,9 @@ _NAMES: dict[Channel, dict[int, str]] = {
         2: r"capteur de force|kraftaufnehmer|load channel|force channel",  # another channel
     },
 }
+# as names are compared: Hangul in its letters
+for _ranks in _NAMES.values():
+    _ranks.update({rank: unicodedata.normalize("NFKD", pattern) for rank, pattern in _ranks.items()})
 _CHANNEL_NUMBER = re.compile(r"(.*?) ([2-9])")
 #: A channel number above one adds to the rank.
 _CHANNEL_PENALTY = 5
@@ -105,9 +115,10 @@ _LOOSE_WORDS = {
     "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
         r"\b(?:displacement|extension|indentation|depth|travel|position|height|displ?|distance|weg|deplacement"
-        r"|desplazamiento|spostamento|przemieszczenie)\b|位移"
+        # strain in other languages, and letters of an indenter: with a unit of length alone
+        r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
-    "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila)\b|载荷"),
+    "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn)\b|载荷"),
 }
 #: A name with one of these is a rate, a result or another quantity, never a channel.
 _NOT_A_CHANNEL = re.compile(
