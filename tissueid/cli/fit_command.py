@@ -103,6 +103,10 @@ class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
         "Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
         type=click.Choice(["scaled", "partial", "shared"]), default="scaled",
     )
+    orders: str = option(
+        "Law and order of a study's specimens: the one that predicts best over all, or each its own.",
+        type=click.Choice(["study", "own"]), default="study",
+    )
     noise: str = option(
         "Noise of the force; auto takes what the residuals show.",
         type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
@@ -172,6 +176,7 @@ def command(flags: _FitFlags) -> int:
         provenance={"reading": {key: getattr(flags, key) for key in READING}},
         workers=flags.workers,
         scheduler=flags.scheduler,
+        one_order=flags.orders == "study",
         read=by_pattern.add,
         all_read=by_pattern.say,
     )

@@ -5,7 +5,8 @@
     runs        one row a run: when, by which process, how it ended
     recordings  what each file was found to hold, by content, so that a file is parsed once; and, for the
                 latest run, where it stands in the order of files and which specimen it belongs to
-    jobs        the latest run: one row a specimen, with its state (waiting, running, done, failed)
+    jobs        the latest run: one row a specimen, with its state (waiting, running, done, failed;
+                superseded: what a specimen alone would take, behind those of the specimens)
     results     key of a file in ``specimens/`` -> hash and size of its bytes, seconds it took
 
 One process writes (it holds the folder's lock); others read at any time, since the file is written ahead of
@@ -253,6 +254,20 @@ class Index:
             (job.position, job.key, job.specimen, job.state, job.reason),
         )
 
+    def replan(self, job: JobRow, spare: int) -> None:
+        """Give a specimen another job; the one it had stands at a spare position, so that its file stays."""
+        with self.batch():
+            self._do(
+                "UPDATE jobs SET position = ?, state = 'superseded' WHERE position = ?", (spare, job.position)
+            )
+            self.plan(job)
+
+    def restore(self, position: int, spare: int) -> None:
+        """Take back a job that was replaced, with its result."""
+        with self.batch():
+            self._do("DELETE FROM jobs WHERE position = ?", (position,))
+            self._do("UPDATE jobs SET position = ?, state = 'done' WHERE position = ?", (position, spare))
+
     def jobs(self, state: str) -> Iterator[JobRow]:
         """Jobs of the run in one state, in their order; jobs may change while they are gone through."""
         positions = self._do(
@@ -388,7 +403,7 @@ def read_status(out: Path) -> dict[str, Any]:
         "reason": run["reason"],
         "files": {"looked_into": run["surveyed"], "total": run["files"], "refused": refused},
         "specimens": {
-            "total": sum(counts.values()),
+            "total": sum(counts.values()) - counts.get("superseded", 0),
             "done": counts.get("done", 0),
             "known_before": jobs.known,
             "running": counts.get("running", 0) if going else 0,

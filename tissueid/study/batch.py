@@ -15,7 +15,7 @@ import platform
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from tissueid.collection import (
 )
 from tissueid.errors import BundleError, InputError
 from tissueid.manifest import Study
+from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
 from tissueid.result import Exit, Identification, Refusal
 from tissueid.store.files import (
@@ -64,6 +65,7 @@ from tissueid.study.inventory import (
     found_in,
     recording_rows,
 )
+from tissueid.study.one_order import LawOrder, agreed, scores_of
 from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
 from tissueid.study.recordings import StudyParts, read_decided, read_decided_one
 from tissueid.study.specimen_job import FIT, SpecimenJob, chain_file, fit_here, result_of
@@ -354,6 +356,8 @@ class _Cohort:
         self.specimens: list[tuple[str, str, str | None]] = []
         self.names: dict[str, str] = {}
         self.chains: Path | None = None
+        #: Order of the study, where that of the specimen at a position would be another.
+        self.orders: dict[int, LawOrder] = {}
 
     def fit(self) -> Assembled:
         """Survey, jobs, assembly."""
@@ -374,6 +378,9 @@ class _Cohort:
             if self.large:
                 begin_pages(self.run.out)
             self._compute(workplace)
+            if self._agree():
+                self._compute(workplace)
+                self._leave_failed()
             if self.large:
                 self._make_pages(workplace)
         self.progress("putting the results together", 0, 0)
@@ -411,10 +418,48 @@ class _Cohort:
             recordings=recordings,
             study=study,
             reading=self.request.reading,
-            options=self.request.options,
+            options=self._options(position),
             provenance=self.request.provenance,
             chains=None if self.chains is None else str(self.chains),
+            order=None if position not in self.orders else str(self.orders[position]),
         )
+
+    def _options(self, position: int) -> IdentifyOptions:
+        """Options of the fit of the specimen at a position."""
+        options = self.request.options
+        if position not in self.orders:
+            return options
+        return replace(options, fit=self.orders[position].taken_by(options.fit))
+
+    def _agree(self) -> bool:
+        """Give specimens of a study one law and order; true where one of them has to be fitted again."""
+        if self.request.study is None or not self.request.one_order:
+            return False
+        own: dict[int, LawOrder] = {}
+        tables, laws = [], candidates(self.request.options.fit.model or KELVIN_VOIGT).choose
+        for job in self.index.jobs("done"):
+            fitted = load_record(specimen_path(self.run.out, job.key))["fitted"]
+            if fitted is not None and fitted["selection"]:
+                own[job.position] = LawOrder.of_fit(fitted)
+                tables.append(scores_of(fitted, laws=laws))
+        order = agreed(tables) if len(tables) > 1 else None
+        self.orders = {k: order for k, one in own.items() if order is not None and one != order}
+        for position in self.orders:
+            key = self._job(position).key()
+            state = "done" if self._is_whole(key) else "waiting"
+            name = self.names[self.specimens[position][0]]
+            self.index.replan(JobRow(position, key, name, state, None), self._spare(position))
+        return bool(self.orders)
+
+    def _spare(self, position: int) -> int:
+        """Place of the job that a specimen had alone."""
+        return len(self.specimens) + position
+
+    def _leave_failed(self) -> None:
+        """Leave a specimen its own order where that of the study could not be fitted."""
+        for job in self.index.jobs("failed"):
+            if job.position in self.orders:
+                self.index.restore(job.position, self._spare(job.position))
 
     def _plan(self) -> None:
         """One job a specimen; those whose result is there, whole, are done."""

@@ -63,6 +63,7 @@ class Request:
     #: Processes; ``None`` takes as many as there are processors, where the work is worth their start.
     workers: int | None = None
     scheduler: str = LOCAL  # ``local``, or the address of a Dask scheduler
+    one_order: bool = True  # specimens of a study have one law and order
     read: Callable[[str, str | None], None] = _nothing  # told path and sheet of every recording
     #: Told once, when every file was looked into and nothing is fitted yet.
     all_read: Callable[[], None] = _nothing

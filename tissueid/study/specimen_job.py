@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import InputError
+from tissueid.flags import Flag
 from tissueid.ingest import ReadOptions
 from tissueid.manifest import Study
 from tissueid.pipeline import IdentifyOptions, identify, unmet
@@ -51,6 +52,7 @@ class SpecimenJob:
     options: IdentifyOptions
     provenance: Mapping[str, Any] = field(default_factory=dict)  # added to the provenance of its bundle
     chains: str | None = None  # folder for chains that are being sampled; ``None`` where none is shared
+    order: str | None = None  # words of the study's order, where the specimen alone would take another
 
     def key(self) -> str:
         """SHA-256 of everything that may change the result."""
@@ -125,6 +127,12 @@ def fit_here(
         checkpoint=None if folder is None else lambda name: chain_file(folder, name),
         names={job.specimen: job.shown},
     )
+    if job.order is not None:
+        said = Flag(
+            "study_order", f"fitted with the order of its study, {job.order}; alone it takes another", {}
+        )
+        fits = tuple(replace(one, flags=(*one.flags, said)) for one in identification.specimens)
+        identification = replace(identification, specimens=fits)
     return result_of(identification, shown=job.shown, options=job.options)
 
 

@@ -1,0 +1,126 @@
+"""One law and order of a study: the rule over specimens, and a study whose specimens would differ."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.store.index import Index
+from tissueid.study.one_order import LawOrder, agreed, scores_of
+
+KV = "kelvin-voigt"
+PLAIN, TWO, BENT = LawOrder(KV, 1, 0), LawOrder(KV, 2, 0), LawOrder(KV, 2, 1)
+
+
+def test_the_simplest_order_within_one_standard_error_over_specimens_is_taken() -> None:
+    clear = [{PLAIN: -0.5 + k, TWO: 0.0} for k in (0.1, 0.0, -0.1, 0.05)]
+    assert agreed(clear) == TWO
+    # as much is gained in one specimen as is lost in another
+    assert agreed([{PLAIN: 0.0, TWO: gain} for gain in (0.3, -0.2, 0.25, -0.3)]) == PLAIN
+
+
+def test_an_order_that_is_not_resolved_predicts_as_what_it_contains() -> None:
+    # of the last specimen two branches are one
+    assert agreed([{PLAIN: -0.6, TWO: 0.0}] * 3 + [{PLAIN: 0.0}]) == TWO
+
+
+def test_an_order_that_few_were_tried_with_is_none_of_the_study() -> None:
+    tables = [{PLAIN: -0.6, TWO: 0.0}] * 4 + [{PLAIN: -0.9, TWO: -0.8, BENT: 0.0}]
+    assert agreed(tables) == TWO
+    assert agreed([{TWO: 0.0}, {LawOrder("power * fung", 1, 0): 0.0}]) is None
+
+
+def test_other_laws_are_weighed_where_one_of_them_may_be_taken() -> None:
+    rows = [
+        {"branches": 1, "stiffness_degree": 0, "score": -0.3},
+        {"model": "power * fung", "branches": 1, "stiffness_degree": 0, "score": 0.0},
+        {"model": "yardstick", "branches": 4, "stiffness_degree": 0, "score": 0.2},
+    ]
+    assert list(scores_of({"selection": rows}, laws=False)) == [PLAIN]
+    assert list(scores_of({"selection": rows}, laws=True)) == [PLAIN, LawOrder("power * fung", 1, 0)]
+
+
+def recording(path: Path, branches: int, seed: int) -> None:
+    """A push to 5 mm and a hold of 12 s at 50 Hz, of one or two relaxation times."""
+    rng, rate = np.random.default_rng(seed), 50.0
+    model = kelvin_voigt(branches, 0, 5.0)
+    theta = np.array([8.0, -0.5, 0.2, *(12.0, 0.3, *((10.0, 3.0) if branches > 1 else ()))])
+    time = np.arange(0.0, 14.0, 1.0 / rate)
+    depth = np.interp(time, [1.0, 2.0], [0.0, 5.0])
+    force = model.force(theta, ContactPath(time, depth)) + rng.normal(0.0, 0.02, time.size)
+    travel = np.interp(time, [0.0, 1.0, 2.0], [-5.0, 0.0, 5.0])
+    rows = [f"{t:.3f},{x:.4f},{f:.4f}" for t, x, f in zip(time, travel, force, strict=True)]
+    path.write_text("\n".join(["Time (s),Extension (mm),Load (N)", *rows, ""]), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out: Path = tmp_path_factory.mktemp("study")
+    for number, branches in enumerate((2, 2, 1)):
+        recording(out / f"s{number}.csv", branches, number)
+    (out / "study.toml").write_text('schema = "tissueid/study/1"\n\n[study]\ntitle = "orders"\n')
+    return out
+
+
+def orders(document: dict) -> list[int]:
+    return [one["model"]["branches"] for one in document["specimens"]]
+
+
+def flagged(document: dict) -> list[str]:
+    return [
+        one["specimen"]
+        for one in document["specimens"]
+        if any(flag["code"] == "study_order" for flag in one["flags"])
+    ]
+
+
+ASKED = ("--sampler", "none", "--json", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def own(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The study with the orders that its specimens take alone."""
+    out = tmp_path_factory.mktemp("own") / "out"
+    document = run("fit", folder, *ASKED, "--orders", "own", "-o", out).json()
+    assert (orders(document), flagged(document)) == ([2, 2, 1], [])
+    return out
+
+
+def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_so(
+    folder: Path, own: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(own, out, symlinks=True)
+    document = run("fit", folder, *ASKED, "-o", out).json()
+    assert orders(document) == [2, 2, 2]
+    assert flagged(document) == ["s2"]
+    assert run("validate", out).code == 0
+    assert "3 of 3 done" in run("status", out).stdout
+    # the same again computes nothing: the file of what the specimen would take alone is there
+    assert run("fit", folder, *ASKED, "-o", out).json()["specimens"] == document["specimens"]
+    with Index(out) as index:
+        assert index.count("superseded") == 1
+
+
+def test_files_that_are_no_study_keep_their_own_orders(folder: Path, tmp_path: Path) -> None:
+    found = run("fit", folder, *ASKED, "--no-study", "-o", tmp_path / "out").json()
+    assert orders(found) == [2, 2, 1]
+
+
+def test_a_specimen_that_the_order_of_its_study_can_not_be_fitted_to_keeps_its_own(
+    folder: Path, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ArithmeticError
+
+    out = tmp_path / "out"
+    shutil.copytree(own, out, symlinks=True)
+    monkeypatch.setattr("tissueid.study.specimen_job.Flag", fail)
+    document = run("fit", folder, *ASKED, "-o", out).json()
+    assert (orders(document), document["refused"]) == ([2, 2, 1], [])
