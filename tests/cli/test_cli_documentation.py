@@ -279,7 +279,7 @@ def test_the_table_of_slow_runs_agrees_with_the_files() -> None:
 
 @pytest.mark.parametrize("name", ["coverage.txt", "coverage-total.txt", "coverage-frames.txt"])
 def test_coverages_of_the_page_are_those_of_the_files(name: str) -> None:
-    page = (REPOSITORY / "docs" / "calibration-results.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "calibrate.md").read_text(encoding="utf-8")
     text = (REPOSITORY / "reports" / "slow" / name).read_text(encoding="utf-8")
     cases = re.findall(r"^(\S.*): \d+ specimens.*\n.*\n((?:\S.*\n)+?)(?:\.|F)$", text, flags=re.MULTILINE)
     assert len(cases) == {"coverage.txt": 6, "coverage-total.txt": 1, "coverage-frames.txt": 2}[name]

@@ -286,7 +286,7 @@ def test_a_file_is_written_where_it_is_asked_for(out: Path, tmp_path: Path) -> N
 
 
 def test_the_documentation_names_every_column() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     for name in TABLES:
         section = page.split(f"## {name}\n")[1].split("\n## ")[0]
         for column in tidy_table(document(), name).columns:
