@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from session_heads import head_of, records_of, summary_of
 from tissueid.cli import view_command
 from tissueid.cli.render_command import RenderFlags, _demonstrated
 from tissueid.cli.view_command import open_browser, telling_stop
+from tissueid.haptics.states import Lamp, State
+from tissueid.ingest import read_trials, session
 from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.schema import check
@@ -63,6 +65,25 @@ def test_the_log_fits_back_to_the_tissue_that_was_rendered(log: Path, tmp_path: 
     assert specimen["nrmsd"]["range"] <= 0.01
     assert specimen["specimen"] == "paper-a"
     assert "rendered" in {flag["code"] for trial in specimen["trials"] for flag in trial["flags"]}
+
+
+@pytest.mark.parametrize("lamp", [Lamp.RAMPING, Lamp.SILENT, Lamp.LATENCY])
+def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(
+    log: Path, monkeypatch: pytest.MonkeyPatch, lamp: Lamp
+) -> None:
+    whole = read_session_log(log)
+    records = whole.records.copy()
+    engaged = np.flatnonzero(records["state"] == State.ENGAGED)
+    pause = engaged[len(engaged) // 2 :][:300]
+    assert (records["depth_mm"][pause] > 0.0).all()
+    records["force_N"][pause] *= np.linspace(0.0, 1.0, pause.size)[:, None]
+    records["lamps"][pause] |= np.uint32(lamp)
+    monkeypatch.setattr(session, "read_session_log", lambda *_, **__: replace(whole, records=records))
+    (paused,) = read_trials(log)
+    monkeypatch.undo()
+    (trial,) = read_trials(log)
+    assert trial.time_s.size - paused.time_s.size == pause.size
+    assert np.isin(paused.force_N, trial.force_N).all()
 
 
 def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(

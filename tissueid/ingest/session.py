@@ -26,6 +26,8 @@ _ENGAGED = 5
 _INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512 | 4096 | 8192
 #: Lamps of ticks in which the whole force is taken up or away: dead-man, ramping.
 _RAMPED = 128 | 256
+#: The same, and those of a device that did not answer, or late, whose force is lowered.
+_LOWERED = _RAMPED | 4096 | 8192
 _LAMP_WORDS = {
     1: "clipped",
     2: "slewed",
@@ -75,7 +77,7 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
 
 
 def _stretches(records: RecordArray) -> Iterator[RecordArray]:
-    """Runs of engaged ticks with one tissue, without the ramps of force at their ends."""
+    """Runs of engaged ticks with one tissue, without ramps of force at their ends and pauses in contact."""
     engaged = records[records["state"] == _ENGAGED]
     breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
     for part in np.split(engaged, breaks):
@@ -83,7 +85,8 @@ def _stretches(records: RecordArray) -> Iterator[RecordArray]:
         # a ramp in air, before a force, is air all the same
         felt = np.flatnonzero(~ramping | (part["force_N"] == 0.0).all(axis=1) & (part["depth_mm"] < 0.0))
         if felt.size > 1:
-            yield part[felt[0] : felt[-1] + 1]
+            whole = part[felt[0] : felt[-1] + 1]
+            yield whole[((whole["lamps"] & _LOWERED) == 0) | (whole["depth_mm"] <= 0.0)]
 
 
 def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
