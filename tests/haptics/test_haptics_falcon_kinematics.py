@@ -221,7 +221,7 @@ def test_what_is_no_vector_is_refused(wrong: object) -> None:
 
 def units(force: FloatArray, clamp: float, position: FloatArray = MIDDLE) -> tuple[NDArray[np.int64], bool]:
     out = np.zeros(3, np.int64)
-    return out, motor_units(force, position, DEFAULT_GEOMETRY.block(), 6600.0, clamp, out)
+    return out, motor_units(force, position, DEFAULT_GEOMETRY.block(), 6600.0, clamp, out, np.zeros(3))
 
 
 def test_motor_signs_are_those_of_a_recorded_driver() -> None:
@@ -248,6 +248,30 @@ def test_motor_values_are_the_torques_and_clipping_keeps_their_direction_within_
         assert found == pytest.approx(wanted * min(clamp / size, 1.0), abs=1.001 if clipped else 0.5)
         if clipped:
             assert clamp - 2.0 < np.linalg.norm(found) <= clamp
+
+
+def test_the_mean_of_motor_values_is_the_torque_and_no_force_is_zero_at_once() -> None:
+    random, out, left = np.random.default_rng(13), np.zeros(3, np.int64), np.zeros(3)
+    geometry = DEFAULT_GEOMETRY.block()
+    for position in working_sphere(20, seed=14):
+        force = random.normal(size=3)
+        wanted, sent = -6600.0 * torque(position, force), []
+        for _ in range(400):
+            assert not motor_units(force, position, geometry, 6600.0, 4095.0, out, left)
+            assert out == pytest.approx(wanted, abs=1.0)
+            sent.append(out.copy())
+        assert np.mean(sent, axis=0) == pytest.approx(wanted, abs=1.0 / 400.0)
+        assert not motor_units(np.zeros(3), position, geometry, 6600.0, 4095.0, out, left)
+        assert (out.tolist(), left.tolist()) == ([0, 0, 0], [0.0, 0.0, 0.0])
+
+
+def test_what_rounding_left_never_exceeds_the_clamp() -> None:
+    out, left = np.zeros(3, np.int64), np.zeros(3)
+    force = np.array([0.6, -0.4, 0.9])
+    clamp = float(np.linalg.norm(6600.0 * torque(MIDDLE, force))) + 0.01
+    for _ in range(400):
+        assert not motor_units(force, MIDDLE, DEFAULT_GEOMETRY.block(), 6600.0, clamp, out, left)
+        assert np.linalg.norm(out) <= clamp
 
 
 @pytest.mark.parametrize(

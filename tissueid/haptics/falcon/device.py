@@ -100,6 +100,7 @@ class FalconDevice(HapticDevice):
         self._grip = np.array(GUESS_M)
         self._angles = np.empty(3)
         self._motor = np.zeros(3, np.int64)
+        self._left = np.zeros(3)
 
     @classmethod
     def configured(cls, asked: AskedDevice) -> dict[str, Any]:
@@ -247,6 +248,7 @@ class FalconDevice(HapticDevice):
             self.calibration.units_per_Nm,
             self.limits.motor_clamp,
             self._motor,
+            self._left,
         )
         self._command()
 

@@ -335,12 +335,14 @@ def motor_units(
     units_per_Nm: float,
     clamp_units: float,
     out: IntArray,
+    left: FloatArray,
 ) -> bool:
     """Motor commands of a force on the hand, scaled down together where they exceed the clamp.
 
     ``motor = -units_per_Nm D^T F``; the sign is that of recorded packets of the vendor's driver.
-    ``clamp_units``: largest root of the sum of their squares.  Zeros where there is no Jacobian or no finite
-    number.  Returns whether the command is not what was asked for.
+    ``clamp_units``: largest root of the sum of their squares; ``left`` (3,): what rounding left of the
+    command before, which is made up for, so that the mean of commands is the force.  Zeros where there is no
+    force, no Jacobian or no finite number.  Returns whether the command is not what was asked for.
     """
     out[0] = out[1] = out[2] = 0
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
@@ -349,17 +351,23 @@ def motor_units(
     finite = math.isfinite(torque[0]) and math.isfinite(torque[1]) and math.isfinite(torque[2])
     # a torque that may be squared
     largest = units_per_Nm * _largest(torque)
-    if not (regular and finite and largest < LARGEST_UNITS):
-        return True
-    scale = -units_per_Nm
+    if not (regular and finite and 0.0 < largest < LARGEST_UNITS):
+        left[0] = left[1] = left[2] = 0.0
+        return not (regular and finite and largest < LARGEST_UNITS)
+    scale, square = -units_per_Nm, 0.0
     together = units_per_Nm * math.sqrt(_dot(torque, torque))
     clipped = together > clamp_units
     if clipped:
         scale *= clamp_units / together
     for i in range(3):
-        # towards zero where it was clipped, so that rounding never exceeds the clamp
-        value = scale * torque[i]
-        out[i] = int(value) if clipped else math.floor(value + HALF)
+        wanted = scale * torque[i] + left[i]
+        out[i] = math.floor(wanted + HALF)
+        left[i] = wanted - out[i]
+        square += float(out[i] * out[i])
+    if clipped or square > clamp_units * clamp_units:
+        # towards zero, so that rounding never exceeds the clamp
+        for i in range(3):
+            out[i], left[i] = int(scale * torque[i]), 0.0
     return clipped
 
 

@@ -80,6 +80,7 @@ class FalconParts(NamedTuple):
     incoming: ByteArray
     outgoing: ByteArray
     motor: IntArray
+    left: FloatArray  # of motor units, by rounding
     since: IntArray  # counts from which a leg is seen to move alone
     last: IntArray  # counts of the last reply
     angles: FloatArray
@@ -115,6 +116,7 @@ def _parts(given: CompiledIO) -> FalconParts:
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(PACKET_BYTES, np.uint8),
         motor=np.zeros(3, np.int64),
+        left=np.zeros(3),
         since=np.zeros(3, np.int64),
         last=np.full(3, NOWHERE, np.int64),
         angles=np.zeros(3),
@@ -206,7 +208,8 @@ def _understand(
 @tick_kernel
 def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """The command for a force at the grip's last position; homing mode stays, or homing is lost."""
-    if motor_units(force, parts.grip, parts.geometry, parts.units_per_Nm, limits[MOTOR_CLAMP], parts.motor):
+    clamp, units = limits[MOTOR_CLAMP], parts.units_per_Nm
+    if motor_units(force, parts.grip, parts.geometry, units, clamp, parts.motor, parts.left):
         guard_memory[LAMPS] = float(int(guard_memory[LAMPS]) | CLIPPED)
     encode_into(parts.motor, leds_of_state(int(guard_memory[STATE])), True, parts.outgoing)
 
