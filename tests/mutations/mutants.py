@@ -313,8 +313,29 @@ INTERPRETED = (
     Mutant(
         "a clamp that is rounded up",
         _KINEMATICS,
-        "int(value) if clipped else",
-        "round(value + 0.4) if clipped else",
+        "out[i], left[i] = int(scale * torque[i]), 0.0",
+        "out[i], left[i] = round(scale * torque[i] + 0.4), 0.0",
+        _OF_KINEMATICS,
+    ),
+    Mutant(
+        "rounding that adds up beyond the clamp",
+        _KINEMATICS,
+        "    if clipped or square > clamp_units * clamp_units:\n",
+        "    if clipped:\n",
+        _OF_KINEMATICS,
+    ),
+    Mutant(
+        "what rounding left is forgotten",
+        _KINEMATICS,
+        "        left[i] = wanted - out[i]\n",
+        "        left[i] = 0.0\n",
+        _OF_KINEMATICS,
+    ),
+    Mutant(
+        "what rounding left is sent without a force",
+        _KINEMATICS,
+        "        left[0] = left[1] = left[2] = 0.0\n",
+        "        pass\n",
         _OF_KINEMATICS,
     ),
     Mutant(

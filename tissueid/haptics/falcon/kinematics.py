@@ -354,11 +354,12 @@ def motor_units(
     if not (regular and finite and 0.0 < largest < LARGEST_UNITS):
         left[0] = left[1] = left[2] = 0.0
         return not (regular and finite and largest < LARGEST_UNITS)
-    scale, square = -units_per_Nm, 0.0
+    scale = -units_per_Nm
     together = units_per_Nm * math.sqrt(_dot(torque, torque))
     clipped = together > clamp_units
     if clipped:
         scale *= clamp_units / together
+    square = 0.0
     for i in range(3):
         wanted = scale * torque[i] + left[i]
         out[i] = math.floor(wanted + HALF)
