@@ -34,7 +34,7 @@ const SPHERE_COLUMNS = 96;
 // what a cone is drawn as deep as, in its drawn radii
 const CONE_HEIGHT = 2.6;
 // tissue is mottled by so much of its colour
-const MOTTLE = 0.09;
+const MOTTLE = 0.16;
 // a dent of this depth is drawn in the colour of what is pressed [mm]
 const PRESSED_MM = 14;
 // share of the frame that is left free around the block
