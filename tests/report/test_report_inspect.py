@@ -356,7 +356,7 @@ def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(browser: Any, t
     entry = tab.locator("#recording-1-contact")
     assert entry.is_visible()
     assert tomllib.loads(entry.input_value())["override"][0]["contact_mm"] == 0.1461059
-    button = tab.locator('button[data-copy="recording-1-contact"]')
+    button = tab.locator('button[data-copies="recording-1-contact"]')
     button.focus()
     tab.keyboard.press("Enter")
     tab.wait_for_function("document.getElementById('said').textContent === 'copied'")
@@ -371,9 +371,9 @@ def test_the_index_filters_by_words_and_gravity(browser: Any, tmp_path: Path) ->
     tab.fill("#filter-text", "GAP grave")
     assert tab.locator("tr[data-row]:visible").count() == 1
     assert tab.locator("details.specimen:visible").count() == 1
-    assert tab.text_content("#filter-count") == "1 of 3"
+    assert tab.text_content("#recordings-shown") == "1 of 3 rows"
     tab.fill("#filter-text", "")
-    tab.select_option("#filter-level", "2")
+    tab.select_option("select[data-filters=recordings]", "2")
     assert tab.locator("tr[data-row]:visible").count() == 2
     tab.click("a[href='#recording-3']")
     assert [one["name"] for one in traces(tab, "time", "recording-3")][:3] == ["approach", "ramp", "hold"]

@@ -51,13 +51,14 @@ def test_every_field_arrives_with_the_digits_of_the_layout() -> None:
 def test_a_page_can_read_a_sample_by_the_layout_alone() -> None:
     records = some_records(3)
     data = write_frame(samples_of(records), first=0, now_s=0.0)
-    fields = {name: (kind, offset) for name, kind, _, offset in layout()}
-    kind, offset = fields["depth_mm"]
-    assert kind == "<f4"
+    columns = {name: (read, offset) for name, read, offset in layout()}
+    read, offset = columns["depth_mm"]
+    assert read == "getFloat32"
     value = struct.unpack_from("<f", data, HEAD.itemsize + 2 * SAMPLE.itemsize + offset)[0]
     assert value == np.float32(records["depth_mm"][2])
     # numbers lie where typed arrays and data views can take them
-    assert all(offset % int(kind[2:]) == 0 for kind, offset in fields.values())
+    assert all(8 * offset % int("".join(filter(str.isdigit, read))) == 0 for read, offset in columns.values())
+    assert columns["force_N.2"][1] - columns["force_N.0"][1] == 2 * 4
 
 
 def test_records_of_another_layout_keep_what_they_have() -> None:
@@ -92,7 +93,7 @@ def test_the_hello_says_what_is_drawn_and_which_lamp_is_which() -> None:
     assert bits["outside"] == Lamp.OUTSIDE_DEPTH | Lamp.OUTSIDE_SPEED
     assert words["session"]["scale"]["force_scale"] == 0.0125
     assert words["session"]["pointer"] is True
-    named = {name for name, *_ in words["sample"]["fields"]}
+    named = {name.partition(".")[0] for name, *_ in words["sample"]["columns"]}
     traces = [trace for strip in words["strips"] for trace in strip["traces"]]
     assert all(trace["field"] in named and trace.get("over", "time_s") in named for trace in traces)
 
@@ -135,9 +136,12 @@ def test_where_there_is_no_bone_none_is_drawn() -> None:
 
 def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue() -> None:
     scene = load_scene("hip-resurfacing")
-    words = hello(plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene)).head)
+    head = plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene)).head
+    words = hello(head, pointer=True)
     assert words["session"]["title"] == scene.name
-    assert "bone" in words["hint"]
+    assert "bone" in words["words"]["hint"]
+    assert "zoom" in hello(head)["words"]["hint"]
+    assert words["words"]["scale"] == "forces and motion are the device's own"
     assert not {"rupture", "outside"} & {lamp["id"] for lamp in words["lamps"]}
     (tool,) = [one for one in words["scene"]["objects"] if one["kind"] == "tool"]
     assert tool["shape"] == "wire"

@@ -137,6 +137,8 @@ def _heads(asked: Asked) -> list[str]:
 def render_design(document: Design, *, created: str | None = None) -> str:
     """Write the page."""
     figures = [_figure(document, want) for want in range(len(document.asked.wants))]
+    given = document.against
+    named = [(given.name, given.protocol)] if given is not None and given.protocol is not None else []
     return render_page(
         "design",
         title=f"Protocol for {document.tissue.name}",
@@ -145,6 +147,7 @@ def render_design(document: Design, *, created: str | None = None) -> str:
         verdict=_verdict(document),
         facts=_facts(document),
         heads=_heads(document.asked),
+        protocols=[*enumerate(document.protocols, 1), *named],
         time=_time,
         percent=_percent,
         figures=figures,

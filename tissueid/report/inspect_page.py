@@ -283,7 +283,7 @@ def render_inspection(
         created=created,
         served=served,
         style="inspect.css",
-        scripts=["inspect.js", *["inspect_served.js"] * served],
+        scripts=["tables.js", "inspect.js", *["inspect_served.js"] * served],
     )
 
 

@@ -414,9 +414,8 @@ def law_payload(
 ) -> list[dict[str, Any]]:
     """Points of the figures of every specimen's law, in their order.
 
-    Returns ``speeds`` (label, trials), ``groups``,
-    ``parts``, ``peaks``, ``holds``, ``residuals``, ``profiles``; ``parts`` and ``residuals`` are ``None``
-    where they are not known.
+    Returns ``deepest`` (a trial of each speed), ``groups``, ``parts``, ``peaks``, ``holds``, ``residuals``,
+    ``profiles``; ``parts`` and ``residuals`` are ``None`` where they are not known.
     """
     sampled = {one.specimen: one for one in posteriors}
     payload = []
@@ -425,7 +424,10 @@ def law_payload(
         groups = speed_groups(specimen, [trial for trial, _ in trials])
         payload.append(
             {
-                "speeds": [{"label": group.label, "trials": list(group.members)} for group in groups],
+                "deepest": [
+                    max(group.members, key=lambda k: float(trials[k][1].curve.depth_mm.max()))
+                    for group in groups
+                ],
                 "groups": curve_groups([trials], specimen.units),
                 "parts": None
                 if tissue is None

@@ -93,22 +93,31 @@ def page_environment() -> Environment:
 
 
 def render_page(
-    template: str, *, scripts: Sequence[str], style: str = "", data: str = "payload", **words: Any
+    template: str,
+    *,
+    scripts: Sequence[str],
+    style: str = "",
+    data: str = "payload",
+    script_file: str | None = None,
+    **words: Any,
 ) -> str:
     """HTML, self-contained; without a time stamp ``created`` equal input gives an equal page.
 
     ``scripts``: behind the drawing library, which a page without a ``payload`` does without; ``style``: a
-    sheet beside the common one; ``data``: id of the payload in the page.
+    sheet beside the common one; ``data``: id of the payload in the page; ``script_file``: where the drawing
+    library stands, from the page; without it the page holds it.
     """
+    holds = bool(words["payload"]) and script_file is None
     return (
         page_environment()
         .get_template(f"{template}.html.j2")
         .render(
-            **({"plotly": plotly_script()} if words["payload"] and "library" not in words else {}),
             **words,
             data=data,
             style=asset("page.css") + (asset(style) if style else ""),
-            scripts=[asset(name) for name in ("boxes.js", *scripts)],
+            script_file=script_file,
+            library=_deflated_library() if holds else None,
+            scripts=[asset(name) for name in (*["library.js"] * holds, "boxes.js", *scripts)],
         )
     )
 
@@ -137,16 +146,11 @@ def plotly_script() -> Markup:
 
 
 @cache
-def _deflated_library() -> dict[str, Any]:
-    """The drawing library in a third of its bytes, and what makes it whole again in the browser."""
-    whole = str(plotly_script()).encode("utf-8")
+def _deflated_library() -> str:
+    """The drawing library in a third of its bytes, as base64 of a raw deflate stream."""
     packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
-    deflated = packer.compress(whole) + packer.flush()
-    return {
-        "size": len(whole),
-        "deflated": base64.b64encode(deflated).decode("ascii"),
-        "script": asset("library.js"),
-    }
+    deflated = packer.compress(str(plotly_script()).encode("utf-8")) + packer.flush()
+    return base64.b64encode(deflated).decode("ascii")
 
 
 def _view(
@@ -257,8 +261,7 @@ def render_report(
 
     ``curves``: trials without a curve are listed but not drawn; ``posteriors``: draws, chains and predictive
     bands; ``renderings``: one a specimen, from :func:`tissueid.study.pages.rendering_of`; ``created``: time
-    stamp to print; ``script_file``: where the drawing library stands, from the page; without it the page
-    holds it; ``digest``: SHA-256 of identification.json.
+    stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of identification.json.
     """
     specimens = identification.specimens
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
@@ -292,7 +295,6 @@ def render_report(
         created=created,
         data="curves",
         scripts=_SCRIPTS,
-        library=None if script_file else _deflated_library(),
         script_file=script_file,
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from tissueid.digits import number, with_error
 from tissueid.documents.identification import Specimen
 from tissueid.report.page import render_page
 from tissueid.report.wording import misfit_raised, verdict
@@ -73,10 +74,7 @@ def render_plain(title: str, sections: Sequence[Section], *, created: str | None
         sections=sections,
         numbers={id(figure): number for number, figure in enumerate(figures)},
         identity=id,
-        payload=[
-            {"x": one.x, "y": one.y, "traces": list(one.traces), "layout": dict(one.layout)}
-            for one in figures
-        ],
+        payload=[one.payload() for one in figures],
         data="figures",
         created=created,
         scripts=["plain.js"],
@@ -91,19 +89,19 @@ _LISTED = 500
 
 def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
     """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
-    values = {one.name: one for one in specimen.parameters}
-    found = verdict(specimen)
-    sure = not misfit_raised(specimen)
+    named = {one.name: one for one in specimen.parameters}
+    found, sure = verdict(specimen), not misfit_raised(specimen)
+    values = [named[name].value if name in named else None for name in _SHOWN]
+    errors = [named[name].stderr if sure and name in named else None for name in _SHOWN]
+    said = map(with_error, values, errors)
+    nrmsd, trials, depth = 100.0 * specimen.nrmsd.range, len(specimen.trials), specimen.validity.depth_mm
     return {
         "name": specimen.specimen,
         "page": page,
         "level": found.level,
         "verdict": found.title,
-        "values": [values[name].value if name in values else None for name in _SHOWN],
-        "errors": [values[name].stderr if sure and name in values else None for name in _SHOWN],
-        "nrmsd": 100.0 * specimen.nrmsd.range,
-        "trials": len(specimen.trials),
-        "depth": specimen.validity.depth_mm,
+        "keys": [specimen.specimen, found.title, *values, nrmsd, trials, depth],
+        "cells": [*said, f"{nrmsd:.2f}", str(trials), number(depth, 3)],
     }
 
 
@@ -121,5 +119,5 @@ def render_index(
         more=max(len(refused) - _LISTED, 0),
         payload={"rows": rows},
         created=created,
-        scripts=["index.js"],
+        scripts=["grids.js", "tables.js", "index.js"],
     )

@@ -77,12 +77,21 @@ class Frame:
     ended: bool
 
 
-def layout() -> list[list[Any]]:
-    """Name, numpy type, shape and offset of every field of a sample, for the hello."""
+#: Methods by which a DataView of a page reads a number of a type.
+READERS = {
+    "<f8": "getFloat64", "<f4": "getFloat32", "<u4": "getUint32", "<u2": "getUint16", "|u1": "getUint8"
+}  # fmt: skip
+
+
+def layout() -> list[tuple[str, str, int]]:
+    """Name, reader and offset of every number of a sample; those of a vector are ``field.0`` and so on."""
     assert SAMPLE.fields is not None  # noqa: S101 -- a structured type has fields
-    return [
-        [name, kind.base.str, list(kind.shape), offset] for name, (kind, offset, *_) in SAMPLE.fields.items()
-    ]
+    columns = []
+    for field, (kind, offset, *_) in SAMPLE.fields.items():
+        names = [f"{field}.{part}" for part in range(kind.shape[0])] if kind.shape else [field]
+        read, size = READERS[kind.base.str], kind.base.itemsize
+        columns += [(name, read, offset + part * size) for part, name in enumerate(names)]
+    return columns
 
 
 def samples_of(records: NDArray[Any]) -> RecordArray:

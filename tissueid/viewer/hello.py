@@ -2,7 +2,8 @@
 
 One JSON object: ``session``; ``scene`` with ``objects``, each of a ``kind`` the page knows how to draw, in
 metres of the device's frame; ``strips`` over time or another field; ``lamps`` and the bits that light them;
-``digits``, ``hint``, ``band`` and ``beside``; ``sample``, the layout of :mod:`tissueid.viewer.frames`.
+``words`` by the id of what they stand in; ``band`` and ``beside``; ``sample``, the layout of
+:mod:`tissueid.viewer.frames`.
 """
 
 from __future__ import annotations
@@ -95,14 +96,23 @@ LAMPS = (
         Lamp.SILENT | Lamp.LATENCY,
     ),
 )
+#: Those that the page lights itself.
+OWN_LAMPS = (
+    ("stale", "Stale", "nothing new has come", 0),
+    ("fault", "Fault", "the device is off", 0),
+    ("recording", "Recording stopped", "the session goes on unrecorded", 0),
+)
 #: Those that only a tissue can light.
 TISSUE_LAMPS = ("outside", "rupture")
 #: What a hand on the mouse does.
 HINT = "Drag the tool down into the tissue"
 GUIDED_HINT = "Drag the wire down to the bone, and drill"
+KEYS_HINT = " \u00b7 arrow keys: press, lift, slide \u00b7 right button: turn \u00b7 wheel: zoom"
+#: Where no hand is led.
+STILL_HINT = "Drag: turn \u00b7 wheel: zoom"
 #: What the second and the third of the big numbers are.
-DIGITS = {"tissue": "N of tissue", "depth": "mm deep"}
-GUIDED_DIGITS = {"tissue": "N of the bone", "depth": "mm below the entry"}
+DIGITS = {"tissue-words": "N of tissue", "depth-words": "mm deep"}
+GUIDED_DIGITS = {"tissue-words": "N of the bone", "depth-words": "mm below the entry"}
 
 
 def _strip(name: str, title: str, unit: str, *traces: dict[str, Any]) -> dict[str, Any]:
@@ -177,18 +187,17 @@ def hello(
         },
         "scene": {"kind": str(head["environment"]), "objects": _objects(head, workspace_m)},
         "strips": _strips(head) if beside is None else _beside(_strips(head)),
-        "digits": GUIDED_DIGITS if head["environment"] == "guidance" else DIGITS,
-        "hint": GUIDED_HINT if head["environment"] == "guidance" else HINT,
+        "words": _words(head, replayed=replay_s is not None, pointer=pointer),
         "lamps": [
             {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
-            for name, word, meaning, bits in LAMPS
+            for name, word, meaning, bits in (*LAMPS, *OWN_LAMPS)
             if name not in TISSUE_LAMPS or head["environment"] == "tissue"
         ],
         "states": {int(state): state.name.lower() for state in State},
         "faults": {int(fault): words for fault, words in FAULT_WORDS.items()},
         "band": band,
         "beside": beside,
-        "sample": {"bytes": SAMPLE.itemsize, "fields": layout()},
+        "sample": {"bytes": SAMPLE.itemsize, "columns": layout()},
     }
 
 
@@ -222,6 +231,41 @@ def _title(head: Mapping[str, Any]) -> str:
     if head["environment"] != "tissue":
         return str(head["environment"])
     return " against ".join(str(tissue["name"]) for tissue in head["tissues"])
+
+
+def _words(head: Mapping[str, Any], *, replayed: bool, pointer: bool) -> dict[str, str]:
+    """Words of the page that stay, by the id of what they stand in."""
+    device, scale = head["device"], head["scale"]
+    guided = head["environment"] == "guidance"
+    facts = [
+        f"log of {head['started']}" * replayed,
+        f"device {device['name']}{', simulated: no motors' * (not device['hardware'])}",
+        "not calibrated" * (not device["calibrated"]),
+        "blind" * bool(head["blind"]),
+    ]
+    known = (
+        "forces and motion are the device's own" if guided else "a force law of its own: no scale is known"
+    )
+    felt = [known] if scale is None else _scale_words(scale, device["clamp_N"])
+    said = {"facts": " \u00b7 ".join(filter(None, facts)), "scale": " \u00b7 ".join(filter(None, felt))}
+    hint = f"{GUIDED_HINT if guided else HINT}{KEYS_HINT}" if pointer else STILL_HINT
+    return {"title": _title(head), **(GUIDED_DIGITS if guided else DIGITS), **said, "hint": hint}
+
+
+def _scale_words(scale: Mapping[str, Any], clamp_N: float) -> list[str]:
+    stiffness = scale.get("device_stiffness_N_per_m")
+    return [
+        f"felt force = tissue force \u00d7 {_short(scale['force_scale'])}",
+        f"motion \u00d7 {_short(scale['motion_scale'])}",
+        "" if stiffness is None else f"device stiffness up to {_short(stiffness)} N/m",
+        f"clamp {_short(clamp_N)} N",
+        f"{_short(100.0 * (scale.get('clipped_share_expected') or 0.0))} % of the depth clipped",
+    ]
+
+
+def _short(value: float) -> str:
+    """A number with three significant digits."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, Any]]:
@@ -287,7 +331,12 @@ def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
             low, high = np.quantile(forces, [LOW, HIGH], axis=0)
             curve |= {"low_N": low.tolist(), "high_N": high.tolist()}
         curves.append(curve)
-    return {"draws": len(used), "curves": curves}
+    speeds = [f"{_short(curve['speed_mm_s'])} mm/s" for curve in curves]
+    if len(speeds) > 1:
+        speeds[0] += " (dashed)"
+    band = f"95 % band of {len(used)} draws" if len(used) else "no draws, no band"
+    words = f"fitted at {', '.join(speeds)}{',' if len(used) else ';'} {band}"
+    return {"draws": len(used), "curves": curves, "words": words}
 
 
 def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:

@@ -8,20 +8,27 @@ const floats = (text) => new Float32Array(bytes(text).buffer);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const faint = (name, opacity) => colour(name).replace(/^#(..)(..)(..)$/, (_, r, g, b) => `rgba(${[r, g, b].map((part) => parseInt(part, 16)).join(",")},${opacity})`);
 const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
+// a function that works out what it gives of each key at its first asking
+const once = (make) => {
+  const made = new Map();
+  return (key) => {
+    if (!made.has(key)) made.set(key, make(key));
+    return made.get(key);
+  };
+};
+const element = (name, more) => Object.assign(document.createElement(name), more);
+// told to those who do not see it
+const say = (text) => { document.getElementById("said").textContent = text; };
 // straight across the figure at a value of the one axis
 const level = (y, line) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line });
-// a band between two lines; `more` is of the upper one, which is filled
-const between = (x, low, high, fillcolor, more = {}, common = {}) => {
-  const hidden = { x, mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false, ...common };
-  return [{ ...hidden, y: low }, { ...hidden, y: high, fill: "tonexty", fillcolor, ...more }];
-};
 
-// `figure(box)` gives traces, the titles x and y of the axes, and a layout that is laid over the common one;
+// `figure(box)` gives traces, titles x and y of the axes, a height, and what is laid over the common layout;
 // `after(box)` follows each drawing; without `paper` none is saved, and a printer gets what was seen;
 // what comes back draws the wanted ones of those that are drawn again
 const figureBoxes = (figure, { after = () => {}, paper = true } = {}) => {
   const described = (box) => {
-    const { traces, x, y, layout = {} } = figure(box);
+    const { traces, x, y, height, layout = {} } = figure(box);
+    if (height) box.style.height = `${height}px`;
     // a grid of small axes brings its own
     const axes = x === undefined ? {} : { xaxis: { ...axis(x), ...layout.xaxis }, yaxis: { ...axis(y), ...layout.yaxis } };
     return { data: traces, layout: {
@@ -42,22 +49,22 @@ const figureBoxes = (figure, { after = () => {}, paper = true } = {}) => {
     root.classList.add("light");
     const { data, layout } = described(box);
     root.classList.remove("light");
-    const link = document.createElement("a");
-    link.href = await Plotly.toImage({ data, layout }, { format: "svg", width: box.clientWidth, height: box.clientHeight });
-    link.download = `${document.title} ${box.dataset.figure}`.replace(/[^\p{L}\p{N}]+/gu, "-") + ".svg";
-    link.click();
+    const { clientWidth: width, clientHeight: height } = box;
+    const href = await Plotly.toImage({ data, layout }, { format: "svg", width, height });
+    const name = `${document.title} ${box.dataset.figure}`.replace(/[^\p{L}\p{N}]+/gu, "-");
+    element("a", { href, download: `${name}.svg` }).click();
   };
   const boxes = [...document.querySelectorAll("[data-figure]")];
   const redraw = (wanted = () => true) => boxes.filter((box) => box.dataset.drawn && wanted(box)).forEach(draw);
   const seen = new IntersectionObserver((entries) => {
     for (const entry of entries) if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
   }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
+  const there = typeof inflated === "undefined" ? Promise.resolve() : inflated;
+  there.then(() => boxes.forEach((box) => seen.observe(box)));
   for (const media of ["(prefers-color-scheme: dark)", "print"]) matchMedia(media).addEventListener("change", () => redraw());
   if (!paper) return redraw;
   boxes.forEach((box) => {
-    const button = document.createElement("button");
-    Object.assign(button, { type: "button", className: "save", textContent: "SVG" });
+    const button = element("button", { type: "button", className: "save", textContent: "SVG" });
     button.setAttribute("aria-label", `SVG of the figure: ${box.dataset.figure}`);
     button.addEventListener("click", () => save(box));
     box.after(button);

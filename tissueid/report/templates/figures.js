@@ -1,31 +1,22 @@
 "use strict";
 // The figures of the page, made from the packed curves when they come into view.
 (() => {
-  const opened = new Map();
-  const curves = (specimen) => {
-    if (!opened.has(specimen)) {
-      opened.set(specimen, payload.specimens[specimen].map((trial) => ({
-        label: trial.label, t: floats(trial.t), x: floats(trial.x), f: floats(trial.f), m: floats(trial.m), on: bytes(trial.on),
-        low: trial.low && floats(trial.low), high: trial.high && floats(trial.high),
-      })));
-    }
-    return opened.get(specimen);
-  };
+  const curves = once((specimen) => payload.specimens[specimen].map(({ label, on, ...packed }) => ({
+    label, on: bytes(on), ...Object.fromEntries(Object.entries(packed).map(([key, text]) => [key, floats(text)])),
+  })));
   // many lines beside each other would paint one broad brush: of many trials the deepest of each speed is shown
   const MOST_LINES = 8;
-  const deepest = (specimen) => payload.laws[specimen].speeds.map((group) => group.trials.map((k) => curves(specimen)[k])
-    .reduce((a, b) => (b.x.reduce((m, x) => Math.max(m, x), 0) > a.x.reduce((m, x) => Math.max(m, x), 0) ? b : a)));
   const chosen = (specimen) => {
     const choice = document.querySelector(`select[data-choice="${specimen}"]`), every = curves(specimen);
     if (choice && choice.value !== "all") return [every[Number(choice.value)]];
-    return every.length <= MOST_LINES ? every : deepest(specimen);
+    return every.length <= MOST_LINES ? every : payload.laws[specimen].deepest.map((k) => every[k]);
   };
   // where samples are far apart each of them is a dot
   const FEW_SAMPLES = 600;
 
   // force against time with the residual below it, and force against depth: every sample as it was recorded
-  const main = (specimen) => {
-    const trials = chosen(specimen), dots = trials.reduce((sum, trial) => sum + trial.f.length, 0) <= FEW_SAMPLES;
+  const mainTraces = (trials) => {
+    const dots = trials.reduce((sum, trial) => sum + trial.f.length, 0) <= FEW_SAMPLES;
     const pair = (abscissa, i) => [
       ...trials.map((trial, k) => ({ x: trial[abscissa], y: trial.f, ...cell(i), mode: dots ? "lines+markers" : "lines",
         line: { color: colour("data"), width: 1.5 }, marker: { color: colour("data"), size: 4 }, name: "recorded", legendgroup: "recorded", showlegend: i === 0 && k === 0,
@@ -48,22 +39,21 @@
       return [...(trial.on.includes(0) ? [trace(false, "not fitted", "aside")] : []), trace(true, "fitted", "model")];
     })];
   };
-  const mainLayout = (specimen, box) => {
-    const beside = box.clientWidth >= 800;
+  const main = (specimen, box) => {
+    const trials = chosen(specimen), beside = box.clientWidth >= 800;
     const place = (title, domain, more) => named(title, { domain, nticks: 8, ...more });
     const layout = { margin: { l: 56, r: 12, t: 28, b: 40 } };
     axesOf(layout, 0, place("Time from contact [s]", beside ? [0, 0.6] : [0, 1], { anchor: "y2" }), place(force(specimen), beside ? [0.32, 1] : [0.62, 1], {}));
     // what was not fitted may leave far more than what was
-    const left = chosen(specimen).reduce((most, trial) => trial.f.reduce((m, f, k) => (trial.on[k] ? Math.max(m, Math.abs(f - trial.m[k])) : m), most), 0);
+    const left = trials.reduce((most, trial) => trial.f.reduce((m, f, k) => (trial.on[k] ? Math.max(m, Math.abs(f - trial.m[k])) : m), most), 0);
     layout.yaxis2 = place(`Residual [${units(specimen).force}]`, beside ? [0, 0.26] : [0.43, 0.57], { nticks: 5, ...(left > 0 ? { range: [-1.25 * left, 1.25 * left] } : {}) });
     layout.xaxis3 = place(depth(specimen), beside ? [0.67, 1] : [0, 1], { anchor: "y3" });
     layout.yaxis3 = place(beside ? "" : force(specimen), beside ? [0, 1] : [0, 0.33], { anchor: "x3" });
-    return { layout, height: beside ? 370 : 620 };
+    return { traces: mainTraces(trials), layout, height: beside ? 370 : 620 };
   };
 
   // every curve of a program, its mean and one standard deviation about it; a trace that is an area has no corner of its own
-  const groups = (specimen) => (specimen < 0 ? payload.groups : payload.laws[specimen].groups);
-  const group = (specimen) => groups(specimen).flatMap((one, g) => {
+  const groupTraces = (specimen) => (one, g) => {
     const ink = nth(INKS, g), same = { legendgroup: one.label, showlegend: false };
     const faded = one.members.flatMap(([s, k]) => {
       const trial = curves(specimen < 0 ? s : specimen)[k];
@@ -76,34 +66,28 @@
       { x: part.x, y: part.mean, ...cell(i), ...same, mode: "lines", line: { color: ink, width: 2.6, dash: nth(DASHES, g) }, name: "mean", text: part.n, hovertemplate: "%{x:.4g}, %{y:.4g}, n = %{text}<extra>mean</extra>" },
     ] : []));
     return [...faded, ...mean, { x: [null], y: [null], ...cell(0), mode: "lines", line: { color: ink, width: 2.6, dash: nth(DASHES, g) }, name: one.label, legendgroup: one.label }];
-  });
-  const groupLayout = (specimen, box) => {
-    const wide = box.clientWidth < 620 ? 1 : 2, layout = grid(2, wide, { showlegend: groups(specimen).length <= 12, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { size: 11 } } });
-    axesOf(layout, 0, named(depth(specimen)), named(force(specimen)));
-    axesOf(layout, 1, named("Time since the stop [s]"), named(wide === 1 ? force(specimen) : ""));
-    return { layout, height: 320 * (2 / wide) + 40 };
+  };
+  const group = (specimen, box) => {
+    const groups = specimen < 0 ? payload.groups : payload.laws[specimen].groups;
+    const legend = { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { size: 11 } };
+    const layout = panels(box, 2, [
+      ["", named(depth(specimen)), named(force(specimen))], ["", named("Time since the stop [s]"), named("")],
+    ], { showlegend: groups.length <= 12, legend });
+    if (layout.grid.rows > 1) layout.yaxis2 = named(force(specimen));
+    return { traces: groups.flatMap(groupTraces(specimen)), layout, height: 320 * layout.grid.rows + 40 };
   };
 
   const overview = () => {
     const points = payload.overview;
-    return [{ x: points.map((p) => p.name), y: points.map((p) => p.value), mode: "markers", marker: { color: colour("model"), size: 8 },
+    const traces = [{ x: points.map((p) => p.name), y: points.map((p) => p.value), mode: "markers", marker: { color: colour("model"), size: 8 },
       error_y: { type: "data", array: points.map((p) => p.up), arrayminus: points.map((p) => p.down), color: colour("data"), thickness: 2 },
       name: "viscosity", hovertemplate: "%{x}: %{y:.4g}<extra></extra>", showlegend: false }];
+    return { traces, x: "", y: "Viscosity [N·s/mm]", height: 300 };
   };
 
   const known = posteriorKinds();
-  const kinds = {
-    main: { traces: main, own: mainLayout }, group: { traces: group, own: groupLayout },
-    overview: { traces: overview, own: () => ({ layout: { xaxis: axis(""), yaxis: axis("Viscosity [N·s/mm]") }, height: 300 }) },
-    ...known.kinds,
-    ...lawKinds(curves, known.cloud),
-  };
-  const redraw = figureBoxes((box) => {
-    const kind = kinds[box.dataset.figure], specimen = Number(box.dataset.specimen);
-    const { layout, height } = kind.own(specimen, box);
-    box.style.height = `${height}px`;
-    return { traces: kind.traces(specimen), layout };
-  });
+  const kinds = { main, group, overview, ...known.kinds, ...lawKinds(curves, known.cloud) };
+  const redraw = figureBoxes((box) => kinds[box.dataset.figure](Number(box.dataset.specimen), box));
   document.querySelectorAll("select[data-choice]").forEach((choice) => {
     choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure === "main"));
   });

@@ -2,10 +2,20 @@
 // Grids of small axes: plotly numbers its axes from 1 and leaves the 1 away.
 const cell = (i) => ({ xaxis: `x${i ? i + 1 : ""}`, yaxis: `y${i ? i + 1 : ""}` });
 const named = (title, more = {}) => ({ title: { text: title, standoff: 4, font: { size: 11 } }, gridcolor: colour("line"), zerolinecolor: colour("line"), automargin: true, tickfont: { size: 10 }, nticks: 5, ...more });
-const grid = (count, wide, extra) => ({ grid: { rows: Math.ceil(count / wide), columns: wide, pattern: "independent", xgap: 0.12, ygap: 0.45 }, showlegend: false, ...extra });
+const decades = (title) => named(title, { type: "log", dtick: undefined });
 const axesOf = (layout, i, x, y) => { layout[`xaxis${i ? i + 1 : ""}`] = x; layout[`yaxis${i ? i + 1 : ""}`] = y; };
 // the title of a small panel stands over it
 const over = (i, text) => ({ xref: `x${i ? i + 1 : ""} domain`, yref: `y${i ? i + 1 : ""} domain`, x: 0, y: 1.02, xanchor: "left", yanchor: "bottom", showarrow: false, text, font: { size: 12 } });
+// a grid of `axes`, each [what stands over it, x, y]: so many beside each other, or one in a narrow box
+const panels = (box, beside, axes, extra = {}) => {
+  const columns = box.clientWidth < 620 ? 1 : Math.min(beside, axes.length);
+  const rows = Math.ceil(axes.length / columns);
+  const grid = { rows, columns, pattern: "independent", xgap: 0.12, ygap: 0.45 };
+  const layout = { grid, showlegend: false, ...extra };
+  layout.annotations = axes.flatMap(([title], i) => (title ? [over(i, title)] : []));
+  axes.forEach(([, x, y], i) => axesOf(layout, i, x, y));
+  return layout;
+};
 // a band as a closed outline; where it has no number it has no corner
 const outline = (x, low, high, more = {}) => {
   const there = Array.from(low, (_, k) => k).filter((k) => Number.isFinite(low[k]) && Number.isFinite(high[k]));

@@ -1,14 +1,10 @@
 "use strict";
-// Recordings are drawn when they come into view; entries are copied; the index is filtered.
+// Recordings are drawn when they come into view; a click into one sets a number.
 (() => {
-  const opened = new Map();
-  const recording = (id) => {
-    if (!opened.has(id)) {
-      const one = payload[id], numbers = (text) => Array.from(floats(text));
-      opened.set(id, { ...one, t: numbers(one.t).map((value) => value + one.t0), x: numbers(one.x), f: numbers(one.f) });
-    }
-    return opened.get(id);
-  };
+  const recording = once((id) => {
+    const one = payload[id], numbers = (text) => Array.from(floats(text));
+    return { ...one, t: numbers(one.t).map((value) => value + one.t0), x: numbers(one.x), f: numbers(one.f) };
+  });
   const number = (value) => Number(value.toPrecision(5)).toString();
 
   // one trace a kind of phase: its stretches, with a hole between them
@@ -30,26 +26,26 @@
   const upright = (x0, x1, ink, dash, opacity) => x0 === x1
     ? { type: "line", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, line: { color: ink, width: 1.4, dash } }
     : { type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, fillcolor: ink, opacity, line: { width: 0 }, layer: "below" };
-  const label = (x, text, y, ink) => ({ x, xref: "x", y, yref: "paper", yanchor: "bottom", showarrow: false, text, font: { size: 11, color: ink } });
+  // a line with its name over it
+  const mark = (shapes, notes, x, text, dash) => {
+    shapes.push(upright(x, x, colour("mark"), dash));
+    const font = { size: 11, color: colour("mark") };
+    notes.push({ x, xref: "x", y: 1, yref: "paper", yanchor: "bottom", showarrow: false, text, font });
+  };
 
   // titles stand above the legend, axes are those of a recording
   const figure = (traces, shapes, annotations, axes) => ({ traces, layout: {
     margin: { l: 56, r: 12, t: 44, b: 44 }, legend: { orientation: "h", x: 0, y: 1.05, yanchor: "bottom" }, shapes, annotations, ...axes } });
   const plain = (title) => ({ ...axis(title), zerolinecolor: colour("line") });
   const overTime = (one) => {
-    const ink = colour("mark");
     const shapes = one.corners.slice(0, 60).map((corner) => upright(corner.t, corner.t, colour("aside"), "dot"));
     const notes = [];
     if (one.contact && one.contact.t) {
       const [at, from, to] = one.contact.t;
-      if (to > from) shapes.push(upright(from, to, ink, "", 0.25));
-      shapes.push(upright(at, at, ink, "dash"));
-      notes.push(label(at, "contact", 1, ink));
+      if (to > from) shapes.push(upright(from, to, colour("mark"), "", 0.25));
+      mark(shapes, notes, at, "contact", "dash");
     }
-    one.events.forEach((event) => {
-      shapes.push(upright(event.t, event.t, ink, "solid"));
-      notes.push(label(event.t, event.kind, 1, ink));
-    });
+    one.events.forEach((event) => mark(shapes, notes, event.t, event.kind, "solid"));
     const force = traces(one, "t", "f", { xaxis: "x", yaxis: "y", showlegend: true });
     const motion = traces(one, "t", "x", { xaxis: "x", yaxis: "y2", showlegend: false });
     return figure([...force, ...motion], shapes, notes, {
@@ -63,8 +59,7 @@
     if (one.contact) {
       const { x, sd, base } = one.contact;
       if (sd > 0) shapes.push(upright(x - sd, x + sd, ink, "", 0.25));
-      shapes.push(upright(x, x, ink, "dash"));
-      notes.push(label(x, "contact", 1, ink));
+      mark(shapes, notes, x, "contact", "dash");
       if (base !== null) shapes.push({ ...level(base, { color: colour("aside"), width: 1, dash: "dot" }), yref: "y" });
     }
     const data = traces(one, "x", "f", { showlegend: true });
@@ -74,19 +69,14 @@
     }
     return figure(data, shapes, notes, { xaxis: plain("Displacement as recorded [mm]"), yaxis: plain("Force [N]") });
   };
-  const say = (text) => { document.getElementById("said").textContent = text; };
 
   // the sample that was clicked, by its place in the picture
   const nearest = (one, figure, point) => {
     const span = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value - values[0])), 1e-12);
-    const [across, up] = figure === "time" ? [one.t, null] : [one.x, one.f];
-    const [wide, high] = [span(across), span(up || across)];
-    let best = 0;
-    let least = Infinity;
-    across.forEach((value, i) => {
-      const far = Math.abs(value - point.x) / wide + (up ? Math.abs(up[i] - point.y) / high : 0);
-      if (far < least) { least = far; best = i; }
-    });
+    const far = (values, at, wide = span(values)) => values.map((value) => Math.abs(value - at) / wide);
+    const across = far(figure === "time" ? one.t : one.x, point.x);
+    const up = figure === "time" ? across : far(one.f, point.y);
+    const best = across.reduce((least, one, i) => (one + up[i] < across[least] + up[least] ? i : least), 0);
     return { t: one.t[best], x: one.x[best] };
   };
 
@@ -108,32 +98,5 @@
     box.on("plotly_click", (event) => clicked(box, event.points[0]));
   } });
 
-  document.addEventListener("click", (event) => {
-    const button = event.target.closest("button[data-copy]");
-    if (!button) return;
-    const entry = document.getElementById(button.dataset.copy);
-    const done = () => { button.firstChild.textContent = "Copied"; say("copied"); setTimeout(() => { button.firstChild.textContent = "Copy"; }, 1500); };
-    const byHand = () => { entry.focus(); entry.select(); if (document.execCommand("copy")) done(); };
-    if (navigator.clipboard && window.isSecureContext) navigator.clipboard.writeText(entry.value).then(done, byHand); else byHand();
-  });
-
-  const text = document.getElementById("filter-text");
-  if (text) {
-    const least = document.getElementById("filter-level");
-    const rows = [...document.querySelectorAll("[data-row]")];
-    const filter = () => {
-      const words = text.value.toLowerCase().split(/\s+/).filter(Boolean);
-      let shown = 0;
-      rows.forEach((row) => {
-        const fits = Number(row.dataset.level) >= Number(least.value) && words.every((word) => row.dataset.text.includes(word));
-        row.hidden = !fits;
-        document.getElementById(row.dataset.row).hidden = !fits;
-        shown += fits;
-      });
-      document.getElementById("filter-count").textContent = `${shown} of ${rows.length}`;
-    };
-    text.addEventListener("input", filter);
-    least.addEventListener("change", filter);
-  }
   followLinks();
 })();

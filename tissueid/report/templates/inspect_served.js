@@ -40,11 +40,8 @@
     const form = event.target.closest("form.correct");
     if (!form) return;
     event.preventDefault();
-    send(form, form.elements.value ? Number(form.elements.value.value) : true);
-  });
-  document.addEventListener("click", (event) => {
-    const button = event.target.closest("button[data-back]");
-    if (button) send(button.closest("form"), null);
+    const found = form.elements.value ? Number(form.elements.value.value) : true;
+    send(form, event.submitter?.matches("[data-back]") ? null : found);
   });
   const told = JSON.parse(sessionStorage.getItem("told") || "null");
   sessionStorage.removeItem("told");

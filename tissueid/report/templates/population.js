@@ -8,7 +8,11 @@
   const figures = {
     bands: () => {
       const { depth_mm: x, quantiles, typical } = payload.bands;
-      const band = (low, high, opacity, name) => between(x, quantiles[low], quantiles[high], faint("data", opacity), { name, showlegend: true });
+      const end = { x, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+      const band = (low, high, opacity, name) => [
+        { ...end, y: quantiles[low], showlegend: false },
+        { ...end, y: quantiles[high], fill: "tonexty", fillcolor: faint("data", opacity), name },
+      ];
       return {
         traces: [...band(0, 4, 0.25, "95 % of specimens"), ...band(1, 3, 0.45, "68 % of specimens"),
           { x, y: typical, mode: "lines", line: { color: colour("model"), width: 2.5 }, name: "typical tissue", hovertemplate: "%{x:.2f} mm: %{y:.4g} N<extra></extra>" }],
@@ -27,8 +31,7 @@
     shrinkage: () => {
       const k = Number(chosen.value);
       const one = payload.quantities[k];
-      const order = payload.specimens.map((row, i) => i).sort((a, b) => payload.specimens[a].pooled[k] - payload.specimens[b].pooled[k]);
-      const rows = order.map((i) => payload.specimens[i]);
+      const rows = [...payload.specimens].sort((a, b) => a.pooled[k] - b.pooled[k]);
       const trace = (kind, words, symbol, name, shift) => {
         const value = rows.map((row) => row[kind][k]);
         return { x: rows.map((_, i) => i + shift), y: value, mode: "markers", name: words,
@@ -36,8 +39,7 @@
           error_y: { ...bar(rows.map((row) => row[`${kind}_ci95`][k][0]), rows.map((row) => row[`${kind}_ci95`][k][1]), value), color: colour(name) },
           text: rows.map((row) => row.name), hovertemplate: `%{text}: %{y:.4g} ${one.unit}<extra>${words}</extra>` };
       };
-      const top = one.median * Math.exp(one.sd);
-      const low = one.median * Math.exp(-one.sd);
+      const [low, top] = [-1, 1].map((sign) => one.median * Math.exp(sign * one.sd));
       return {
         traces: [trace("separate", "alone", "circle-open", "aside", -0.18), trace("pooled", "with the population", "circle", "data", 0.18)],
         x: "Specimen", y: one.unit ? `${one.words} [${one.unit}]` : one.words,

@@ -6,15 +6,11 @@ const posteriorKinds = () => {
     const all = new Uint16Array(bytes(steps).buffer), count = all.length / low.length;
     return low.map((from, i) => Float64Array.from(all.subarray(i * count, (i + 1) * count), (step) => from + ((high[i] - from) * step) / 65535));
   };
-  const opened = new Map();
-  const posterior = (specimen) => {
-    if (!opened.has(specimen)) {
-      const raw = payload.posteriors[specimen];
-      opened.set(specimen, { ...raw, draws: columnsOf(raw.draws), total: raw.total && columnsOf(raw.total),
-        chain: { ...raw.chain, columns: columnsOf(raw.chain) } });
-    }
-    return opened.get(specimen);
-  };
+  const posterior = once((specimen) => {
+    const { draws, total, chain, ...raw } = payload.posteriors[specimen];
+    const columns = { draws: columnsOf(draws), total: total && columnsOf(total) };
+    return { ...raw, ...columns, chain: { ...chain, columns: columnsOf(chain) } };
+  });
   const BINS = 28;
   const density = (values, low, high) => {
     const counts = new Array(BINS).fill(0);
@@ -35,9 +31,11 @@ const posteriorKinds = () => {
   const thin = (values) => { const step = Math.max(values.length / DOTS, 1); return Array.from({ length: Math.min(values.length, DOTS) }, (_, k) => values[Math.floor(k * step)]); };
   const size = (specimen) => Math.min(posterior(specimen).names.length, MOST_CORNERS);
   const places = (n) => Array.from({ length: n }, (_, row) => Array.from({ length: row + 1 }, (__, column) => [row, column])).flat();
-  const corner = (specimen) => {
-    const found = posterior(specimen), n = size(specimen);
-    return places(n).flatMap(([row, column], i) => {
+  const bare = (label) => label.replace(", not identified", "");
+  const corner = (specimen, box) => {
+    const found = posterior(specimen), n = size(specimen), layout = { showlegend: false };
+    const gap = 0.012, side = (1 - gap * (n - 1)) / n;
+    const traces = places(n).flatMap(([row, column], i) => {
       if (row === column) {
         const wide = (found.total || found.draws)[row];
         const low = wide.reduce((a, b) => Math.min(a, b)), high = wide.reduce((a, b) => Math.max(a, b));
@@ -49,36 +47,25 @@ const posteriorKinds = () => {
         marker: { color: colour(ink), size: 3, opacity: 0.4 }, hovertemplate: "%{x:.4g}, %{y:.4g}<extra></extra>" });
       return [...(found.total ? [dots(found.total, "total", "data")] : []), dots(found.draws, "statistical", "model")];
     });
-  };
-  const bare = (label) => label.replace(", not identified", "");
-  const cornerLayout = (specimen, box) => {
-    const found = posterior(specimen), n = size(specimen), layout = { showlegend: false };
-    const gap = 0.012, side = (1 - gap * (n - 1)) / n;
     places(n).forEach(([row, column], i) => {
       const bottom = row === n - 1, left = column === 0 && row > 0;
       axesOf(layout, i,
         { ...named(bottom ? bare(found.labels[column]) : "", { showticklabels: bottom, nticks: 3, tickangle: 0 }), domain: [column * (side + gap), column * (side + gap) + side], anchor: `y${i ? i + 1 : ""}` },
         { ...named(left ? bare(found.labels[row]) : "", { showticklabels: left, nticks: 3, ...(row === column ? { rangemode: "tozero" } : {}) }), domain: [(n - 1 - row) * (side + gap), (n - 1 - row) * (side + gap) + side], anchor: `x${i ? i + 1 : ""}` });
     });
-    return { layout, height: Math.max(Math.min(box.clientWidth, 900), 320) * 0.85 };
+    return { traces, layout, height: Math.max(Math.min(box.clientWidth, 900), 320) * 0.85 };
   };
 
-  const trace = (specimen) => {
+  const trace = (specimen, box) => {
     const { names, shape: [chains, steps], columns } = posterior(specimen).chain;
     const inks = ["model", "data", "aside", "ok"];
-    return names.flatMap((name, i) => Array.from({ length: chains }, (_, c) => ({
+    const traces = names.flatMap((name, i) => Array.from({ length: chains }, (_, c) => ({
       y: Array.from({ length: steps }, (__, k) => columns[i][c * steps + k]), ...cell(i), mode: "lines",
       line: { color: colour(inks[c % inks.length]), width: 0.8 }, opacity: 0.8, hovertemplate: `${name} %{y:.4g}<extra></extra>` })));
-  };
-  const traceLayout = (specimen, box) => {
-    const { names } = posterior(specimen).chain;
-    const wide = box.clientWidth < 520 ? 1 : Math.min(names.length, 3);
-    const layout = grid(names.length, wide, {});
-    names.forEach((name, i) => {
-      axesOf(layout, i, { showticklabels: false, showgrid: false, zeroline: false }, named(name));
-    });
-    return { layout, height: 120 * Math.ceil(names.length / wide) + 40 };
+    const plain = { showticklabels: false, showgrid: false, zeroline: false };
+    const layout = panels(box, 3, names.map((name) => ["", plain, named(name)]));
+    return { traces, layout, height: 120 * layout.grid.rows + 40 };
   };
 
-  return { cloud, kinds: { corner: { traces: corner, own: cornerLayout }, trace: { traces: trace, own: traceLayout } } };
+  return { cloud, kinds: { corner, trace } };
 };

@@ -49,10 +49,7 @@ export class Connection {
       return;
     }
     const head = readHead(data);
-    if (head === null) {
-      this.socket.close(4000, "not a frame of this version");
-      return;
-    }
+    if (head === null) return this.socket.close(4000, "not a frame of this version");
     this.frames += 1;
     this.dropped = head.dropped;
     this.ended = head.ended;

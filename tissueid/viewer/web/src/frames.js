@@ -5,27 +5,6 @@ const MAGIC = 0x4654; // "TF", little-endian
 const VERSION = 1;
 const ENDED = 1;
 
-const READERS = {
-  "<f8": (view, at) => view.getFloat64(at, true),
-  "<f4": (view, at) => view.getFloat32(at, true),
-  "<u4": (view, at) => view.getUint32(at, true),
-  "<u2": (view, at) => view.getUint16(at, true),
-  "|u1": (view, at) => view.getUint8(at),
-};
-
-/** Columns of a layout: a vector has one for each component, named "field.0" and so on. */
-export function columnsOf(sample) {
-  return sample.fields.flatMap(([name, type, shape, offset]) => {
-    const size = Number(type.slice(2));
-    const parts = shape.length ? [...Array(shape[0]).keys()] : [null];
-    return parts.map((part) => ({
-      name: part === null ? name : `${name}.${part}`,
-      read: READERS[type],
-      offset: offset + (part ?? 0) * size,
-    }));
-  });
-}
-
 /** The head of a frame; null where it is none of this version. */
 export function readHead(buffer) {
   const view = new DataView(buffer);
@@ -44,7 +23,7 @@ export function readHead(buffer) {
 export function readSamples(buffer, head, columns, sampleBytes, put) {
   const view = new DataView(buffer);
   for (let c = 0; c < columns.length; c += 1) {
-    const { read, offset } = columns[c];
-    for (let i = 0; i < head.count; i += 1) put(c, i, read(view, HEAD_BYTES + i * sampleBytes + offset));
+    const [, read, offset] = columns[c];
+    for (let i = 0; i < head.count; i += 1) put(c, i, view[read](HEAD_BYTES + i * sampleBytes + offset, true));
   }
 }

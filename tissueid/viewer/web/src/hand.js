@@ -20,7 +20,7 @@ export class Hand {
     const { canvas } = scene;
     canvas.addEventListener("pointerdown", (event) => this.take(event));
     canvas.addEventListener("pointermove", (event) => this.lead(event));
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, () => this.dragEnds());
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, () => this.drag && this.letGo());
     canvas.addEventListener("keydown", (event) => this.press(event));
     canvas.addEventListener("keyup", (event) => this.held.delete(event.key));
     window.addEventListener("blur", () => this.letGo());
@@ -52,12 +52,6 @@ export class Hand {
     this.moveTo(this.drag.from.clone().addScaledVector(right, (event.clientX - this.drag.x) * mm).addScaledVector(up, -(event.clientY - this.drag.y) * mm));
   }
 
-  dragEnds() {
-    if (!this.drag) return;
-    this.drag = null;
-    this.letGo();
-  }
-
   letGo() {
     this.held.clear();
     this.drag = null;
@@ -84,15 +78,12 @@ export class Hand {
 
   moveTo(point) {
     this.target = toDevice(point).map((value) => Math.min(0.29, Math.max(-0.29, value)));
-    const now = performance.now();
-    if (now - this.sentMs < SEND_MS) {
-      this.late ??= setTimeout(() => { this.late = null; this.send(); }, SEND_MS);
-      return;
-    }
-    this.send();
+    if (performance.now() - this.sentMs >= SEND_MS) this.send();
+    else this.late ??= setTimeout(() => this.send(), SEND_MS);
   }
 
   send() {
+    this.late = null;
     if (this.target === null) return;
     this.sentMs = performance.now();
     this.say({ pointer: this.target.map((value) => Number(value.toFixed(6))) });

@@ -1,17 +1,18 @@
 // The last minute of samples, column by column, addressed by their number since the session began.
 
-import { columnsOf, readSamples } from "./frames.js";
+import { readSamples } from "./frames.js";
 
 const CAPACITY = 1 << 16;
 const MASK = CAPACITY - 1;
 
 export class History {
   constructor(hello) {
-    this.columns = columnsOf(hello.sample);
+    // name, method of a DataView and offset of each
+    this.columns = hello.sample.columns;
     this.sampleBytes = hello.sample.bytes;
     this.periodS = hello.session.period_s;
     this.data = this.columns.map(() => new Float64Array(CAPACITY));
-    this.index = new Map(this.columns.map((column, c) => [column.name, c]));
+    this.index = new Map(this.columns.map(([name], c) => [name, c]));
     this.besides = hello.beside;
     this.begin = 0;
     this.end = 0;

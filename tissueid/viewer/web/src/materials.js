@@ -5,13 +5,16 @@ import { DoubleSide, GreaterDepth, LineBasicMaterial, MeshBasicMaterial, MeshLam
 
 const ALIKE = { side: DoubleSide, transparent: true, forceSinglePass: true };
 
+/** A material whose colour has this name in the style sheet; the scene sets it. */
+export const inked = (ink, material) => Object.assign(material, { userData: { ink } });
 /** One colour everywhere. */
-export const flat = (more) => new MeshBasicMaterial({ ...ALIKE, ...more });
+export const flat = (ink, more) => inked(ink, new MeshBasicMaterial({ ...ALIKE, ...more }));
 /** Lines; with the shader of what is flat. */
-export const lined = (more) => new LineBasicMaterial({ ...ALIKE, ...more });
+export const lined = (ink, more) => inked(ink, new LineBasicMaterial({ ...ALIKE, ...more }));
 /** Lit. */
-export const shaded = (more) => new MeshLambertMaterial({ ...ALIKE, ...more });
+export const shaded = (ink, more) => inked(ink, new MeshLambertMaterial({ ...ALIKE, ...more }));
 /** Lit, with the gloss of something wet: a shader of its own, so only with a graphics card. */
-export const wet = (more) => new MeshPhongMaterial({ ...ALIKE, shininess: 26, specular: 0x3a3a3a, ...more });
+export const wet = (ink, more) =>
+  inked(ink, new MeshPhongMaterial({ ...ALIKE, shininess: 26, specular: 0x3a3a3a, ...more }));
 /** What hides behind something, seen through it. */
-export const behind = (more) => flat({ depthFunc: GreaterDepth, depthWrite: false, opacity: 0.34, ...more });
+export const behind = (ink) => flat(ink, { depthFunc: GreaterDepth, depthWrite: false, opacity: 0.34 });

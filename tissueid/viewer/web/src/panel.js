@@ -1,37 +1,22 @@
 // Digits, lamps and words.
 
+import { byId } from "./theme.js";
+
 const DIGITS_MS = 60;
 const STATUS_MS = 2000;
 // a lamp stays lit this long after its tick, or nobody would see it
 const AFTERGLOW_MS = 400;
 
-const byId = (id) => document.getElementById(id);
 const number = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits) : "–");
-
-/** A number with three significant digits and no exponent. */
-export const short = (value) => String(Number(Number(value).toPrecision(3)));
 
 export class Panel {
   show(hello) {
     this.hello = hello;
-    const { session } = hello;
-    byId("title").textContent = session.title;
-    document.title = `${session.title} - tissueid`;
-    const device = session.device.hardware ? session.device.name : `${session.device.name}, simulated: no motors`;
-    byId("facts").textContent = [
-      session.replay_s === null ? "" : `log of ${session.started}`,
-      `device ${device}`,
-      session.device.calibrated ? "" : "not calibrated",
-      session.blind ? "blind" : "",
-    ].filter(Boolean).join(" · ");
-    byId("tissue-words").textContent = hello.digits.tissue;
-    byId("depth-words").textContent = hello.digits.depth;
-    byId("scale").textContent = session.scale !== null ? scaleWords(session) : hello.scene.kind === "guidance" ? "forces and motion are the device's own" : "a force law of its own: no scale is known";
-    this.lamps = [...hello.lamps, { id: "stale", word: "Stale", meaning: "nothing new has come" }, { id: "fault", word: "Fault", meaning: "the device is off" }, { id: "recording", word: "Recording stopped", meaning: "the session goes on unrecorded" }].map((lamp) => {
-      const item = document.createElement("li");
-      item.id = `lamp-${lamp.id}`;
-      item.textContent = lamp.word;
-      item.title = lamp.meaning;
+    document.title = `${hello.words.title} - tissueid`;
+    for (const [id, words] of Object.entries(hello.words)) byId(id).textContent = words;
+    this.lamps = hello.lamps.map((lamp) => {
+      const shown = { id: `lamp-${lamp.id}`, textContent: lamp.word, title: lamp.meaning };
+      const item = Object.assign(document.createElement("li"), shown);
       return { ...lamp, item, litMs: -Infinity };
     });
     byId("lamps").replaceChildren(...this.lamps.map((lamp) => lamp.item));
@@ -73,9 +58,9 @@ export class Panel {
     if (state.link !== "live") return byId("link-word").textContent;
     const parts = [
       this.hello.states[state.state],
-      state.depth_mm > 0 ? `${number(state.depth_mm, 1)} ${this.hello.digits.depth}` : "not touching",
+      state.depth_mm > 0 ? `${number(state.depth_mm, 1)} ${this.hello.words["depth-words"]}` : "not touching",
       `${number(state.device_N, 1)} N at the device`,
-      this.hello.session.blind ? "" : `${number(state.tissue_N, 0)} ${this.hello.digits.tissue}`,
+      this.hello.session.blind ? "" : `${number(state.tissue_N, 0)} ${this.hello.words["tissue-words"]}`,
       ...(this.lit ?? []),
       state.fault ? this.hello.faults[state.fault] : "",
       state.paused ? "picture paused" : "",
@@ -84,18 +69,6 @@ export class Panel {
     ];
     return parts.filter(Boolean).join(", ");
   }
-}
-
-function scaleWords({ scale, device }) {
-  const clipped = scale.clipped_share_expected ?? 0;
-  const stiffness = scale.device_stiffness_N_per_m;
-  return [
-    `felt force = tissue force × ${short(scale.force_scale)}`,
-    `motion × ${short(scale.motion_scale)}`,
-    stiffness === undefined ? "" : `device stiffness up to ${short(stiffness)} N/m`,
-    `clamp ${short(device.clamp_N)} N`,
-    `${short(100 * clipped)} % of the depth clipped`,
-  ].filter(Boolean).join(" · ");
 }
 
 function ageWords(ageS) {

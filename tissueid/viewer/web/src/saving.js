@@ -3,24 +3,23 @@
 const stamp = () => new Date().toISOString().slice(0, 19).replaceAll(":", "-");
 
 function download(name, blob) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  const href = URL.createObjectURL(blob);
+  Object.assign(document.createElement("a"), { href, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(href), 10_000);
 }
 
 /** Samples of a history as lines of CSV behind remarks. */
 export function asCsv(hello, history, end, marks) {
   const { session } = hello;
+  const names = history.columns.map(([name]) => name);
   const oneLine = (text) => text.replaceAll(/[\r\n]+/g, " ");
   const lines = [
     `# ${oneLine(session.title)}, device ${session.device.name}, started ${session.started}`,
     ...(session.scale ? [`# force scale ${session.scale.force_scale}, motion scale ${session.scale.motion_scale}`] : []),
     ...marks.map((mark) => `# mark at ${mark.time_s.toFixed(3)} s: ${oneLine(mark.text)}`),
-    history.columns.map((column) => column.name).join(","),
+    names.join(","),
   ];
-  for (let n = history.begin; n < end; n += 1) lines.push(history.columns.map((column) => history.value(column.name, n)).join(","));
+  for (let n = history.begin; n < end; n += 1) lines.push(names.map((name) => history.value(name, n)).join(","));
   return `${lines.join("\n")}\n`;
 }
 

@@ -7,6 +7,8 @@ import {
   PlaneGeometry, Quaternion, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { CSS2DObject, CSS2DRenderer } from "three/addons/renderers/CSS2DRenderer.js";
+import { ImprovedNoise } from "three/addons/math/ImprovedNoise.js";
 import { guidedBuilders } from "./guided.js";
 import { behind, flat, lined, shaded, wet } from "./materials.js";
 import { colour } from "./theme.js";
@@ -25,12 +27,14 @@ const PATCH_MM = 120;
 const SLAB_MM = 42;
 const SEGMENTS = 60;
 const BOX_ROWS = 12;
+// the first vertex of a box's lid, which comes behind two of its walls
+const LID = 2 * (SEGMENTS + 1) * (BOX_ROWS + 1);
 const SPHERE_ROWS = 64;
 const SPHERE_COLUMNS = 96;
 // what a cone is drawn as deep as, in its drawn radii
 const CONE_HEIGHT = 2.6;
 // tissue is mottled by so much of its colour
-const MOTTLE = 0.13;
+const MOTTLE = 0.16;
 // a dent of this depth is drawn in the colour of what is pressed [mm]
 const PRESSED_MM = 14;
 // share of the frame that is left free around the block
@@ -55,17 +59,27 @@ const REHEARSAL = [
 const RAISED_MM = 6;
 const LOWERED_MM = 5;
 
+const flatPatch = () => new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
+/** Tissues about the origin, and the lattice that lines are drawn along: rows, columns and first vertex. */
+const FORMS = {
+  sphere: ([x]) => [new SphereGeometry(x, SPHERE_COLUMNS, SPHERE_ROWS), SPHERE_ROWS, SPHERE_COLUMNS, 0],
+  box: ([x, y, z]) => [new BoxGeometry(2 * x, 2 * z, 2 * y, SEGMENTS, BOX_ROWS, SEGMENTS), SEGMENTS, SEGMENTS, LID],
+  plane: (_size, turn) => [flatPatch().applyQuaternion(turn), SEGMENTS, SEGMENTS, 0],
+};
+
 /** From the device's frame [m] to the world [mm]. */
 export const toWorld = ([x, y, z]) => new Vector3(x * MM, z * MM, -y * MM);
 /** The inverse. */
 export const toDevice = (point) => [point.x / MM, -point.z / MM, point.y / MM];
 
 export class TissueScene {
-  constructor(canvas) {
+  /** words: where those of the arrow and of the point that the hand asks for are put, over the canvas. */
+  constructor(canvas, words) {
     this.canvas = canvas;
     const software = isSoftware();
     this.tissueMaterial = software ? shaded : wet;
     this.renderer = new WebGLRenderer({ canvas, antialias: !software });
+    this.words = new CSS2DRenderer({ element: words });
     // asking for a shader's errors waits for it, and for those before it
     this.renderer.debug.checkShaderErrors = false;
     this.scene = new Scene();
@@ -106,36 +120,31 @@ export class TissueScene {
   /** Nothing to be seen. */
   clear() {
     this.content.clear();
-    this.surface = this.tool = null;
-    this.dentAt = null;
+    this.surface = this.tool = this.dentAt = null;
     this.up = new Vector3(0, 1, 0);
     this.centre = new Vector3();
-    this.coloured = [];
   }
 
   /** Build what a hello lists; kinds this page does not know are left out. */
   show(hello) {
     this.clear();
-    const builders = { workspace: (o) => this.buildWorkspace(o), tool: (o) => this.buildTool(o), surface: (o) => this.buildSurface(o) };
-    for (const [kind, build] of Object.entries(guidedBuilders(toWorld))) {
-      builders[kind] = (object) => {
-        const { group, recolour } = build(object);
-        this.content.add(group);
-        this.coloured.push(recolour);
-      };
+    const builders = {
+      workspace: (object) => this.workspace(object), tool: (object) => this.buildTool(object),
+      surface: (object) => this.buildSurface(object), ...guidedBuilders(toWorld),
+    };
+    for (const object of hello.scene.objects) {
+      const made = builders[object.kind]?.(object);
+      if (made) this.content.add(made);
     }
-    for (const object of hello.scene.objects) builders[object.kind]?.(object);
     this.recolour();
     this.look(this.view);
     this.resize();
   }
 
-  buildWorkspace({ ranges_m: ranges }) {
-    const box = new Box3().setFromPoints([toWorld(ranges.map((one) => one[0])), toWorld(ranges.map((one) => one[1]))]);
-    this.workspace = new Box3Helper(box);
-    this.workspace.material = lined({ opacity: 0.45 });
-    this.content.add(this.workspace);
+  workspace({ ranges_m: ranges }) {
+    const box = new Box3().setFromPoints([0, 1].map((end) => toWorld(ranges.map((one) => one[end]))));
     box.getCenter(this.centre);
+    return Object.assign(new Box3Helper(box), { material: lined("faint", { opacity: 0.45 }) });
   }
 
   buildTool({ radius_m: radius, shape, half_angle_deg: halfAngle, axis }) {
@@ -144,51 +153,48 @@ export class TissueScene {
     this.tipRadius = wire ? 0 : radius * MM;
     this.drawnRadius = wire ? WIRE_MM : Math.max(this.tipRadius, SMALLEST_TIP_MM);
     this.tool = new Group();
-    this.toolMaterial = shaded();
+    const material = shaded("tool");
     this.tip = { shape, slope: shape === "cone" ? Math.tan((halfAngle * Math.PI) / 180) : 0 };
     const form = tipGeometry(shape, this.drawnRadius, this.tip.slope);
-    const tip = new Mesh(form, this.toolMaterial);
+    const tip = new Mesh(form, material);
     // the part that is in the tissue is seen through it
-    this.hidden = new Mesh(form, behind());
+    const hidden = new Mesh(form, behind("tool"));
     const thickness = wire ? this.drawnRadius : this.drawnRadius * 0.45;
     const length = wire ? WIRE_LENGTH_MM : SHAFT_MM;
-    const shaft = new Mesh(new CylinderGeometry(thickness, thickness, length, 24), this.toolMaterial);
+    const shaft = new Mesh(new CylinderGeometry(thickness, thickness, length, 24), material);
     shaft.position.y = length / 2;
     for (const part of [tip, shaft]) part.renderOrder = 2;
-    this.hidden.renderOrder = 3;
-    this.tool.add(tip, shaft, this.hidden);
+    hidden.renderOrder = 3;
+    this.tool.add(tip, shaft, hidden);
     this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1);
     // the arrow is seen through the tool: it starts inside it
-    this.arrow.line.material = lined({ linewidth: 3, depthTest: false });
-    this.arrow.cone.material = flat({ depthTest: false });
+    this.arrow.line.material = lined("device", { linewidth: 3, depthTest: false });
+    this.arrow.cone.material = flat("device", { depthTest: false });
     this.arrow.line.renderOrder = this.arrow.cone.renderOrder = 5;
     this.arrow.visible = false;
     const ring = wire ? SMALLEST_TIP_MM * 0.6 : this.drawnRadius * 1.1;
-    this.contact = new Mesh(new RingGeometry(ring, ring * 1.18, 40), flat({ depthTest: false }));
+    this.contact = new Mesh(new RingGeometry(ring, ring * 1.18, 40), flat("device", { depthTest: false }));
     this.contact.renderOrder = 4;
-    this.target = new Mesh(new SphereGeometry(2.2, 16, 12), flat({ depthTest: false, opacity: 0.85 }));
-    this.spring = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(6), 3)), lined({ depthTest: false }));
+    this.target = new Mesh(new SphereGeometry(2.2, 16, 12), flat("hand", { depthTest: false, opacity: 0.85 }));
+    this.spring = segments("hand", new Array(6).fill(0));
     this.spring.frustumCulled = false;
-    for (const part of [this.target, this.spring]) { part.visible = false; part.renderOrder = 6; }
     const cross = [-1, 0, -1, 1, 0, 1, -1, 0, 1, 1, 0, -1].map((value) => value * this.drawnRadius * 1.6);
-    this.rupture = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(cross), 3)), lined({ depthTest: false }));
+    this.rupture = segments("alarm", cross);
+    this.target.renderOrder = this.spring.renderOrder = 6;
     this.rupture.renderOrder = 7;
-    this.rupture.visible = false;
-    this.content.add(this.tool, this.arrow, this.contact, this.target, this.spring, this.rupture);
+    for (const part of [this.target, this.spring, this.rupture]) part.visible = false;
+    this.forceTag = tag("force");
+    this.target.add(tag("hand", "your hand"));
+    this.content.add(this.forceTag, this.tool, this.arrow, this.contact, this.target, this.spring, this.rupture);
   }
 
   buildSurface(object) {
     const size = object.size_m.map((value) => value * MM);
     const point = toWorld(object.point_m);
     this.up = toWorld(object.normal).normalize();
-    let geometry;
-    if (object.shape === "sphere") geometry = new SphereGeometry(size[0], SPHERE_COLUMNS, SPHERE_ROWS).translate(...point);
-    else if (object.shape === "box") geometry = new BoxGeometry(2 * size[0], 2 * size[2], 2 * size[1], SEGMENTS, BOX_ROWS, SEGMENTS).translate(...point);
-    else {
-      geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
-      geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
-    }
-    const tissue = this.tissueMaterial({ vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+    const [geometry, ...lattice] = FORMS[object.shape](size, this.upright());
+    geometry.translate(...point);
+    const tissue = this.tissueMaterial(null, { vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
     // the far wall of a closed tissue would be drawn over the near one
     if (object.shape !== "plane") tissue.side = FrontSide;
     const mesh = new Mesh(geometry, tissue);
@@ -196,17 +202,12 @@ export class TissueScene {
     mesh.frustumCulled = false;
     this.content.add(mesh);
     this.surface = { object, point, mesh, rest: geometry.attributes.position.array.slice(), mottle: mottle(geometry.attributes.position.array), deformed: -1, reach: object.shape === "plane" ? PATCH_MM / 2 : 2 * Math.min(...size.filter((one) => one > 0)) };
-    if (object.shape === "sphere") this.addLines(geometry, SPHERE_ROWS, SPHERE_COLUMNS);
-    // the lid of a box comes behind two of its walls
-    else if (object.shape === "box") this.addLines(geometry, SEGMENTS, SEGMENTS, 2 * (SEGMENTS + 1) * (BOX_ROWS + 1));
-    else {
-      this.addLines(geometry, SEGMENTS, SEGMENTS);
-      this.addSlab(point);
-    }
+    this.addLines(geometry, ...lattice);
+    if (object.shape === "plane") this.addSlab(point);
   }
 
   /** Lines on a tissue, along the lattice of its vertices: they bend with it. */
-  addLines(geometry, rows, columns, first = 0) {
+  addLines(geometry, rows, columns, first) {
     const index = [];
     const at = (i, j) => first + i * (columns + 1) + j;
     for (let i = 0; i <= rows; i += 1) {
@@ -218,8 +219,7 @@ export class TissueScene {
     const lines = new BufferGeometry();
     lines.setAttribute("position", geometry.attributes.position);
     lines.setIndex(index);
-    this.lineMaterial = lined({ opacity: 0.2 });
-    const grid = new LineSegments(lines, this.lineMaterial);
+    const grid = new LineSegments(lines, lined("mesh", { opacity: 0.2 }));
     grid.renderOrder = 1;
     grid.frustumCulled = false;
     this.content.add(grid);
@@ -227,37 +227,32 @@ export class TissueScene {
 
   /** The block that a flat tissue belongs to. */
   addSlab(point) {
-    this.slabMaterial = shaded({ opacity: 0.55, depthWrite: false });
+    const material = shaded("slab", { opacity: 0.55, depthWrite: false });
     const walls = new Group();
     for (const [x, z, turn] of [[0, 1, 0], [0, -1, 0], [1, 0, Math.PI / 2], [-1, 0, Math.PI / 2]]) {
-      const wall = new Mesh(new PlaneGeometry(PATCH_MM, SLAB_MM), this.slabMaterial);
+      const wall = new Mesh(new PlaneGeometry(PATCH_MM, SLAB_MM), material);
       wall.position.set((x * PATCH_MM) / 2, -SLAB_MM / 2, (z * PATCH_MM) / 2);
       wall.rotation.y = turn;
       walls.add(wall);
     }
-    walls.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), this.up);
+    walls.quaternion.copy(this.upright());
     walls.position.copy(point);
     this.content.add(walls);
+  }
+
+  /** Turn from the world's y to the direction out of the tissue. */
+  upright() {
+    return new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), this.up);
   }
 
   recolour() {
     this.scene.background = new Color(colour("scene"));
     this.tissueColour = new Color(colour("tissue"));
     this.pressedColour = new Color(colour("pressed"));
-    this.toolMaterial?.color.set(colour("tool"));
-    this.hidden?.material.color.set(colour("tool"));
-    this.lineMaterial?.color.set(colour("mesh"));
-    this.slabMaterial?.color.set(colour("slab"));
-    this.workspace?.material.color.set(colour("faint"));
-    if (this.arrow) {
-      this.arrow.setColor(colour("device"));
-      this.contact.material.color.set(colour("device"));
-      this.target.material.color.set(colour("hand"));
-      this.spring.material.color.set(colour("hand"));
-      this.rupture.material.color.set(colour("alarm"));
-    }
+    this.content.traverse(({ material }) => {
+      if (material?.userData.ink) material.color.set(colour(material.userData.ink));
+    });
     if (this.surface) this.surface.deformed = -1;
-    this.coloured?.forEach((recolour) => recolour());
     this.changed = true;
   }
 
@@ -282,7 +277,7 @@ export class TissueScene {
     const [right, up, back] = [new Vector3(), new Vector3(), new Vector3()];
     this.camera.matrixWorld.extractBasis(right, up, back);
     const high = Math.tan((this.camera.fov * Math.PI) / 360) * (1 - MARGIN);
-    const turn = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), this.up);
+    const turn = this.upright();
     let distance = this.camera.position.distanceTo(target);
     for (const x of [-0.5, 0.5]) for (const z of [-0.5, 0.5]) for (const y of [0, -SLAB_MM]) {
       const corner = new Vector3(x * PATCH_MM, y, z * PATCH_MM).applyQuaternion(turn).add(this.surface.point).sub(target);
@@ -300,6 +295,7 @@ export class TissueScene {
     this.camera.updateProjectionMatrix();
     this.renderer.setPixelRatio(this.ratio);
     this.renderer.setSize(width, height, false);
+    this.words.setSize(width, height);
     if (Math.abs(before - this.camera.aspect) > 0.01) this.look(this.view);
     this.changed = true;
   }
@@ -308,19 +304,6 @@ export class TissueScene {
   mmPerPixel() {
     const distance = this.camera.position.distanceTo(this.controls.target);
     return (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
-  }
-
-  /** A point of the world in pixels of the canvas; null where it is behind the camera. */
-  pixel(point) {
-    const seen = point.clone().project(this.camera);
-    if (seen.z > 1) return null;
-    return { x: (0.5 + seen.x / 2) * this.canvas.clientWidth, y: (0.5 - seen.y / 2) * this.canvas.clientHeight };
-  }
-
-  /** Pixels of the head of the force's arrow and of the point the hand asks for; null where none is drawn. */
-  labelled() {
-    const head = this.tool && this.arrow.visible ? this.pixel(this.arrowHead) : null;
-    return { force: head, hand: this.tool && this.target.visible ? this.pixel(this.target.position) : null };
   }
 
   /** Place everything as a sample says. state: { position_m, force_N, depth_mm, surface_mm, ruptured, target_m } */
@@ -338,8 +321,10 @@ export class TissueScene {
       this.arrow.position.copy(this.tool.position);
       this.arrow.setDirection(force.normalize());
       this.arrow.setLength(length + this.drawnRadius, 6, 5);
-      this.arrowHead = this.arrow.position.clone().addScaledVector(force, length + this.drawnRadius);
+      this.forceTag.position.copy(this.arrow.position).addScaledVector(force, length + this.drawnRadius);
+      this.forceTag.element.textContent = `${newtons.toFixed(2)} N on the hand`;
     }
+    this.forceTag.visible = this.arrow.visible;
     const tip = grip.clone().addScaledVector(out, -this.tipRadius);
     const scale = this.surface ? this.surface.object.motion_scale : 1;
     const depth = Math.max(state.depth_mm, 0) * scale;
@@ -355,17 +340,14 @@ export class TissueScene {
       if (!left || this.dentAt === null) this.dentAt = this.contact.position.clone();
       this.deform(this.dentAt, out, Math.max(dent, depth));
     }
-    this.placeTarget(state.target_m, grip);
+    this.target.visible = this.spring.visible = state.target_m !== null;
+    if (this.target.visible) {
+      this.target.position.copy(toWorld(state.target_m));
+      const ends = this.spring.geometry.attributes.position;
+      ends.array.set([...grip, ...this.target.position]);
+      ends.needsUpdate = true;
+    }
     this.changed = true;
-  }
-
-  placeTarget(target, grip) {
-    this.target.visible = this.spring.visible = target !== null;
-    if (target === null) return;
-    const end = toWorld(target);
-    this.target.position.copy(end);
-    this.spring.geometry.attributes.position.array.set([grip.x, grip.y, grip.z, end.x, end.y, end.z]);
-    this.spring.geometry.attributes.position.needsUpdate = true;
   }
 
   /** Direction out of the tissue at the tool. */
@@ -386,17 +368,13 @@ export class TissueScene {
     const positions = mesh.geometry.attributes.position;
     const colours = mesh.geometry.attributes.color;
     const { array } = positions;
-    const tint = new Color();
+    const tint = new Color(), vertex = new Vector3();
     for (let i = 0; i < array.length; i += 3) {
-      const r = Math.hypot(rest[i] - at.x, rest[i + 1] - at.y, rest[i + 2] - at.z);
+      const r = vertex.fromArray(rest, i).distanceTo(at);
       const down = depth === 0 ? 0 : press(r) * Math.max(0, 1 - (r / reach) ** 2);
-      array[i] = rest[i] - down * out.x;
-      array[i + 1] = rest[i + 1] - down * out.y;
-      array[i + 2] = rest[i + 2] - down * out.z;
+      vertex.addScaledVector(out, -down).toArray(array, i);
       tint.copy(this.tissueColour).multiplyScalar(this.surface.mottle[i / 3]).lerp(this.pressedColour, Math.min(0.85, down / PRESSED_MM));
-      colours.array[i] = tint.r;
-      colours.array[i + 1] = tint.g;
-      colours.array[i + 2] = tint.b;
+      tint.toArray(colours.array, i);
     }
     positions.needsUpdate = colours.needsUpdate = true;
     mesh.geometry.computeVertexNormals();
@@ -407,6 +385,7 @@ export class TissueScene {
     if (!this.changed) return false;
     this.changed = false;
     this.renderer.render(this.scene, this.camera);
+    this.words.render(this.scene, this.camera);
     // a long rest between two pictures says nothing about how long they take
     const interval = Math.min(nowMs - this.drawnMs, 4 * SLOW_MS);
     this.drawnMs = nowMs;
@@ -433,6 +412,20 @@ function isSoftware() {
   const name = facts ? probe.getParameter(facts.UNMASKED_RENDERER_WEBGL) : "";
   probe?.getExtension("WEBGL_lose_context")?.loseContext();
   return SOFTWARE.test(name);
+}
+
+/** Straight lines between pairs of points, seen through everything. */
+function segments(ink, places) {
+  const points = new BufferAttribute(new Float32Array(places), 3);
+  return new LineSegments(new BufferGeometry().setAttribute("position", points), lined(ink, { depthTest: false }));
+}
+
+/** Words beside a point of the scene. */
+function tag(name, textContent = "") {
+  const element = Object.assign(document.createElement("p"), { id: `tag-${name}`, className: "tag", textContent });
+  const made = new CSS2DObject(element);
+  made.center.set(0, 0.5);
+  return made;
 }
 
 /** A tip that ends a drawn radius below the origin. */
@@ -463,21 +456,9 @@ function dentUnder({ shape, slope }, radius, depth) {
 
 /** Brightness of each vertex: smooth noise of two lengths, the same each time. */
 function mottle(positions) {
-  const cell = (i, j, k) => {
-    const value = Math.sin(i * 127.1 + j * 311.7 + k * 74.7) * 43758.5453;
-    return value - Math.floor(value);
-  };
-  const smooth = (x, y, z) => {
-    const [i, j, k] = [Math.floor(x), Math.floor(y), Math.floor(z)];
-    const [u, v, w] = [x - i, y - j, z - k].map((one) => one * one * (3 - 2 * one));
-    let sum = 0;
-    for (const a of [0, 1]) for (const b of [0, 1]) for (const c of [0, 1]) sum += cell(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
-    return sum - 0.5;
-  };
-  const bright = new Float32Array(positions.length / 3);
-  for (let n = 0; n < bright.length; n += 1) {
-    const [x, y, z] = positions.slice(3 * n, 3 * n + 3);
-    bright[n] = 1 + MOTTLE * (1.4 * smooth(x / 17, y / 17, z / 17) + smooth(x / 5, y / 5, z / 5));
-  }
-  return bright;
+  const noise = new ImprovedNoise();
+  return Float32Array.from({ length: positions.length / 3 }, (_, n) => {
+    const [x, y, z] = positions.subarray(3 * n, 3 * n + 3);
+    return 1 + MOTTLE * (1.4 * noise.noise(x / 17, y / 17, z / 17) + noise.noise(x / 5, y / 5, z / 5));
+  });
 }

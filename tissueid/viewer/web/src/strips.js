@@ -31,6 +31,24 @@ function axis(extra) {
   return { stroke: colour("text"), grid: { stroke: colour("grid"), width: 1 }, ticks: { show: false }, font, size: 44, gap: 3, ...extra };
 }
 
+/** A plot in the place of the one before. */
+function plotted(strip, options, data) {
+  strip.plot?.destroy();
+  const { parent } = strip;
+  const plain = { width: parent.clientWidth, legend: { show: false }, cursor: { show: false }, padding: [6, 10, 0, 0] };
+  return new uPlot({ ...plain, ...options }, data, parent);
+}
+
+/** A line between points of a plot, in a colour of the style sheet. */
+function stroked({ ctx }, points, ink, width, dash = []) {
+  ctx.strokeStyle = colour(ink);
+  ctx.lineWidth = width * devicePixelRatio;
+  ctx.setLineDash(dash.map((one) => one * devicePixelRatio));
+  ctx.beginPath();
+  points.forEach(([x, y]) => ctx.lineTo(x, y));
+  ctx.stroke();
+}
+
 /** Least and most of a force strip's left axis, with what is drawn on the right axis brought to its scale. */
 function shared(plot, traces, ratio) {
   const all = traces.flatMap((trace, i) => plot.data[i + 1].filter(Number.isFinite).map((one) => (trace.axis === "right" ? one / ratio : one)));
@@ -39,49 +57,37 @@ function shared(plot, traces, ratio) {
 
 class TimeStrip {
   constructor(strip, parent, ratio) {
-    this.strip = strip;
-    this.ratio = ratio;
-    this.parent = parent;
-    this.drawnMs = -Infinity;
+    Object.assign(this, { strip, parent, ratio });
   }
 
   build(marks) {
-    this.plot?.destroy();
     const { strip } = this;
     const right = strip.traces.some((trace) => trace.axis === "right");
-    this.plot = new uPlot(
-      {
-        width: this.parent.clientWidth,
-        height: HEIGHT,
-        legend: { show: false },
-        cursor: { show: false },
-        padding: [6, right ? 0 : 10, 0, 0],
-        scales: {
-          x: { time: false, range: () => [-WINDOW_S, 0] },
-          // both forces coincide unless the device's was cut or ramped, and both stay in the plot
-          y: { range: right && this.ratio ? (plot) => shared(plot, strip.traces, this.ratio) : range(LEAST[strip.id] ?? 1) },
-          right: { range: (plot, low, high) => (this.ratio ? shared(plot, strip.traces, this.ratio).map((one) => one * this.ratio) : stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, 1))) },
-        },
-        series: [{}, ...strip.traces.map((trace, i) => ({
-          label: trace.label, scale: trace.axis === "right" ? "right" : "y", stroke: colour(hueOf(strip, i)),
-          width: i ? 1.2 : 1.8, dash: i ? [5, 3] : undefined, points: { show: false },
-        }))],
-        axes: [axis({ size: 22, gap: 7, values: (_p, at) => at.map((one) => `${one} s`) }), axis({ scale: "y" }), ...(right ? [axis({ scale: "right", side: 1, grid: { show: false } })] : [])],
-        hooks: { draw: [(plot) => drawMarks(plot, marks, this.newestS)] },
+    this.plot = plotted(this, {
+      height: HEIGHT,
+      padding: [6, right ? 0 : 10, 0, 0],
+      scales: {
+        x: { time: false, range: () => [-WINDOW_S, 0] },
+        // both forces coincide unless the device's was cut or ramped, and both stay in the plot
+        y: { range: right && this.ratio ? (plot) => shared(plot, strip.traces, this.ratio) : range(LEAST[strip.id] ?? 1) },
+        right: { range: (plot, low, high) => (this.ratio ? shared(plot, strip.traces, this.ratio).map((one) => one * this.ratio) : stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, 1))) },
       },
-      [[], ...strip.traces.map(() => [])],
-      this.parent,
-    );
+      series: [{}, ...strip.traces.map((trace, i) => ({
+        label: trace.label, scale: trace.axis === "right" ? "right" : "y", stroke: colour(hueOf(strip, i)),
+        width: i ? 1.2 : 1.8, dash: i ? [5, 3] : undefined, points: { show: false },
+      }))],
+      axes: [axis({ size: 22, gap: 7, values: (_p, at) => at.map((one) => `${one} s`) }), axis({ scale: "y" }), ...(right ? [axis({ scale: "right", side: 1, grid: { show: false } })] : [])],
+      hooks: { draw: [(plot) => drawMarks(plot, marks, this.newestS)] },
+    }, [[], ...strip.traces.map(() => [])]);
   }
 
   update(history, end) {
     const reads = this.strip.traces.map((trace) => history.trace(trace));
     this.newestS = history.value("time_s", end - 1);
     const begin = history.since(this.newestS - WINDOW_S);
-    const picked = history.picked(reads[0], begin, end, GROUPS);
-    this.numbers = picked;
-    this.times = picked.map((n) => history.value("time_s", n));
-    this.plot.setData([this.times.map((time) => time - this.newestS), ...reads.map((read) => picked.map(read))]);
+    this.numbers = history.picked(reads[0], begin, end, GROUPS);
+    const ages = this.numbers.map((n) => history.value("time_s", n) - this.newestS);
+    this.plot.setData([ages, ...reads.map((read) => this.numbers.map(read))]);
   }
 
   /** What is drawn: times and values, read back from the plot itself. */
@@ -94,17 +100,13 @@ class TimeStrip {
 function drawMarks(plot, marks, newestS) {
   const { ctx, bbox } = plot;
   ctx.save();
-  ctx.strokeStyle = colour("hand");
   ctx.fillStyle = colour("text");
   ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
   for (const mark of marks) {
     const at = mark.time_s - newestS;
     if (!(at >= -WINDOW_S && at <= 0)) continue;
     const x = plot.valToPos(at, "x", true);
-    ctx.beginPath();
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
-    ctx.stroke();
+    stroked(plot, [[x, bbox.top], [x, bbox.top + bbox.height]], "hand", 1);
     ctx.fillText(mark.text.slice(0, 18), x + 3, bbox.top + 11 * devicePixelRatio);
   }
   ctx.restore();
@@ -112,72 +114,48 @@ function drawMarks(plot, marks, newestS) {
 
 class LoopStrip {
   constructor(strip, parent, band) {
-    this.strip = strip;
-    this.parent = parent;
-    this.curves = band?.curves ?? [];
-    this.drawnMs = -Infinity;
+    Object.assign(this, { strip, parent, curves: band?.curves ?? [] });
   }
 
   build() {
-    this.plot?.destroy();
     const furthest = Math.max(0, ...this.curves.flatMap((curve) => curve.depth_mm));
     const most = Math.max(0, ...this.curves.flatMap((curve) => curve.high_N ?? curve.force_N));
-    this.plot = new uPlot(
-      {
-        mode: 2,
-        width: this.parent.clientWidth,
-        height: LOOP_HEIGHT,
-        legend: { show: false },
-        cursor: { show: false },
-        padding: [6, 10, 0, 0],
-        scales: {
-          x: { time: false, auto: true, range: (_p, low, high) => stepped(0, Math.max(high ?? 0, furthest, 1)) },
-          y: { auto: true, range: (_p, low, high) => stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, most, 1)) },
-        },
-        series: [{}, { facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], stroke: colour("tissue-line"), paths: () => null }],
-        axes: [axis({ size: 22, gap: 7, values: (_p, at) => at.map((one) => `${one} mm`) }), axis({})],
-        hooks: { draw: [(plot) => this.draw(plot)] },
+    this.plot = plotted(this, {
+      mode: 2,
+      height: LOOP_HEIGHT,
+      scales: {
+        x: { time: false, auto: true, range: (_p, low, high) => stepped(0, Math.max(high ?? 0, furthest, 1)) },
+        y: { auto: true, range: (_p, low, high) => stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, most, 1)) },
       },
-      [null, [[], []]],
-      this.parent,
-    );
+      series: [{}, { facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], stroke: colour("tissue-line"), paths: () => null }],
+      axes: [axis({ size: 22, gap: 7, values: (_p, at) => at.map((one) => `${one} mm`) }), axis({})],
+      hooks: { draw: [(plot) => this.draw(plot)] },
+    }, [null, [[], []]]);
   }
 
   draw(plot) {
     const { ctx, bbox } = plot;
-    const x = (value) => plot.valToPos(value, "x", true);
-    const y = (value) => plot.valToPos(value, "y", true);
-    const line = (xs, ys, back) => xs.forEach((one, i) => { const j = back ? xs.length - 1 - i : i; ctx.lineTo(x(xs[j]), y(ys[j])); });
+    const points = (xs, ys) => xs.map((x, i) => [plot.valToPos(x, "x", true), plot.valToPos(ys[i], "y", true)]);
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
     this.curves.forEach((curve, i) => {
       if (curve.low_N) {
+        const band = [...points(curve.depth_mm, curve.high_N), ...points(curve.depth_mm, curve.low_N).reverse()];
         ctx.fillStyle = colour("band");
         ctx.beginPath();
-        line(curve.depth_mm, curve.high_N, false);
-        line(curve.depth_mm, curve.low_N, true);
+        band.forEach(([x, y]) => ctx.lineTo(x, y));
         ctx.fill();
       }
-      ctx.strokeStyle = colour("curve");
-      ctx.setLineDash(i ? [] : [3 * devicePixelRatio, 3 * devicePixelRatio]);
-      ctx.lineWidth = 1.2 * devicePixelRatio;
-      ctx.beginPath();
-      line(curve.depth_mm, curve.force_N, false);
-      ctx.stroke();
+      stroked(plot, points(curve.depth_mm, curve.force_N), "curve", 1.2, i ? [] : [3, 3]);
     });
-    ctx.setLineDash([]);
-    const [xs, ys] = plot.data[1];
-    ctx.strokeStyle = colour("tissue-line");
-    ctx.lineWidth = 1.8 * devicePixelRatio;
-    ctx.beginPath();
-    line(xs, ys, false);
-    ctx.stroke();
-    if (xs.length) {
+    const loop = points(...plot.data[1]);
+    stroked(plot, loop, "tissue-line", 1.8);
+    if (loop.length) {
       ctx.fillStyle = colour("tissue-line");
       ctx.beginPath();
-      ctx.arc(x(xs.at(-1)), y(ys.at(-1)), 3.5 * devicePixelRatio, 0, 7);
+      ctx.arc(...loop.at(-1), 3.5 * devicePixelRatio, 0, 7);
       ctx.fill();
     }
     ctx.restore();
@@ -215,15 +193,15 @@ export class Strips {
       figure.id = `strip-${strip.id}`;
       const caption = document.createElement("figcaption");
       caption.append(`${strip.title} [${strip.unit}]`);
+      const key = (className, textContent) => {
+        caption.append(Object.assign(document.createElement("span"), { className: `key ${className}`, textContent }));
+      };
       strip.traces.forEach((trace, i) => {
-        if (strip.traces.length < 2) return;
-        const key = document.createElement("span");
-        key.className = `key ${hueOf(strip, i)}`;
-        key.textContent = trace.axis === "right" ? `${trace.label} (right)` : trace.label;
-        caption.append(key);
+        const where = trace.axis === "right" ? " (right)" : "";
+        if (strip.traces.length > 1) key(hueOf(strip, i), `${trace.label}${where}`);
       });
       const over = strip.traces.some((trace) => trace.over);
-      if (over && hello.band) caption.append(keyOfBand(hello.band));
+      if (over && hello.band) key("curve", hello.band.words);
       const place = document.createElement("div");
       figure.append(caption, place);
       this.parent.append(figure);
@@ -256,12 +234,4 @@ export class Strips {
   read() {
     return Object.fromEntries(this.strips.filter((strip) => strip.numbers).map((strip) => [strip.strip.id, strip.read()]));
   }
-}
-
-function keyOfBand(band) {
-  const key = document.createElement("span");
-  key.className = "key curve";
-  const speeds = band.curves.map((curve, i) => `${Number(curve.speed_mm_s.toPrecision(3))} mm/s${i ? "" : band.curves.length > 1 ? " (dashed)" : ""}`).join(", ");
-  key.textContent = band.draws ? `fitted at ${speeds}, 95 % band of ${band.draws} draws` : `fitted at ${speeds}; no draws, no band`;
-  return key;
 }

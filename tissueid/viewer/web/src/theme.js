@@ -1,19 +1,20 @@
-// Light or dark: as the system says, until somebody chooses.
+// Light or dark: as the system says, until somebody chooses; and what parts of the page are found by.
 
 const KEY = "tissueid-theme";
 const asked = window.matchMedia("(prefers-color-scheme: dark)");
 
-function stored() {
+/** What is done with what a browser keeps; null where it keeps nothing. */
+function kept(doing) {
   try {
-    return localStorage.getItem(KEY);
+    return doing(localStorage);
   } catch {
-    return null; // a browser that keeps nothing
+    return null;
   }
 }
 
-let chosen = stored();
+let chosen = kept((store) => store.getItem(KEY));
 
-export function isDark() {
+function isDark() {
   return chosen === null ? asked.matches : chosen === "dark";
 }
 
@@ -26,14 +27,13 @@ export function startTheme(changed) {
   apply();
   return () => {
     chosen = isDark() ? "light" : "dark";
-    try {
-      localStorage.setItem(KEY, chosen);
-    } catch {
-      // chosen for this page only
-    }
+    kept((store) => store.setItem(KEY, chosen));
     apply();
   };
 }
+
+/** An element of the page. */
+export const byId = (id) => document.getElementById(id);
 
 /** A colour of the style sheet. */
 export function colour(name) {

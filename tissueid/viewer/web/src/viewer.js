@@ -7,16 +7,15 @@ import { Panel } from "./panel.js";
 import { saveData, savePicture } from "./saving.js";
 import { TissueScene } from "./scene.js";
 import { Strips } from "./strips.js";
-import { startTheme } from "./theme.js";
+import { byId, startTheme } from "./theme.js";
 
 // older than this is no picture of the present
 const STALE_S = 0.5;
 const AGES = 4096;
 
-const byId = (id) => document.getElementById(id);
 const marks = [];
 const panel = new Panel();
-const scene = new TissueScene(byId("scene"));
+const scene = new TissueScene(byId("scene"), byId("tags"));
 const strips = new Strips(byId("strips"), marks);
 const ages = [];
 let hello = null;
@@ -41,16 +40,9 @@ const connection = new Connection({
     hand.allow(message.session.pointer);
     byId("pause").setAttribute("aria-pressed", "false");
     showReplay(message.session.replay_s);
-    byId("hint").textContent = message.session.pointer
-      ? `${message.hint} · arrow keys: press, lift, slide · right button: turn · wheel: zoom`
-      : "Drag: turn · wheel: zoom";
   },
-  frame(buffer, head) {
-    history.add(buffer, head);
-  },
-  status(message) {
-    panel.recordingStopped = message.recording_stopped ?? panel.recordingStopped;
-  },
+  frame: (buffer, head) => history.add(buffer, head),
+  status: (message) => { panel.recordingStopped = message.recording_stopped ?? panel.recordingStopped; },
   state(word, sentence, why = "") {
     link = word;
     linkWhy = why;
@@ -83,7 +75,7 @@ function stateAt(n) {
     tick: history.value("tick", n),
     state: history.value("state", n),
     fault: history.value("fault", n),
-    ruptured: isRuptured(history.value("lamps", n)),
+    ruptured: hello.lamps.some((lamp) => lamp.id === "rupture" && history.value("lamps", n) & lamp.bits),
     target_m: hand.target,
     ageS,
     replay,
@@ -92,11 +84,6 @@ function stateAt(n) {
     paused: pausedAt !== null || (replay && connection.standsStill),
     stale: link !== "live" || (!connection.ended && !replay && ageS > STALE_S),
   };
-}
-
-function isRuptured(lamps) {
-  const lamp = hello.lamps.find((one) => one.id === "rupture");
-  return lamp !== undefined && (lamps & lamp.bits) !== 0;
 }
 
 function picture(nowMs) {
@@ -119,26 +106,13 @@ function picture(nowMs) {
     ages.push(connection.nowS() - history.value("time_s", n));
     if (ages.length > AGES) ages.shift();
   }
-  label(state);
   if (state.replay) followReplay(n);
-}
-
-/** Words at the arrow and at the point that the hand asks for; numbers stand in the corner, too. */
-function label(state) {
-  const places = scene.labelled();
-  const words = { force: `${state.device_N.toFixed(2)} N on the hand`, hand: "your hand" };
-  for (const [name, at] of Object.entries(places)) {
-    const tag = byId(`tag-${name}`);
-    tag.hidden = at === null;
-    if (at === null) continue;
-    if (tag.textContent !== words[name]) tag.textContent = words[name];
-    tag.style.transform = `translate(${(at.x + 12).toFixed(1)}px, ${(at.y - 9).toFixed(1)}px)`;
-  }
 }
 
 /** A picture that is not of the present is greyed, and says why. */
 function veil(state) {
-  const words = state.stale ? (link === "live" ? "stale: nothing new has come" : `${byId("link-word").textContent}: ${linkWhy}`) : state.ended ? "the session has ended" : state.paused ? "paused" : "";
+  const stale = link === "live" ? "stale: nothing new has come" : `${byId("link-word").textContent}: ${linkWhy}`;
+  const words = state.stale ? stale : state.ended ? "the session has ended" : state.paused ? "paused" : "";
   byId("veil").hidden = words === "";
   if (byId("veil").textContent !== words) byId("veil").textContent = words;
   document.body.classList.toggle("stale", state.stale);
@@ -146,14 +120,12 @@ function veil(state) {
 
 function pause() {
   if (!history) return;
-  if (hello.session.replay_s !== null) {
+  const replay = hello.session.replay_s !== null;
+  if (replay) {
     connection.standsStill = !connection.standsStill;
     connection.say({ play: { paused: connection.standsStill } });
-    byId("pause").setAttribute("aria-pressed", String(connection.standsStill));
-    return;
-  }
-  pausedAt = pausedAt === null ? history.end : null;
-  byId("pause").setAttribute("aria-pressed", String(pausedAt !== null));
+  } else pausedAt = pausedAt === null ? history.end : null;
+  byId("pause").setAttribute("aria-pressed", String(replay ? connection.standsStill : pausedAt !== null));
 }
 
 function annotate() {
@@ -194,20 +166,17 @@ const actions = {
   s: () => history && saveData(hello, history, end(), marks),
   i: () => savePicture(scene),
   t: switchTheme,
-  1: () => scene.look("oblique"),
-  2: () => scene.look("front"),
-  3: () => scene.look("side"),
-  4: () => scene.look("top"),
 };
-for (const [id, key] of [["pause", "p"], ["annotate", "a"], ["save", "s"], ["picture", "i"], ["theme", "t"]]) byId(id).addEventListener("click", actions[key]);
-for (const button of document.querySelectorAll("[data-camera]")) button.addEventListener("click", () => scene.look(button.dataset.camera));
+["oblique", "front", "side", "top"].forEach((view, k) => { actions[k + 1] = () => scene.look(view); });
+for (const button of document.querySelectorAll("[data-key]")) {
+  button.addEventListener("click", actions[button.dataset.key]);
+}
 window.addEventListener("keydown", (event) => {
   if (event.target.matches("input, dialog *") || event.ctrlKey || event.metaKey || event.altKey) return;
   const action = actions[event.key.toLowerCase()];
-  if (action) {
-    event.preventDefault();
-    action();
-  }
+  if (!action) return;
+  event.preventDefault();
+  action();
 });
 
 /** What the page holds, for whoever wants to check it: nothing here changes anything. */
