@@ -6,11 +6,14 @@ const inflated = (async () => {
   frame.hidden = true;
   document.body.append(frame);
   frame.contentDocument.open();
-  const deflated = new Blob([Uint8Array.from(atob(box.textContent), (char) => char.charCodeAt(0))]);
-  const whole = new Response(deflated.stream().pipeThrough(new DecompressionStream("deflate-raw")));
-  const script = document.createElement("script");
-  script.textContent = await whole.text();
-  document.head.append(script);
-  frame.remove();
-  box.remove();
+  try {
+    const deflated = new Blob([Uint8Array.from(atob(box.textContent), (char) => char.charCodeAt(0))]);
+    const whole = new Response(deflated.stream().pipeThrough(new DecompressionStream("deflate-raw")));
+    const script = document.createElement("script");
+    script.textContent = await whole.text();
+    document.head.append(script);
+    box.remove();
+  } finally {
+    frame.remove();
+  }
 })();
