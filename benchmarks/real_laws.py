@@ -59,8 +59,8 @@ def _levelled(logs: Sequence[Log]) -> list[Log]:
     ]
 
 
-def _fitted(rest: Sequence[Recording], name: str, model: str | None) -> Found | str:
-    return fit_of(rest, name, sampled=False, **({} if model is None else {"model": model}))
+def _fitted(rest: Sequence[Recording], name: str, model: str | None, **options: str) -> Found | str:
+    return fit_of(rest, name, sampled=False, **options, **({} if model is None else {"model": model}))
 
 
 def _of_hold(cut: str, rest: Sequence[Recording], log: Log) -> dict[str, float]:
@@ -93,7 +93,8 @@ def _of_speed(condition: str, rest: Sequence[Recording], log: Log) -> dict[str, 
     logs = [one.log for one in rest]
     found = {name: nrmsd(fit_law(law, logs).force(log), log.force_N) for name, law in five_laws(logs).items()}
     for name, model in ((AUTO, "auto"), (PLAIN, None)):
-        ours = _fitted(rest, condition, model)
+        # nothing is free of the log that is left out: of the others nothing but their contacts is
+        ours = _fitted(rest, condition, model, static="shared")
         if isinstance(ours, Found):
             depths = [float(one.depth_mm.max()) for one in ours.logs()]
             shift = float(np.mean(depths)) - float(np.mean([one.depth_mm.max() for one in logs]))

@@ -127,6 +127,9 @@ def test_the_simplest_within_one_standard_error_is_chosen():
     # two groups alike: the gain of the third is its own standard error, whatever it is
     simple = tried(1, 1, [1.0, 5.0, 1.0])
     assert chosen_among([simple, tried(1, 2, [1.0, 1.0, 1.0])])[0] is simple
+    # but for one that is missed by far
+    far = tried(1, 1, [1.0, 50.0, 1.0])
+    assert chosen_among([far, (better := tried(1, 2, [1.0, 1.0, 1.0]))])[0] is better
 
 
 @pytest.mark.parametrize(

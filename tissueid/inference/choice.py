@@ -27,6 +27,9 @@ ALIKE, FEWEST_GROUPS = 1.1, 3
 #: Probability within which a prediction counts as good as the best (one standard error of many groups, by
 #: Student's t of few), and a relative gain that is none.
 ONE_ERROR, NO_GAIN = 0.8413, 0.02
+#: Loss in ln mean square error that is never as good as the best: of two or three groups the standard error
+#: alone lets a law pass that misses one of them by far.
+TOO_MUCH = 1.0
 #: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
 #: program.
 BEND = 0.2
@@ -345,7 +348,7 @@ def chosen_among(
     as_good, wide = [], float(t.ppf(ONE_ERROR, max(best.errors.size - 1, 1)))
     for one in tried:
         mean, error = _gain(best, one)
-        if one is best or mean <= max(wide * error, NO_GAIN):
+        if one is best or mean <= max(min(wide * error, TOO_MUCH), NO_GAIN):
             as_good.append(one)
     chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
     table = []

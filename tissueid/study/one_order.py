@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t
 
-from tissueid.inference.choice import NO_GAIN, ONE_ERROR
+from tissueid.inference.choice import NO_GAIN, ONE_ERROR, TOO_MUCH
 from tissueid.inference.specimen import FitOptions
 from tissueid.model.grammar import KELVIN_VOIGT, parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -79,7 +79,7 @@ def agreed(tables: Sequence[Mapping[LawOrder, float]]) -> LawOrder | None:
     lost = score[:, [int(np.argmax(score.mean(axis=0)))]] - score
     mean, error = lost.mean(axis=0), lost.std(axis=0, ddof=1) / np.sqrt(len(tables))
     wide = float(t.ppf(ONE_ERROR, len(tables) - 1))
-    as_good = [k for k in range(len(orders)) if mean[k] <= max(wide * error[k], NO_GAIN)]
+    as_good = [k for k in range(len(orders)) if mean[k] <= max(min(wide * error[k], TOO_MUCH), NO_GAIN)]
     return orders[min(as_good, key=lambda k: (orders[k].parameters, mean[k]))]
 
 
