@@ -106,6 +106,9 @@ def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_s
     assert run("fit", folder, *ASKED, "-o", out).json()["specimens"] == document["specimens"]
     with Index(out) as index:
         assert index.count("superseded") == 1
+    # the same order asked for by name is none of the study's
+    named = run("fit", folder, *ASKED, "--branches", "2", "--stiffness-degree", "0", "-o", out).json()
+    assert (orders(named), flagged(named)) == ([2, 2, 2], [])
 
 
 def test_files_that_are_no_study_keep_their_own_orders(folder: Path, tmp_path: Path) -> None:

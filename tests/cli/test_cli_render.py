@@ -22,6 +22,7 @@ from session_heads import head_of, records_of, summary_of
 from tissueid.cli import view_command
 from tissueid.cli.render_command import RenderFlags, _demonstrated
 from tissueid.cli.view_command import open_browser, telling_stop
+from tissueid.errors import InputError
 from tissueid.haptics.states import Lamp, State
 from tissueid.ingest import read_trials, session
 from tissueid.rendering.recorder import Recorder
@@ -80,10 +81,24 @@ def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(
     records["lamps"][pause] |= np.uint32(lamp)
     monkeypatch.setattr(session, "read_session_log", lambda *_, **__: replace(whole, records=records))
     (paused,) = read_trials(log)
+    # what the flag says is of the whole session
+    (flag,) = (one for one in paused.flags if one.code == "rendered")
+    assert max(flag.values.get(f"{word}_share", 0.0) for word in ("ramping", "silent", "late")) > 0.0
     monkeypatch.undo()
     (trial,) = read_trials(log)
     assert trial.time_s.size - paused.time_s.size == pause.size
     assert np.isin(paused.force_N, trial.force_N).all()
+
+
+def test_a_log_without_a_tick_of_the_tissues_force_is_refused(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = read_session_log(log)
+    records = whole.records[whole.records["depth_mm"] > 0.0].copy()
+    records["lamps"] |= np.uint32(Lamp.LATENCY)
+    monkeypatch.setattr(session, "read_session_log", lambda *_, **__: replace(whole, records=records))
+    with pytest.raises(InputError, match="silent or late all the time"):
+        read_trials(log)
 
 
 def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(

@@ -247,6 +247,12 @@ def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:
     return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
 
 
+def tolerated(stderr: Any, count: int) -> Any:
+    """Loss with which a prediction counts as good as the best, from its standard error over groups."""
+    wide = float(t.ppf(ONE_ERROR, max(count - 1, 1)))
+    return np.maximum(np.minimum(wide * stderr, TOO_MUCH), NO_GAIN)
+
+
 def _parameters(one: Tried) -> int:
     return one.law.times + one.law.linear
 
@@ -345,10 +351,10 @@ def chosen_among(
 ) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
     """The simplest candidate within one standard error of the best, a table, and those that are as good."""
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
-    as_good, wide = [], float(t.ppf(ONE_ERROR, max(best.errors.size - 1, 1)))
+    as_good = []
     for one in tried:
         mean, error = _gain(best, one)
-        if one is best or mean <= max(min(wide * error, TOO_MUCH), NO_GAIN):
+        if one is best or mean <= tolerated(error, best.errors.size):
             as_good.append(one)
     chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
     table = []

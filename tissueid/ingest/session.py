@@ -77,7 +77,7 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
 
 
 def _stretches(records: RecordArray) -> Iterator[RecordArray]:
-    """Runs of engaged ticks with one tissue, without ramps of force at their ends and pauses in contact."""
+    """Runs of engaged ticks with one tissue, without the ramps of force at their ends."""
     engaged = records[records["state"] == _ENGAGED]
     breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
     for part in np.split(engaged, breaks):
@@ -85,8 +85,7 @@ def _stretches(records: RecordArray) -> Iterator[RecordArray]:
         # a ramp in air, before a force, is air all the same
         felt = np.flatnonzero(~ramping | (part["force_N"] == 0.0).all(axis=1) & (part["depth_mm"] < 0.0))
         if felt.size > 1:
-            whole = part[felt[0] : felt[-1] + 1]
-            yield whole[((whole["lamps"] & _LOWERED) == 0) | (whole["depth_mm"] <= 0.0)]
+            yield part[felt[0] : felt[-1] + 1]
 
 
 def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
@@ -100,10 +99,14 @@ def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
     _agree(records, force, depth, place)
     label = int(records["label"][0])
     tissue = next(entry for entry in log.head["tissues"] if entry["label"] == label)
+    # a pause of the force in contact is no answer of the tissue
+    felt = ((records["lamps"] & _LOWERED) == 0) | (records["depth_mm"] <= 0.0)
+    if np.count_nonzero(felt) < 2:
+        place.refuse("no_rows", "the device was silent or late all the time in contact: nothing was felt")
     return Table(
-        time_s=records["time_s"] - records["time_s"][0],
-        displacement_mm=records["depth_mm"].copy() if depth is None else depth,
-        force_N=force,
+        time_s=(records["time_s"] - records["time_s"][0])[felt],
+        displacement_mm=(records["depth_mm"] if depth is None else depth)[felt],
+        force_N=force[felt],
         columns={"time": "time_s", "displacement": "position_m", "force": "force_N"},
         sheet=place.sheet,
         metadata=_metadata(log.head),

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t
 
-from tissueid.inference.choice import NO_GAIN, ONE_ERROR, TOO_MUCH
+from tissueid.inference.choice import tolerated
 from tissueid.inference.specimen import FitOptions
 from tissueid.model.grammar import KELVIN_VOIGT, parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -78,9 +77,8 @@ def agreed(tables: Sequence[Mapping[LawOrder, float]]) -> LawOrder | None:
     orders, score = [order for order, kept in zip(usual, known, strict=True) if kept], score[:, known]
     lost = score[:, [int(np.argmax(score.mean(axis=0)))]] - score
     mean, error = lost.mean(axis=0), lost.std(axis=0, ddof=1) / np.sqrt(len(tables))
-    wide = float(t.ppf(ONE_ERROR, len(tables) - 1))
-    as_good = [k for k in range(len(orders)) if mean[k] <= max(min(wide * error[k], TOO_MUCH), NO_GAIN)]
-    return orders[min(as_good, key=lambda k: (orders[k].parameters, mean[k]))]
+    as_good = np.flatnonzero(mean <= tolerated(error, len(tables)))
+    return orders[min(as_good.tolist(), key=lambda k: (orders[k].parameters, mean[k]))]
 
 
 def _score(table: Mapping[LawOrder, float], order: LawOrder) -> float:

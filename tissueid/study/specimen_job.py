@@ -70,6 +70,9 @@ class SpecimenJob:
             "provenance": dict(self.provenance),
             "versions": versions(),
         }
+        if self.order is not None:
+            # the same order that is asked for by name says nothing of a study
+            document["order"] = self.order
         return hashlib.sha256(json_bytes(document)).hexdigest()
 
 

@@ -351,9 +351,10 @@ def motor_units(
     finite = math.isfinite(torque[0]) and math.isfinite(torque[1]) and math.isfinite(torque[2])
     # a torque that may be squared
     largest = units_per_Nm * _largest(torque)
-    if not (regular and finite and 0.0 < largest < LARGEST_UNITS):
+    known = regular and finite and largest < LARGEST_UNITS
+    if not known or largest == 0.0:
         left[0] = left[1] = left[2] = 0.0
-        return not (regular and finite and largest < LARGEST_UNITS)
+        return not known
     scale = -units_per_Nm
     together = units_per_Nm * math.sqrt(_dot(torque, torque))
     clipped = together > clamp_units
