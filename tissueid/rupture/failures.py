@@ -272,6 +272,7 @@ def _failure(
         for name in CRITERIA
     }
     slope = test.force_N * found.growth["weighted-force"] / depth_mm
+    slowest_mm = SETTLED * test.speed_mm_s * float(law.model.times(law.theta).max(initial=0.0))
     return Failure(
         test=test,
         specimen=law.specimen,
@@ -283,6 +284,5 @@ def _failure(
         dynamic_share=found.dynamic_share,
         hardening=found.hardening,
         hardening_sd=spread([one.hardening for one in drawn]),
-        settled=law.model.viscous
-        and depth_mm >= SETTLED * test.speed_mm_s * law.model.times(law.theta).max(),
+        settled=law.model.viscous and depth_mm >= slowest_mm,
     )
