@@ -17,6 +17,7 @@ from tissueid.inference.choice import (
     Tried,
     choice_of,
     chosen_among,
+    describing,
     groups_of,
     held_out,
     resolved,
@@ -67,11 +68,12 @@ def test_a_growing_stiffness_is_found_where_it_grows():
     assert sum(chosen(ONE, seed, branches=(1,), degrees=(0, 1)).law.degree == 0 for seed in seeds) >= 5
 
 
-def tried(branches, degree, errors, law=None):
+def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3):
     law = law or kelvin_voigt_law(branches, degree, 8.0)
     point = SimpleNamespace(log_times=np.log(np.arange(1.0, law.times + 1)), linear=np.ones(law.linear))
-    optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear))
-    return Tried(branches, degree, optimum, SimpleNamespace(law=law), np.array(errors))
+    noise = SimpleNamespace(sigma_N=sigma_N)
+    optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear), noise=noise)
+    return Tried(branches, degree, optimum, SimpleNamespace(law=law, logs=[None] * logs), np.array(errors))
 
 
 def named(name, errors):
@@ -92,6 +94,16 @@ def test_a_law_of_fewer_parameters_that_predicts_as_well_is_chosen():
     assert [row["chosen"] for row in rows] == [False, True]
     assert rows[0]["score"] == pytest.approx(beside.gain)
     assert rows[1]["model"] == "power * power-law"
+
+
+def test_what_misses_all_logs_is_no_candidate_though_it_predicts_alike():
+    """Differences between logs drown in their prediction what a law misses in every one of them."""
+    plain, right = tried(1, 2, NEAR, sigma_N=2.0), tried(2, 2, NEAR)
+    assert chosen_among([plain, right])[0] is plain
+    assert describing([plain, right]) == [right]
+    # of one log the prediction itself tells
+    alone = [tried(1, 2, NEAR, sigma_N=2.0, logs=1), tried(2, 2, NEAR, logs=1)]
+    assert describing(alone) == alone
 
 
 def test_of_as_many_parameters_the_papers_law_is_kept_and_unasked_always():

@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
-from scipy.stats import binomtest
+from scipy.stats import binomtest, t
 
 from tissueid.documents import plain
 from tissueid.documents.identification import NoiseFit
 from tissueid.inference.optimum import covariance_of
 from tissueid.inference.residual_blocks import (
+    BETWEEN_FREEDOM,
+    BETWEEN_LN_TAU,
     HOLD_BLOCKS_PER_DECADE,
     LOGS_AS_CLUSTERS,
-    TOGETHER,
+    NORMAL_975,
     ResidualBlocks,
-    _clusters,
     block_covariance,
     misfit_alarm,
     sandwich_covariance,
@@ -246,12 +247,20 @@ def test_intervals_of_correlated_noise_hold_the_truth():
     assert inside[1] < 80
 
 
-def test_clusters_are_logs_or_stretches():
-    many, few = target(), target(logs=TWELVE[:2])
+def test_two_logs_carry_the_stated_spread_between_places():
+    """Two or three logs show no spread of ln tau; what is stated of it is in the interval, by Student's t."""
+    few = target(logs=TWELVE[:2], sigma_N=0.1)
+    k = few.names.index("ln_tau_1")
+    plain = float(np.sqrt(covariance_of(few.precision)[k, k]))
+    found = float(np.sqrt(sandwich_covariance(few)[0][k, k]))
+    freedom = BETWEEN_FREEDOM + 1
+    stated = BETWEEN_LN_TAU * np.sqrt(BETWEEN_FREEDOM / freedom / 2.0)
+    wide = float(t.ppf(0.975, freedom)) / NORMAL_975
+    assert plain < 0.3 * stated
+    assert 0.8 * stated * wide < found < 1.6 * stated * wide
+    many = target(sigma_N=0.1)
     assert len(many.system.logs) >= LOGS_AS_CLUSTERS
-    np.testing.assert_array_equal(_clusters(many), many.system.log)
-    expected = 1000 * few.system.log + few.system.fold // TOGETHER
-    np.testing.assert_array_equal(_clusters(few), expected)
+    assert float(np.sqrt(sandwich_covariance(many)[0][k, k])) < 0.5 * stated
 
 
 def test_directions_of_the_prior_keep_it():

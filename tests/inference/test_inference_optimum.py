@@ -16,12 +16,14 @@ from inference_cases import (
     small_recipe,
     system_of,
 )
+from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import covariance_of, minimise, nearest_in_cone, prior_cost
 from tissueid.inference.prior import Scatter, prior_rows
+from tissueid.inference.system import SHAPE
 from tissueid.model.base import ContactPath
 from tissueid.priors import Priors
 
@@ -155,8 +157,15 @@ def test_logs_own_parameters_are_eliminated_exactly():
     whole += wide.T @ wide
     k = np.r_[0 : ours.law.times, ours.law.times + 3 : s]
     every = np.r_[k, s : s + logs * q]
-    expected = np.linalg.inv(whole[np.ix_(every, every)])[: k.size, : k.size]
+    # shapes have mean zero: what is left of the whole problem is that of the others
+    held = np.zeros((SHAPE, s + logs * q))
+    for j in range(SHAPE):
+        held[j, s + q - SHAPE + j :: q] = 1.0
+    free = null_space(held[:, every])
+    whole = whole[np.ix_(every, every)]
+    expected = (free @ np.linalg.inv(free.T @ whole @ free) @ free.T)[: k.size, : k.size]
     found = np.linalg.inv(normal.hessian[np.ix_(k, k)])
     sd = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / sd / sd[:, None], expected / sd / sd[:, None], atol=1e-6)
     assert ours.optimum.noise.memory == Memory()
+    np.testing.assert_allclose(ours.optimum.point.own[:, -SHAPE:].sum(axis=0), 0.0, atol=1e-12)

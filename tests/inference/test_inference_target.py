@@ -90,18 +90,25 @@ def test_what_logs_have_for_themselves_is_integrated():
     x[1, at.places["ln_gain_sd"]] += 0.5
     force = system.near(ours.optimum.point)
     columns = at.by_own(force[None])[:, 0].T
+    logs, q = own.shape
+    wide = np.zeros((len(force), logs * q))
+    for i in range(logs):
+        wide[system.log == i, i * q : (i + 1) * q] = columns[system.log == i]
+    # shapes have mean zero
+    about = np.eye(logs) - 1.0 / logs
     expected = []
     for one in x:
         sigma, gain = np.exp(one[at.places["ln_sigma"]]), np.exp(one[at.places["ln_gain_sd"]])
         value = 0.5 * -((gain / at.priors.gain_sd) ** 2) + np.log(gain)
-        for i in range(len(system.logs)):
-            mine = system.log == i
-            size = np.array([gain, 0.02 / system.depth_mm, ours.scatter.shape, ours.scatter.shape])
-            spread = columns[mine] * size
-            covariance = spread @ spread.T + sigma**2 * np.diag(1.0 / system.count[mine])
-            # the force where the log has nothing of its own, linearly
-            mean = force[mine] - columns[mine] @ own[i]
-            value += multivariate_normal.logpdf(system.force[mine], mean, covariance, allow_singular=True)
+        size = np.array([gain, 0.02 / system.depth_mm, ours.scatter.shape, ours.scatter.shape])
+        free = np.kron(np.eye(logs), np.diag([1.0, 1.0, 0.0, 0.0])) + np.kron(
+            about, np.diag([0.0, 0.0, 1.0, 1.0])
+        )
+        prior = free * np.tile(size, logs) ** 2
+        covariance = wide @ prior @ wide.T + sigma**2 * np.diag(1.0 / system.count)
+        # the force where logs have nothing of their own, linearly
+        mean = force - wide @ own.ravel()
+        value += multivariate_normal.logpdf(system.force, mean, covariance, allow_singular=True)
         value -= 0.5 * system.within_N2 / sigma**2 + system.within_freedom * np.log(sigma)
         expected.append(value)
     found = np.diff(at.density(x))[0]

@@ -23,6 +23,7 @@ from tissueid.inference.choice import (
     Tried,
     choice_of,
     chosen_among,
+    describing,
     groups_of,
     held_out,
     resolved,
@@ -203,7 +204,7 @@ def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -
     wanted = []
     if chosen.branches == 2 or (2, chosen.degree) in best:
         wanted += [(3, 0), (3, 1)]
-    if chosen.degree == 1 or (chosen.branches, 1) in best:
+    if chosen.degree >= 1 or (chosen.branches, 1) in best:
         wanted += [(1, 2), (2, 2)]
     return [one for one in wanted if one[0] in request.branches and one[1] in request.degrees]
 
@@ -277,7 +278,7 @@ def _orders_tried(
             tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
             one = _tried(fitting, fitting.law(branches, degree), memory, None if request.single else groups)
             tried.append(replace(one, branches=branches, degree=degree))
-        seen_whole = [one for one in tried if resolved(one, fitting.step_s)] or tried[:1]
+        seen_whole = describing([one for one in tried if resolved(one, fitting.step_s)] or tried[:1])
         if one_program(facts) and not single:
             seen_whole = without_bends(seen_whole)
         chosen, table, as_good = chosen_among(seen_whole)

@@ -16,7 +16,7 @@ from scipy import stats
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, whitener
-from tissueid.inference.optimum import Noise, normal_equations, whitener_of
+from tissueid.inference.optimum import Noise, Normal, normal_equations, whitener_of
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
 from tissueid.inference.window import FittedLog, chain_breaks
@@ -188,6 +188,16 @@ class MemoryScan:
     gain: float
 
 
+def _squares_after(system: System, normal: Normal, move: FloatArray) -> float:
+    """Sum of squares of the residual after a step of the shared parameters, own ones following it."""
+    left = normal.residual - normal.shared @ move
+    if normal.own.shape[1]:
+        rest = normal.own_gradient - np.einsum("lqs,s->lq", normal.cross, move)
+        own = np.einsum("lqr,lr->lq", normal.own_inverse, rest)
+        left = left - (normal.own * own[system.log]).sum(axis=1)
+    return float(left @ left)
+
+
 def _restricted(
     system: System, point: Point, parts: Derivatives, prior: PriorRows, memory: Memory, rough_N: float
 ) -> tuple[float, float]:
@@ -200,10 +210,9 @@ def _restricted(
     hessian = normal.hessian[np.ix_(live, live)] / scale / scale[:, None]
     gradient = normal.gradient[live] / scale
     move = np.linalg.solve(hessian + 1e-12 * np.eye(len(scale)), gradient)
-    off = float(gradient @ move)
-    if normal.own.shape[1]:
-        off += float(np.einsum("lq,lqr,lr->", normal.own_gradient, normal.own_inverse, normal.own_gradient))
-    square = max(float(normal.residual @ normal.residual) - off, 1e-12) * rough_N**2
+    shared = np.zeros(live.size)
+    shared[live] = move / scale
+    square = max(_squares_after(system, normal, shared), 1e-12) * rough_N**2
     fitted = normal.shared.shape[1] - 3 + point.own.size
     freedom = max(system.force.size - fitted, 1)
     log_det = white.log_det + float(np.linalg.slogdet(hessian)[1]) + 2.0 * float(np.log(scale).sum())

@@ -6,7 +6,7 @@ A step solves its quadratic model within the passive cone (Lawson & Hanson 1974,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
-from tissueid.inference.system import Derivatives, Point, System
+from tissueid.inference.system import SHAPE, Derivatives, Point, System
 
 #: Noise without memory.
 WHITE = Memory()
@@ -75,6 +75,9 @@ def nearest_in_cone(
     return np.asarray(centre - root @ (rest[:-1] / rest[-1]))
 
 
+Loose = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
     """Normal equations at a point, in units of the noise."""
@@ -89,6 +92,15 @@ class Normal:
     cross: FloatArray  # (logs, q, s)
     own_gradient: FloatArray  # (logs, q)
     objective: float  # |residual|^2 and priors
+    #: Hessian, gradient, cross and own gradient with shapes that need not have mean zero.
+    loose: Loose
+
+
+def about_mean(own: FloatArray) -> FloatArray:
+    """Own parameters (logs, q) with shapes about their mean, which is the specimen's."""
+    out = own.copy()
+    out[:, -SHAPE:] -= own[:, -SHAPE:].mean(axis=0)
+    return out
 
 
 def _by_log(system: System, products: FloatArray) -> FloatArray:
@@ -100,6 +112,19 @@ def prior_cost(prior: PriorRows, point: Point) -> float:
     """Twice the negative log prior of shared and own parameters."""
     off = prior.rows @ point.shared - prior.target
     return float(off @ off + (prior.own * point.own**2).sum())
+
+
+def _bound(loose: Loose, inverse: FloatArray, point: Point) -> Loose:
+    """Hessian, gradient, cross and own gradient under the constraint that shapes have mean zero."""
+    hessian, gradient, cross, own_gradient = loose
+    shape = slice(-SHAPE, None)
+    stiff = np.linalg.inv(inverse[:, shape, shape].sum(axis=0))
+    follow = np.einsum("lqr,lrs->qs", inverse[:, shape], cross)
+    off = np.einsum("lqr,lr->q", inverse[:, shape], own_gradient) + point.own[:, shape].sum(axis=0)
+    cross, own_gradient = cross.copy(), own_gradient.copy()
+    cross[:, shape] -= stiff @ follow
+    own_gradient[:, shape] -= stiff @ off
+    return hessian + follow.T @ stiff @ follow, gradient + follow.T @ stiff @ off, cross, own_gradient
 
 
 def normal_equations(
@@ -126,7 +151,9 @@ def normal_equations(
         inverse, cross = np.zeros((logs, 0, 0)), np.zeros((logs, 0, shared.shape[1]))
         own_gradient = np.zeros((logs, 0))
     objective = float(residual @ residual) + prior_cost(prior, point)
-    return Normal(residual, shared, own, hessian, gradient, inverse, cross, own_gradient, objective)
+    loose = (hessian, gradient, cross, own_gradient)
+    hessian, gradient, cross, own_gradient = _bound(loose, inverse, point) if system.centred else loose
+    return Normal(residual, shared, own, hessian, gradient, inverse, cross, own_gradient, objective, loose)
 
 
 def covariance_of(hessian: FloatArray) -> FloatArray:
@@ -151,16 +178,20 @@ class Optimum:
     active: NDArray[np.bool_]  # (c,), constraints that hold with equality
 
 
-def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray) -> Point:
+def _step(
+    normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray, centred: bool
+) -> Point:
     """One damped step within the cone, of shared and own parameters alike."""
-    hessian, gradient, own_inverse = normal.hessian, normal.gradient, normal.own_inverse
+    (hessian, gradient, cross, own_gradient), own_inverse = normal.loose, normal.own_inverse
     if normal.own.shape[1]:
         inner = np.linalg.inv(own_inverse)
         own_inverse = np.asarray(np.linalg.inv(inner * (1.0 + damping * np.eye(inner.shape[1]))))
         stiffer = normal.own_inverse - own_inverse
-        hessian = hessian + np.einsum("lqs,lqr,lrt->st", normal.cross, stiffer, normal.cross)
-        gradient = np.asarray(
-            gradient + np.einsum("lqs,lqr,lr->s", normal.cross, stiffer, normal.own_gradient)
+        hessian = hessian + np.einsum("lqs,lqr,lrt->st", cross, stiffer, cross)
+        gradient = np.asarray(gradient + np.einsum("lqs,lqr,lr->s", cross, stiffer, own_gradient))
+    if centred:
+        hessian, gradient, cross, own_gradient = _bound(
+            (hessian, gradient, cross, own_gradient), own_inverse, point
         )
     hessian = hessian + np.diag(damping * np.maximum(np.diag(hessian), FLAT) + frozen + FLAT)
     scale = 1.0 / np.sqrt(np.diag(hessian))
@@ -172,7 +203,7 @@ def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen
         shared = nearest_in_cone(shared, covariance, prior.cone, prior.least)
         move = shared - point.shared
     if normal.own.shape[1]:
-        rest = normal.own_gradient - np.einsum("lqs,s->lq", normal.cross, move)
+        rest = own_gradient - np.einsum("lqs,s->lq", cross, move)
         own = point.own + np.einsum("lqr,lr->lq", own_inverse, rest)
     else:
         own = point.own
@@ -218,6 +249,8 @@ def minimise(
     ``sigma_N``: noise held at this, else it follows the residuals; ``held``: shared parameters that stay.
     """
     white = whitener_of(system, memory)
+    if system.centred:
+        point = replace(point, own=about_mean(point.own))
     prior = prior_at(point)
     frozen = np.zeros(point.shared.size)
     t = system.law.times
@@ -277,7 +310,7 @@ def _descend(
 ) -> tuple[Point | None, float, float]:
     """A point with a smaller objective or ``None``, the damping that reached it, and the gain."""
     while damping < HOPELESS:
-        moved = _step(normal, prior, point, damping, frozen)
+        moved = _step(normal, prior, point, damping, frozen, system.centred)
         e = white(system.force - system.predict(moved)) / noise_N
         value = float(e @ e) + prior_cost(prior, moved)
         if value <= normal.objective * (1.0 + 1e-12) and np.isfinite(value):

@@ -158,21 +158,16 @@ def residual_blocks(
     )
 
 
-#: Logs from which they are the clusters, and stretches of a log that are one cluster otherwise.
+#: Logs from which their scores alone are the spread, and stretches of a log that are one cluster otherwise.
 LOGS_AS_CLUSTERS, TOGETHER = 4, 2
+#: Standard deviation of ln tau between places of one piece (55 sheets of meat, two branches), and the degrees
+#: of freedom that it counts for beside two or three logs.
+BETWEEN_LN_TAU, BETWEEN_FREEDOM = 0.2, 3
 NORMAL_975 = 1.959963984540054
 
 
-def _clusters(target: SpecimenTarget) -> NDArray[np.int64]:
-    """Cluster of each observation."""
-    system = target.system
-    if len(system.logs) >= LOGS_AS_CLUSTERS:
-        return system.log
-    return np.asarray(system.log * 1000 + system.fold // TOGETHER)
-
-
-def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
-    """Covariance (d, d) of the free coordinates, and the samples that one independent sample stands for."""
+def _columns(target: SpecimenTarget) -> FloatArray:
+    """Derivatives of the observations by the free coordinates, the logs' own parameters following, (k, d)."""
     normal, s = target.optimum.normal, target.n_shared
     columns = np.zeros((normal.residual.size, len(target.mode)))
     columns[:, :s] = normal.shared
@@ -182,25 +177,50 @@ def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
         # what a log takes up by itself moves nothing that is shared
         follow = np.einsum("lqr,lrs->lqs", normal.own_inverse, normal.cross)
         columns[:, :s] -= np.einsum("kq,kqs->ks", normal.own, follow[target.system.log])
-    columns = (columns @ target.slope)[:, target.free]
-    covariance = covariance_of(target.precision)
-    root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
-    whitened = columns @ root
-    _, labels = np.unique(_clusters(target), return_inverse=True)
+    return np.asarray((columns @ target.slope)[:, target.free])
+
+
+def _spread(rows: FloatArray, clusters: NDArray[np.int64]) -> tuple[FloatArray, int]:
+    """Covariance (d, d) of the sum of scores (k, d) by the scatter of clusters, and their number."""
+    _, labels = np.unique(clusters, return_inverse=True)
     count = int(labels.max()) + 1
-    scores = np.zeros((count, whitened.shape[1]))
-    np.add.at(scores, labels, whitened * normal.residual[:, None])
+    scores = np.zeros((count, rows.shape[1]))
+    np.add.at(scores, labels, rows)
     scores -= scores.mean(axis=0)
+    return scores.T @ scores * count / max(count - 1.0, 1.0), count
+
+
+def _between(target: SpecimenTarget, data: FloatArray, root: FloatArray) -> FloatArray:
+    """Covariance (d, d) of the sum of scores where ln tau differs between logs by what is stated."""
+    names = np.array(target.names)[target.free]
+    known = np.array([one.startswith("ln_tau_") for one in names], dtype=np.float64)
+    whitened = np.linalg.solve(root, np.diag(known * BETWEEN_LN_TAU))
+    move = data @ whitened
+    return np.asarray(move @ move.T / len(target.system.logs))
+
+
+def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
+    """Covariance (d, d) of the free coordinates, and the samples that one independent sample stands for."""
+    system, residual = target.system, target.optimum.normal.residual
+    covariance = covariance_of(target.precision)
+    root = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), dtype=np.float64)
+    whitened = _columns(target) @ root
+    rows, logs = whitened * residual[:, None], len(system.logs)
+    many = logs >= LOGS_AS_CLUSTERS
+    spread, count = _spread(rows, system.log if many else system.log * 1000 + system.fold // TOGETHER)
     data = whitened.T @ whitened
-    known = max(float(np.trace(data)), 1e-12)
-    spread = scores.T @ scores * count / max(count - 1.0, 1.0)
-    worth = max(float(np.trace(spread)) / known, 1.0)
+    worth = max(float(np.trace(spread)) / max(float(np.trace(data)), 1e-12), 1.0)
     weight = count / (count + whitened.shape[1])
-    middle = weight * spread + (1.0 - weight) * worth * data
+    middle, freedom = weight * spread + (1.0 - weight) * worth * data, count - 1
+    if 1 < logs < LOGS_AS_CLUSTERS:
+        stated = middle + _between(target, data, root)
+        freedom = BETWEEN_FREEDOM + logs - 1
+        seen = (logs - 1) * _spread(rows, system.log)[0]
+        middle = (BETWEEN_FREEDOM * stated + seen) / freedom
     # prior directions keep their prior, none is known better than independent samples make it
     total = middle + np.eye(len(data)) - data
     values, vectors = np.linalg.eigh(0.5 * (total + total.T))
-    tail = float(stats.t.ppf(0.975, count - 1) / NORMAL_975) ** 2 if count > 1 else 1.0
+    tail = float(stats.t.ppf(0.975, freedom) / NORMAL_975) ** 2 if freedom > 0 else 1.0
     values = np.maximum(values, 1.0)
     values = np.where(values > 1.0, 1.0 + (values - 1.0) * tail, 1.0)
     return root @ ((vectors * values) @ vectors.T) @ root.T, worth

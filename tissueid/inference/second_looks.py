@@ -20,10 +20,10 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import minimise, prior_cost, whitener_of
+from tissueid.inference.optimum import about_mean, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import prior_rows, time_bounds
 from tissueid.inference.search import starting_points
-from tissueid.inference.system import Point, System
+from tissueid.inference.system import SHAPE, Point, System
 from tissueid.quantities import RelaxationWindow
 
 #: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
@@ -61,6 +61,7 @@ class _Problem:
         t, m = self.law.times, self.free.shape[1]
         values = np.append(np.clip(values[:t], -FARTHEST, FARTHEST), values[t:])
         own = values[t + m :].reshape(self.optimum.point.own.shape)
+        own = about_mean(own) if self.system.centred else own
         return Point(values[:t], self.optimum.point.machine, self.free @ values[t : t + m], own)
 
     def residual(self, values: FloatArray) -> FloatArray:
@@ -68,7 +69,9 @@ class _Problem:
         point, prior = self.point(values), self.optimum.prior
         left = self.white(self.system.force - self.system.predict(point)) / self.optimum.noise.sigma_N
         own = np.sqrt(prior.own) * point.own
-        return np.concatenate([left, prior.rows @ point.shared - prior.target, own.ravel()])
+        common = values[self.start.size - own.size :].reshape(own.shape).sum(axis=0)[-SHAPE:]
+        rows = [left, prior.rows @ point.shared - prior.target, own.ravel()]
+        return np.concatenate([*rows, common] if self.system.centred else rows)
 
     def jacobian(self, values: FloatArray) -> FloatArray:
         """Derivative of :meth:`residual`."""
@@ -88,7 +91,17 @@ class _Problem:
                 mine = np.flatnonzero(self.system.log == i)
                 out[mine, at] = own[mine]
                 out[len(shared) + i * q : len(shared) + (i + 1) * q, at] = np.diag(np.sqrt(prior.own[i]))
-        return out
+        return self._about_mean(out, logs, q) if self.system.centred else out
+
+    def _about_mean(self, rows: FloatArray, logs: int, q: int) -> FloatArray:
+        """Rows by shapes about their mean, and rows that hold their sum."""
+        own = rows[:, -logs * q :].reshape(-1, logs, q)
+        own[:, :, -SHAPE:] -= own[:, :, -SHAPE:].mean(axis=1, keepdims=True)
+        held = np.zeros((SHAPE, rows.shape[1]))
+        for k in range(SHAPE):
+            held[k, rows.shape[1] - SHAPE + k :: -q] = 1.0
+        held[:, : rows.shape[1] - logs * q] = 0.0
+        return np.vstack([rows, held])
 
 
 def both_optimisers(identified: Identified) -> dict[str, object]:

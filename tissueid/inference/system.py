@@ -154,6 +154,11 @@ class System:
         return new
 
     @property
+    def centred(self) -> bool:
+        """True where the shapes of several logs have mean zero: the specimen's curve is that of its logs."""
+        return self.effects.shape and len(self.logs) > 1
+
+    @property
     def size(self) -> int:
         """Shared parameters."""
         return self.law.times + len(MACHINE) + self.law.linear

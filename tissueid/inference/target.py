@@ -21,7 +21,7 @@ from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
-from tissueid.inference.system import MACHINE, Point
+from tissueid.inference.system import MACHINE, SHAPE, Point
 from tissueid.priors import CalibrationPrior
 
 #: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
@@ -403,10 +403,12 @@ class SpecimenTarget:
             precision = precision.copy()
             precision[:, :, 0] = (gain**-2)[:, None]
         pull = precision * own
-        factor = np.linalg.cholesky(inner + precision[..., None] * np.eye(q))
-        half = np.linalg.solve(factor, (right - pull)[..., None])[..., 0]
+        factor = np.asarray(np.linalg.cholesky(inner + precision[..., None] * np.eye(q)), dtype=np.float64)
+        half = np.asarray(np.linalg.solve(factor, (right - pull)[..., None])[..., 0], dtype=np.float64)
         value = 0.5 * (half**2).sum(axis=(1, 2)) - 0.5 * (own * pull).sum(axis=(1, 2))
         value -= np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=(1, 2))
+        if self.system.centred:
+            value -= _of_mean(factor, half, own)
         return np.asarray(value + 0.5 * np.log(precision).sum(axis=(1, 2)))
 
     def by_own(self, force: FloatArray) -> FloatArray:
@@ -482,6 +484,17 @@ class NormalTarget:
             rest = matrix @ dual - target
             out[i] = z[i] - rest[:-1] / rest[-1]
         return out
+
+
+def _of_mean(factor: FloatArray, half: FloatArray, own: FloatArray) -> FloatArray:
+    """Loss of log density by shapes of mean zero, (n,), from factors (n, logs, q, q) and whitened steps."""
+    q = half.shape[-1]
+    columns = np.linalg.solve(factor, np.broadcast_to(np.eye(q)[:, -SHAPE:], (*factor.shape[:-1], SHAPE)))
+    loose = np.einsum("nlqa,nlqb->nab", columns, columns)
+    off = np.einsum("nlqa,nlq->na", columns, half) + own[:, -SHAPE:].sum(axis=0)
+    root = np.linalg.cholesky(loose)
+    square = (np.linalg.solve(root, off[..., None])[..., 0] ** 2).sum(axis=1)
+    return np.asarray(0.5 * square + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
 
 
 def _shifted(rows: FloatArray, by: FloatArray, lowest: int) -> FloatArray:
