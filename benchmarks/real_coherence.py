@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from real_independent import independent_fit
 from real_recordings import Found, Recording, fit_of, grouped, tell, value_of
+from scipy.stats import t
 
 #: Share of printed values inside both intervals, difference of seeds [total sd], share of parameters that the
 #: independent fit agrees on, and share of halves that differ by less than HALVES_SD.
 BARS = {"inside": 1.0, "seed_sd": 0.1, "independent": 0.90, "halves": 0.95}
 HALVES_SD = 2.6
+NORMAL_975 = 1.959963984540054
 #: Logs that a cut must have to be halved.
 LEAST_LOGS = 4
 #: Static poolings that the independent fit knows.
@@ -107,7 +109,10 @@ def _ln_taus(found: Found) -> dict[str, tuple[float, float]]:
 
 
 def _ln_shape(found: Found) -> tuple[float, float] | None:
-    """ln(F(1 s) / F(10 s)) as measured, and the standard error of its mean over logs; programs are pooled."""
+    """ln(F(1 s) / F(10 s)) as measured, and the deviation of its mean over logs; programs are pooled.
+
+    Like that of ln tau it is a 95 % interval over 3.92, by Student's t: few logs hardly know their scatter.
+    """
     rows = [
         one
         for one in found.document.get("measured", ())
@@ -120,7 +125,8 @@ def _ln_shape(found: Found) -> tuple[float, float] | None:
     within = sum((one["count"] - 1) * one["sd"] ** 2 for one in rows if one["sd"] is not None)
     between = sum(one["count"] * (one["mean"] - mean) ** 2 for one in rows)
     variance = (within + between) / (count - 1)
-    return float(np.log(mean)), float(np.sqrt(variance / count)) / mean
+    wide = float(t.ppf(0.975, count - 1)) / NORMAL_975
+    return float(np.log(mean)), wide * float(np.sqrt(variance / count)) / mean
 
 
 def halves_of(count: int, splits: int, rng: np.random.Generator) -> list[tuple[list[int], list[int]]]:

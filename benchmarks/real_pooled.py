@@ -64,8 +64,11 @@ class PooledProblem:
         return self._kept[place][1]
 
     def columns(self, ln_tau: Array, ln_gain: Array, offset_mm: Array, shape: Array) -> Array:
-        """Columns of the counted samples of all logs; shapes (logs, 2) bend a log's gain over depth."""
-        gain = ln_gain - np.mean(ln_gain)
+        """Columns of the counted samples of all logs; shapes (logs, 2) bend a log's gain over depth.
+
+        Gains and shapes count from their mean over logs, which is the tissue's.
+        """
+        gain, shape = ln_gain - np.mean(ln_gain), shape - shape.mean(axis=0)
         parts = []
         for i in range(len(self.logs)):
             depth, states = self.moved(i, ln_tau, float(offset_mm[i]))
