@@ -28,7 +28,15 @@ from real_baselines import (
     fit_own,
     nrmsd,
 )
-from real_prediction import NO_MODEL, USUAL_ORDER, foreign_force, hold_error, multiplied, no_model
+from real_prediction import (
+    NO_MODEL,
+    USUAL_ORDER,
+    carried,
+    foreign_force,
+    hold_error,
+    multiplied,
+    no_model,
+)
 from real_recordings import Found, Recording, fit_of, grouped, tell
 
 Array = NDArray[np.float64]
@@ -81,7 +89,7 @@ def _of_hold(cut: str, rest: Sequence[Recording], log: Log) -> dict[str, float]:
     for name, model in ((AUTO, "auto"), (PLAIN, None)):
         ours = _fitted(rest, cut, model)
         if isinstance(ours, Found):
-            forces[name] = multiplied(foreign_force(ours, log), log, depth)
+            forces[name] = carried(ours, log, depth)
     plain = no_model(log, others)
     usable = np.isfinite(plain)
     forces[NO_MODEL] = np.concatenate([log.force_N[: log.peak], plain])
@@ -136,5 +144,6 @@ def among_laws(found: Sequence[Recording], *, cuts: int | None, logs: int | None
     summary = {}
     for key in (AUTO, PLAIN):
         ratios = [row["ratio"][key] for row in rows if key in row["ratio"]]
-        summary[key] = {"median": float(np.median(ratios)), "worst": max(ratios), "count": len(ratios)}
+        if ratios:
+            summary[key] = {"median": float(np.median(ratios)), "worst": max(ratios), "count": len(ratios)}
     return {"summary": summary, "rows": rows, "bars": {"median": MEDIAN_BAR, "worst": WORST_BAR}}

@@ -97,6 +97,20 @@ def multiplied(force: Array, log: Log, depth_mm: float) -> Array:
     return carried_to(rays * force[:, None], log)
 
 
+def carried(found: Found, log: Log, depth_mm: float) -> Array:
+    """Force that a fit of others predicts with an own elastic curve that follows from the ramp [N].
+
+    The curve of a quasi-linear law stands inside the convolution, that of any other multiplies the force.
+    """
+    theta = dict(zip(found.fit.theta_names, found.fit.theta, strict=True))
+    times = [value for name, value in theta.items() if name.startswith("relaxation_time_s")]
+    ratios = [value for name, value in theta.items() if name.startswith("relaxation_ratio")]
+    if not ratios or len(ratios) != len(times):
+        return multiplied(foreign_force(found, log), log, depth_mm)
+    law = QuasiLinear(len(times), depth_mm)
+    return carried_to(law.columns(log, np.log([*times, *np.maximum(ratios, 1e-12)])), log)
+
+
 def _peer(pooling: str, law: Paper, logs: Sequence[Log]) -> FittedLaw:
     """Least squares of the paper's law with the freedom of a pooling."""
     if pooling == "shared" or len(logs) == 1:
@@ -126,7 +140,7 @@ def _left_out_log(cut: str, members: Sequence[Recording], place: int) -> dict[st
     peer = _peer(pooling, Paper(*order, depth), others)
     forces[PEER] = multiplied(peer.force(log), log, depth)
     if isinstance(ours, Found):
-        forces[OURS] = multiplied(foreign_force(ours, log), log, depth)
+        forces[OURS] = carried(ours, log, depth)
     plain = no_model(log, others)
     usable = np.isfinite(plain)
     full = np.concatenate([log.force_N[: log.peak], plain])
