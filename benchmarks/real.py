@@ -154,6 +154,9 @@ def prediction_lines(result: Mapping[str, Any]) -> Iterator[str]:
         for name, row in sorted(part["summary"].items(), key=lambda item: item[1]["median"]):
             yield f"  {name:52}{percent(row['median']):>10}{percent(row['worst']):>10}{row['count']:7d}"
         yield from failures(part["rows"])
+    yield "measured curves of left-out logs, whole in prediction95 of the others"
+    for name, row in result["measured_next"].items():
+        yield f"  {name:52}{percent(row['inside']):>10}{row['count']:>17d}"
     for condition in dict.fromkeys(row["condition"] for row in result["left_out_speeds"]["rows"]):
         rows = [row for row in result["left_out_speeds"]["rows"] if row["condition"] == condition]
         yield f"  {condition:42}" + "".join(f"{row['left_out'].removeprefix(condition):>10}" for row in rows)

@@ -202,6 +202,38 @@ def _medians(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | i
     return out
 
 
+#: Measured curves and numbers whose next value is predicted, and peaks within which a log is of the program.
+NEXT, SAME_PEAK = ("force", "force_over_10s", "force_over_peak", "relaxation_time"), 1.05
+
+
+def _measured(members: Sequence[Recording], name: str) -> Sequence[Mapping[str, Any]]:
+    """Measured numbers of logs, which no law touches."""
+    found = fit_of(members, name, sampled=False, branches=1, stiffness_degree=0)
+    return [] if isinstance(found, str) else found.document["measured"]
+
+
+def measured_next(cut: str, members: Sequence[Recording], place: int) -> dict[str, bool]:
+    """Report if the measured curves of a left-out log lie whole in ``prediction95`` of the others."""
+    rows = _measured([one for i, one in enumerate(members) if i != place], cut)
+    own = {(row["name"], row["hold"], row["time_s"]): row["mean"] for row in _measured([members[place]], cut)}
+    for program in dict.fromkeys(row["program"] for row in rows):
+        known = {(row["name"], row["hold"], row["time_s"]): row for row in rows if row["program"] == program}
+        peak, mine = (
+            next(row["mean"] for key, row in known.items() if key[0] == "peak"),
+            own.get(("peak", 1, None)),
+        )
+        if mine and peak and max(peak, mine) < SAME_PEAK * min(peak, mine):
+            break
+    else:
+        return {}
+    inside: dict[str, list[bool]] = {}
+    for key, row in known.items():
+        if key[0] in NEXT and row["prediction95"] and own.get(key) is not None:
+            low, high = row["prediction95"]
+            inside.setdefault(key[0], []).append(low <= own[key] <= high)
+    return {name: all(every) for name, every in inside.items()}
+
+
 def prediction(found: Sequence[Recording], *, cuts: int | None, logs: int | None) -> dict[str, Any]:
     """Holds left out of the cuts, and ramp times left out of the muscle conditions.
 
@@ -221,7 +253,18 @@ def prediction(found: Sequence[Recording], *, cuts: int | None, logs: int | None
         for condition, members in grouped(found, "muscle", 3).items()
         for row in _left_out_speeds(condition, members)
     ]
+    later = [
+        measured_next(cut, members, place)
+        for cut, members in list(grouped(found, "meat", 4).items())[:cuts]
+        for place in range(len(members))[:logs]
+    ]
+    held = {name: [one[name] for one in later if name in one] for name in NEXT}
     return {
+        "measured_next": {
+            name: {"inside": float(np.mean(every)), "count": len(every)}
+            for name, every in held.items()
+            if every
+        },
         "left_out_logs": {"summary": _medians(holds), "rows": holds},
         "left_out_speeds": {"summary": _medians(speeds), "rows": speeds},
     }

@@ -13,7 +13,7 @@ from tissueid.flags import Flag
 from tissueid.measured import measure, spread
 from tissueid.measured.geometry import Geometry, TipOf
 from tissueid.measured.relaxation import relaxation_rows
-from tissueid.measured.spread import measured_pairs, programs, ramp_reason
+from tissueid.measured.spread import Pushed, measured_pairs, programs, ramp_reason
 from tissueid.measured.verdict import verdict_of
 from tissueid.model.moduli import Indenter
 from tissueid.segment import segment
@@ -163,7 +163,19 @@ def test_logs_of_several_programs_are_not_pooled():
 
 def test_a_program_is_a_speed_and_depths_that_contact_makes_differ():
     made = [(4.0, 8.0), (0.5, 8.0), (4.1, 7.0), (4.0, 2.0), (4.0, 2.1)]
-    assert sorted(sorted(one) for one in programs(made)) == [[0, 2], [1], [3, 4]]
+    assert sorted(sorted(one) for one in programs([Pushed(*one) for one in made])) == [[0, 2], [1], [3, 4]]
+
+
+def test_a_load_that_ends_pushes_is_a_program_at_whatever_depth():
+    """A lab that holds at 1.2 N holds soft places deep and stiff ones shallow: one program, with a spread."""
+    held = [(1.5, 2.3, 1.17, 2.2), (1.0, 3.6, 1.16, 3.7), (1.2, 2.9, 1.17, 3.0)]
+    other = [(1.3, 3.0, 0.86, 1.5), (1.5, 3.0, 1.16, 30.0)]
+    found = programs([Pushed(*one) for one in (*held, *other)])
+    assert sorted(sorted(one) for one in found) == [[0, 1, 2], [3], [4]]
+    # one depth at three speeds is three programs, however alike the forces; two logs may be an accident
+    speeds = [(v, 8.0, 40.0 + v, 8.0 / v) for v in (4.0, 4.6, 5.4)]
+    assert len(programs([Pushed(*one) for one in speeds])) == 3
+    assert len(programs([Pushed(*one) for one in held[:2]])) == 2
 
 
 def test_programs_of_two_sides_are_paired_where_they_ran_alike():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,17 +30,45 @@ def clusters(values: Sequence[float], factor: float) -> list[list[int]]:
     return found
 
 
-def programs(pushes: Sequence[tuple[float, float]]) -> list[list[int]]:
-    """Places of the logs of each program."""
+class Pushed(NamedTuple):
+    """Speed and depth of a push, and the force and time at which it ended where they are known."""
+
+    speed_mm_s: float
+    depth_mm: float
+    peak_N: float = float("nan")
+    ramp_time_s: float = float("nan")
+
+
+def programs(pushes: Sequence[Pushed]) -> list[list[int]]:
+    """Places of the logs of each program: pushed to one load at whatever depth, else by speed and depth."""
+    to_load = _to_one_load(pushes)
+    found = [*to_load]
+    left = sorted(set(range(len(pushes))).difference(*to_load))
+    for of_speed in clusters([pushes[i].speed_mm_s for i in left], SAME_SPEED):
+        own = [left[k] for k in of_speed]
+        of_depth = clusters([pushes[i].depth_mm for i in own], SAME_DEPTH)
+        found += [[own[k] for k in members] for members in of_depth]
+    return found
+
+
+def _to_one_load(pushes: Sequence[Pushed]) -> list[list[int]]:
+    """Places of logs that stopped at one force though their depths differ, ramps of about one length."""
+    known = [i for i, push in enumerate(pushes) if push.peak_N > 0.0 and push.ramp_time_s > 0.0]
     found = []
-    for of_speed in clusters([speed for speed, _ in pushes], SAME_SPEED):
-        depths = [pushes[i][1] for i in of_speed]
-        found += [[of_speed[k] for k in of_depth] for of_depth in clusters(depths, SAME_DEPTH)]
+    for of_peak in clusters([pushes[i].peak_N for i in known], SAME_LOAD):
+        own = [known[k] for k in of_peak]
+        for of_ramp in clusters([pushes[i].ramp_time_s for i in own], SAME_PROGRAM):
+            members = [own[k] for k in of_ramp]
+            depths = [pushes[i].depth_mm for i in members]
+            if len(members) >= FEWEST_TO_LOAD and max(depths) > SAME_DEPTH * min(depths):
+                found.append(members)
     return found
 
 
 #: Ramp times within this factor belong to one program.
 SAME_PROGRAM = 2.0
+#: Peaks within this factor are one load that ended a push, and logs from which so much is no accident.
+SAME_LOAD, FEWEST_TO_LOAD = 1.05, 3
 
 
 def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bool = False) -> str:
@@ -97,13 +125,14 @@ def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
 def _programs(logs: Sequence[Measured]) -> list[list[Measured]]:
     """Logs of each program: those with holds first, the deepest of them first; logs without a push last."""
     pushed = [(log, log.push) for log in logs if log.push is not None]
-    found = [
-        [pushed[i] for i in members]
-        for members in programs([(push.speed_mm_s, _depth(push)) for _, push in pushed])
-    ]
+    found = [[pushed[i] for i in members] for members in programs([_pushed(push) for _, push in pushed])]
     found.sort(key=lambda own: (any(log.holds for log, _ in own), _depth(own[0][1])), reverse=True)
     rest = [log for log in logs if log.push is None]
     return [[log for log, _ in own] for own in found] + ([rest] if rest else [])
+
+
+def _pushed(push: MeasuredPush) -> Pushed:
+    return Pushed(push.speed_mm_s, _depth(push), push.peak.force_N, push.ramp_time_s)
 
 
 def _depth(push: MeasuredPush) -> float:
@@ -203,11 +232,11 @@ def _matched(
             yield own, its
 
 
-def _push(rows: Sequence[Spread]) -> tuple[float, float] | None:
+def _push(rows: Sequence[Spread]) -> Pushed | None:
     """Mean speed and depth of a program."""
     means = {row.name: row.mean for row in rows if row.hold <= 1 and row.mean is not None}
     depth = means.get("depth", means.get("travel"))
-    return None if depth is None or "speed" not in means else (means["speed"], depth)
+    return None if depth is None or "speed" not in means else Pushed(means["speed"], depth)
 
 
 def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from tissueid.arrays import FloatArray
 from tissueid.digits import number
 from tissueid.documents.identification import Specimen, Trial
 from tissueid.documents.inspect import Units
-from tissueid.measured.spread import SAME_SPEED, clusters, programs
+from tissueid.measured.spread import SAME_SPEED, Pushed, clusters, programs
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import rebuilt
 from tissueid.report.figures import curves_by_trial
@@ -184,13 +184,28 @@ def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]
     if len(every) < 2:
         return []
     found = []
-    pushes = [(float(trial.speed_mm_s), float(trial.depth_mm)) for _, trial, _ in every]
+    pushes = [_pushed(trial, curve) for _, trial, curve in every]
     for members in programs(pushes):
         own = [every[i] for i in members]
-        speed, depth = (float(np.median([pushes[i][k] for i in members])) for k in (0, 1))
-        label = f"{program_words(speed, depth, units)}, n = {len(own)}"
+        words = _of_program([pushes[i] for i in members], units)
+        label = f"{words}, n = {len(own)}"
         found.append(_group([place for place, *_ in own], [curve for *_, curve in own], label))
     return found
+
+
+def _of_program(pushes: Sequence[Pushed], units: Units) -> str:
+    """Speed and depth of a program, or the load that ended its pushes."""
+    speed, depth, peak, _ = np.median(np.array(pushes), axis=0).tolist()
+    if len(programs([push._replace(peak_N=float("nan")) for push in pushes])) > 1:
+        return f"to {number(peak, 3)} {units.force}"
+    return program_words(speed, depth, units)
+
+
+def _pushed(trial: Trial, curve: Curve) -> Pushed:
+    """The push of a trial, by its largest force."""
+    top = int(np.argmax(curve.force_N))
+    ramp_time_s = float(curve.time_s[top] - curve.time_s[0])
+    return Pushed(float(trial.speed_mm_s), float(trial.depth_mm), float(curve.force_N[top]), ramp_time_s)
 
 
 #: Depths that differ by less than this factor are one setting of a machine.
