@@ -36,7 +36,7 @@ MISSES = 1.5
 #: program.
 BEND = 0.2
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
-MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
+MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 20, 8
 #: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
 AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
 #: Largest force of a branch over the noise with which it counts as seen, and factor between two times.
