@@ -31,7 +31,8 @@ ONE_ERROR, NO_GAIN = 0.8413, 0.02
 #: alone lets a law pass that misses one of them by far.
 TOO_MUCH = 1.0
 #: Noise that several logs need under a law over that under the best, beyond which it does not describe them.
-MISSES = 1.5
+#: Laws of different kinds may differ by more.
+MISSES, MISSES_OF_LAWS = 1.5, 3.0
 #: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
 #: program.
 BEND = 0.2
@@ -293,7 +294,7 @@ def without_bends(tried: Sequence[Tried]) -> list[Tried]:
     ]
 
 
-def describing(tried: Sequence[Tried]) -> list[Tried]:
+def describing(tried: Sequence[Tried], most: float = MISSES) -> list[Tried]:
     """Candidates that describe what they were fitted to nearly as well as the best of them.
 
     What differs between logs drowns, where one is predicted, what a law misses in all of them.
@@ -301,7 +302,7 @@ def describing(tried: Sequence[Tried]) -> list[Tried]:
     if len(tried[0].system.logs) == 1:
         return list(tried)
     least = min(one.optimum.noise.sigma_N for one in tried)
-    return [one for one in tried if one.optimum.noise.sigma_N <= MISSES * least]
+    return [one for one in tried if one.optimum.noise.sigma_N <= most * least]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,7 +325,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
         chosen = paper
     else:
         # the yardstick is the mark: it is chosen only where it alone was asked for
-        as_good = chosen_among(describing(laws))[2]
+        as_good = chosen_among(describing(laws, MISSES_OF_LAWS))[2]
         chosen = min(
             as_good, key=lambda one: (_parameters(one), one is not paper, -rival_of(one, as_good[0]).gain)
         )
