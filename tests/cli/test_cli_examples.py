@@ -8,10 +8,10 @@ import shlex
 import click
 import pytest
 from command_line import REPOSITORY, run
+from reference_pages import examples_of, options_page
 
 from tissueid.cli.flags import walk
 from tissueid.cli.main import cli, with_verb
-from tissueid.cli.options_page import examples_of, options_page
 
 WALKED = list(walk(cli))
 EXAMPLES = [(line, name) for name, command in WALKED for line in examples_of(command)]

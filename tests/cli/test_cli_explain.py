@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 from command_line import REPOSITORY, run
+from reference_pages import flags_page
 
 from tissueid import doctor, errors
-from tissueid.explanations import EXIT_MEANINGS, explain, explanations, flags_page
+from tissueid.explanations import EXIT_MEANINGS, explain, explanations
 from tissueid.flags import FLAGS
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.quantity_words import QUANTITIES

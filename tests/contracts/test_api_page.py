@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from reference_pages import RESULTS, api_page
 
 import tissueid
-from tissueid.cli.options_page import RESULTS, api_page
 from tissueid.notebook import Shown
 
 REPOSITORY = Path(__file__).resolve().parents[2]

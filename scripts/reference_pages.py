@@ -1,4 +1,4 @@
-"""``docs/options.md`` and ``docs/api.md``, written from the command line, signatures and docstrings."""
+"""``docs/options.md``, ``api.md`` and ``flags.md``, written from the command line, signatures and tables."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ import tissueid
 from tissueid.cli.config_command import TYPED_ONLY, option_name
 from tissueid.cli.flags import walk
 from tissueid.cli.main import cli
+from tissueid.explanations import EXIT_MEANINGS
+from tissueid.flags import FLAGS, flag_level
+from tissueid.quantity_words import QUANTITIES
 
 #: Options that every command has; told once.
 COMMON = frozenset({"quiet", "verbose", "json"})
@@ -181,3 +184,47 @@ def _methods(thing: Any) -> list[str]:
         first = (inspect.getdoc(value) or "").partition("\n\n")[0].replace("\n", " ")
         lines.append(f"* `{name}{call}`: {_plain(first)}")
     return [*lines, ""]
+
+
+def flags_page() -> str:
+    """``docs/flags.md``, written from the tables."""
+    lines = [
+        "# Flags, parameters and exit codes in plain words",
+        "",
+        "Written by `scripts/write-docs`, from the program. `tissueid explain NAME` prints one entry.",
+        "",
+        "## Exit codes",
+        "",
+        "| code | meaning | what to do |",
+        "|---|---|---|",
+        *(f"| {code} | {meaning} | {way} |" for code, (meaning, way) in EXIT_MEANINGS.items()),
+        "",
+        "## Parameters",
+        "",
+        "Names of a second or third branch end in `_b2`, `_b3`.",
+        "",
+        "| parameter | printed as | unit | in words | meaning | depends |",
+        "|---|---|---|---|---|---|",
+        *(
+            f"| `{name}` | {one.symbol} | {one.unit} | {one.title} | {one.meaning} | {one.depends} |"
+            for name, one in QUANTITIES.items()
+        ),
+        "",
+        "## Flags",
+        "",
+        "A flag is a remark with a stable code: in the report, in the terminal, and under `flags` in the",
+        "JSON with the numbers behind it. *Serious* puts the result in doubt, *caution* asks for a look,",
+        "*note* says what was assumed or done.",
+        "",
+    ]
+    for code, kind in FLAGS.items():
+        lines += [
+            f"### `{code}`",
+            "",
+            f"{kind.title} ({flag_level(code)}): {kind.means}.",
+            "",
+            f"* What follows: {kind.follows}",
+            f"* What to do: {kind.remedy}",
+            "",
+        ]
+    return "\n".join(lines)
