@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from posterior_factory import sampled
 from report_pages import document_of, drawn, open_all, opened, page, render_report
 from typed_call import typed_call
 
-from tissueid.report.law_payload import law_payload, loading_force, speed_groups
+from tissueid.report.law_payload import curve_groups, law_payload, loading_force, speed_groups
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
@@ -316,3 +317,22 @@ def test_all_curves_of_a_programme_share_a_figure_with_their_mean(browser: Any, 
     loading, hold = (one for one in found["traces"][:2])
     assert len(loading["y"]) + len(hold["y"]) == 201
     assert errors == []
+
+
+def test_curves_that_end_at_one_load_are_one_group_named_by_it() -> None:
+    """Places of a piece that are pushed to one force stop at their own depths."""
+
+    def held(depth_mm: float, ramp_s: float) -> tuple[Any, Any]:
+        time_s = np.linspace(0.0, ramp_s + 5.0, 80)
+        share = np.minimum(time_s / ramp_s, 1.0)
+        force = 1.2 * share**2 * np.exp(-0.1 * np.maximum(time_s - ramp_s, 0.0))
+        curve = Curve(time_s, depth_mm * share, force, force, np.ones(80, dtype=bool))
+        trial = SimpleNamespace(speed_mm_s=depth_mm / ramp_s, depth_mm=depth_mm)
+        return trial, SimpleNamespace(curve=curve)
+
+    units = SimpleNamespace(length="mm", force="N")
+    (one,) = curve_groups([[held(2.0, 2.0), held(3.0, 2.5), held(4.5, 3.0)]], units)
+    assert one["label"] == "to 1.2 N in 2.5 s, n = 3"
+    assert one["members"] == [[0, 0], [0, 1], [0, 2]]
+    alike = curve_groups([[held(2.0, 2.0), held(2.1, 2.0)]], units)
+    assert [group["label"] for group in alike] == ["1.02 mm/s to 2.05 mm, n = 2"]

@@ -169,7 +169,7 @@ def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: s
 
 
 def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]:
-    """Curves by program (loading speed and depth), each with mean and standard deviation.
+    """Curves by program (speed and depth, or a load), each with mean and standard deviation.
 
     ``trials``: of every specimen that is to be seen together.  Returns ``label``, ``members`` (specimen,
     trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n`` of each bin in which two curves meet,
@@ -195,9 +195,9 @@ def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]
 
 def _of_program(pushes: Sequence[Pushed], units: Units) -> str:
     """Speed and depth of a program, or the load that ended its pushes."""
-    speed, depth, peak, _ = np.median(np.array(pushes), axis=0).tolist()
+    speed, depth, peak, ramp_time_s = np.median(np.array(pushes), axis=0).tolist()
     if len(programs([push._replace(peak_N=float("nan")) for push in pushes])) > 1:
-        return f"to {number(peak, 3)} {units.force}"
+        return f"to {number(peak, 3)} {units.force} in {number(ramp_time_s, 2)} s"
     return program_words(speed, depth, units)
 
 
