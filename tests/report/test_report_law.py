@@ -332,7 +332,7 @@ def test_curves_that_end_at_one_load_are_one_group_named_by_it() -> None:
 
     units = SimpleNamespace(length="mm", force="N")
     (one,) = curve_groups([[held(2.0, 2.0), held(3.0, 2.5), held(4.5, 3.0)]], units)
-    assert one["label"] == "to 1.2 N in 2.5 s, n = 3"
+    assert one["label"] == "to 1.20 N in 2.6 s, n = 3"
     assert one["members"] == [[0, 0], [0, 1], [0, 2]]
     alike = curve_groups([[held(2.0, 2.0), held(2.1, 2.0)]], units)
     assert [group["label"] for group in alike] == ["1.02 mm/s to 2.05 mm, n = 2"]
