@@ -228,7 +228,7 @@ def measured_next(cut: str, members: Sequence[Recording], place: int) -> dict[st
         return {}
     inside: dict[str, list[bool]] = {}
     for key, row in known.items():
-        if key[0] in NEXT and row["prediction95"] and own.get(key) is not None:
+        if key[0] in NEXT and row.get("prediction95") and own.get(key) is not None:
             low, high = row["prediction95"]
             inside.setdefault(key[0], []).append(low <= own[key] <= high)
     return {name: all(every) for name, every in inside.items()}
