@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,21 @@ def scanned(model="auto", seed=1, logs=LOGS, **noise):
         ours.system, ours.optimum.point, parts, ours.optimum.prior,
         step_s=STEP, rough_N=ours.optimum.noise.sigma_N, model=model,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("model", ["white", "auto"])
+def test_noise_stays_where_priors_pull_logs_far_from_where_they_are(model):
+    """A step takes more off the priors there than the residuals have; what is left of these is the noise."""
+    recipe = small_recipe(logs=LOGS, sigma_N=0.5, cv_both=0.05)
+    ours = identified(handles_for(draw(recipe, 1)), noise="white", pooling="scaled")
+    best = ours.optimum
+    own = best.point.own.copy()
+    own[:, 0] += 0.2
+    away = best.point.moved(best.point.shared, own)
+    parts = ours.system.derivatives(away, machine=False)
+    tight = replace(best.prior, own=1e8 * np.ones(own.shape))
+    found = scan_memory(ours.system, away, parts, tight, step_s=STEP, rough_N=best.noise.sigma_N, model=model)
+    assert found.noise.sigma_N > 0.1 * best.noise.sigma_N
 
 
 @pytest.mark.parametrize("seed", range(4))
