@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,13 @@ def nearest_in_cone(
     return np.asarray(centre - root @ (rest[:-1] / rest[-1]))
 
 
-Loose = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+class Reduced(NamedTuple):
+    """Half the objective's Hessian and downhill gradient, the logs' own parameters eliminated."""
+
+    hessian: FloatArray  # (s, s)
+    gradient: FloatArray  # (s,)
+    cross: FloatArray  # (logs, q, s)
+    own_gradient: FloatArray  # (logs, q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +99,8 @@ class Normal:
     cross: FloatArray  # (logs, q, s)
     own_gradient: FloatArray  # (logs, q)
     objective: float  # |residual|^2 and priors
-    #: Hessian, gradient, cross and own gradient with shapes that need not have mean zero.
-    loose: Loose
+    #: Hessian, gradient and the like with shapes that need not have mean zero.
+    loose: Reduced
 
 
 def about_mean(own: FloatArray) -> FloatArray:
@@ -114,17 +121,17 @@ def prior_cost(prior: PriorRows, point: Point) -> float:
     return float(off @ off + (prior.own * point.own**2).sum())
 
 
-def _bound(loose: Loose, inverse: FloatArray, point: Point) -> Loose:
-    """Hessian, gradient, cross and own gradient under the constraint that shapes have mean zero."""
-    hessian, gradient, cross, own_gradient = loose
+def _bound(loose: Reduced, inverse: FloatArray, point: Point) -> Reduced:
+    """The same under the constraint that shapes have mean zero; ``inverse``: of the logs' own blocks."""
     shape = slice(-SHAPE, None)
     stiff = np.linalg.inv(inverse[:, shape, shape].sum(axis=0))
-    follow = np.einsum("lqr,lrs->qs", inverse[:, shape], cross)
-    off = np.einsum("lqr,lr->q", inverse[:, shape], own_gradient) + point.own[:, shape].sum(axis=0)
-    cross, own_gradient = cross.copy(), own_gradient.copy()
+    follow = np.einsum("lqr,lrs->qs", inverse[:, shape], loose.cross)
+    off = np.einsum("lqr,lr->q", inverse[:, shape], loose.own_gradient) + point.own[:, shape].sum(axis=0)
+    cross, own_gradient = loose.cross.copy(), loose.own_gradient.copy()
     cross[:, shape] -= stiff @ follow
     own_gradient[:, shape] -= stiff @ off
-    return hessian + follow.T @ stiff @ follow, gradient + follow.T @ stiff @ off, cross, own_gradient
+    hessian, gradient = loose.hessian + follow.T @ stiff @ follow, loose.gradient + follow.T @ stiff @ off
+    return Reduced(hessian, gradient, cross, own_gradient)
 
 
 def normal_equations(
@@ -151,7 +158,7 @@ def normal_equations(
         inverse, cross = np.zeros((logs, 0, 0)), np.zeros((logs, 0, shared.shape[1]))
         own_gradient = np.zeros((logs, 0))
     objective = float(residual @ residual) + prior_cost(prior, point)
-    loose = (hessian, gradient, cross, own_gradient)
+    loose = Reduced(hessian, gradient, cross, own_gradient)
     hessian, gradient, cross, own_gradient = _bound(loose, inverse, point) if system.centred else loose
     return Normal(residual, shared, own, hessian, gradient, inverse, cross, own_gradient, objective, loose)
 
@@ -190,9 +197,8 @@ def _step(
         hessian = hessian + np.einsum("lqs,lqr,lrt->st", cross, stiffer, cross)
         gradient = np.asarray(gradient + np.einsum("lqs,lqr,lr->s", cross, stiffer, own_gradient))
     if centred:
-        hessian, gradient, cross, own_gradient = _bound(
-            (hessian, gradient, cross, own_gradient), own_inverse, point
-        )
+        loose = Reduced(hessian, gradient, cross, own_gradient)
+        hessian, gradient, cross, own_gradient = _bound(loose, own_inverse, point)
     hessian = hessian + np.diag(damping * np.maximum(np.diag(hessian), FLAT) + frozen + FLAT)
     scale = 1.0 / np.sqrt(np.diag(hessian))
     factor = cho_factor(hessian * scale * scale[:, None] + 1e-13 * np.eye(scale.size))
