@@ -479,6 +479,7 @@ def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
     if not others:
         return ()
-    listed = ", ".join(f"{b} and {d}" for b, d in others[:3])
-    words = f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
-    return (Flag("model_undecided", words + listed, {"orders": [f"{b}x{d}" for b, d in others]}),)
+    orders = [f"{b}x{d}" for b, d in others]
+    listed = f"{', '.join(orders[:3])} (branches x degree)"
+    words = f"a left-out {identified.left_out} is predicted as well by {listed}"
+    return (Flag("model_undecided", words, {"orders": orders}),)

@@ -187,8 +187,7 @@ def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]
     pushes = [_pushed(trial, curve) for _, trial, curve in every]
     for members in programs(pushes):
         own = [every[i] for i in members]
-        words = _of_program([pushes[i] for i in members], units)
-        label = f"{words}, n = {len(own)}"
+        label = f"{_of_program([pushes[i] for i in members], units)}, n = {len(own)}"
         found.append(_group([place for place, *_ in own], [curve for *_, curve in own], label))
     return found
 
