@@ -181,6 +181,24 @@ def test_a_normal_target_is_normal_within_the_walls():
     assert (passive == inside).mean() > 0.95
 
 
+def test_points_of_the_normal_within_the_walls_are_passive_tissues_wherever_contact_is():
+    at = one_log(noise="white", machine=True)[1]
+    found = NormalTarget(at, 25.0 * at.root @ at.root.T)
+    drawn = found.centre + np.random.default_rng(8).standard_normal((300, found.size))
+    inside = found.passive(drawn)
+    central = found.at_mean_machine(drawn, inside)
+    for z in (inside, central):
+        linear = at.shared(at.vectors(z))[:, at.law.times + 3 :]
+        walls = at.law.cone() @ linear.T
+        assert (walls >= -1e-10 * np.abs(linear).max()).all()
+    moved = (inside != drawn).any(axis=1)
+    assert moved.mean() > 0.1
+    # at the mean of the machine, and nothing but what a wall asks for is moved
+    np.testing.assert_allclose(central[:, :3], np.broadcast_to(inside[:, :3].mean(axis=0), (300, 3)))
+    contact = at.vectors(inside)[:, at.places["contact"]]
+    assert np.ptp(contact) > 0.0
+
+
 RECIPE = small_recipe(logs=small_recipe().logs[-1:])
 THETA = np.array([[20.0, -1.2, 0.35, 63.0, 0.2], [25.0, -2.0, 0.4, 10.0, 1.5], [15.0, 0.5, 0.1, 90.0, 0.04]])
 STATED = Priors(

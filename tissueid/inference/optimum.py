@@ -29,6 +29,8 @@ DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
 FLAT = 1e-6
 #: Constraint slack, relative to the row's size, that counts as active.
 ACTIVE = 1e-7
+#: Distance behind a wall that counts as on it.
+ON_WALL = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,36 @@ def whitener_of(system: System, memory: Memory) -> Whitener:
     return whitener(count, system.obs_step, gap, system.chain, memory)
 
 
+def nearest_inside(points: FloatArray, rows: FloatArray, walls: FloatArray) -> FloatArray:
+    """Points (n, d) moved to the nearest with ``rows @ x >= walls``; NaN where none is found.
+
+    A least distance problem (Lawson & Hanson 1974, chapter 23).
+    """
+    size = np.linalg.norm(rows, axis=1)
+    rows, walls = rows[size > 0.0] / size[size > 0.0, None], walls[size > 0.0] / size[size > 0.0]
+    out, last = points.copy(), np.append(np.zeros(points.shape[1]), 1.0)
+    slack = points @ rows.T - walls
+    for i in np.flatnonzero((slack < -ON_WALL).any(axis=1)):
+        matrix = np.vstack([rows.T, -slack[i]])
+        try:
+            dual, norm = nnls(matrix, last, maxiter=60 * len(rows))
+        except RuntimeError:
+            dual, norm = np.zeros(0), 0.0
+        if norm > 1e-12:
+            rest = matrix @ dual - last
+            out[i] -= rest[:-1] / rest[-1]
+        else:
+            out[i] = np.nan
+    return out
+
+
+def root_of(covariance: FloatArray) -> FloatArray:
+    """Square root of a covariance whose coordinates may be of any size, and nearly dependent."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
+
+
 def nearest_in_cone(
     centre: FloatArray, covariance: FloatArray, cone: FloatArray, least: FloatArray
 ) -> FloatArray:
@@ -56,24 +88,9 @@ def nearest_in_cone(
     missing = least - cone @ centre
     if not (missing > 0.0).any():
         return centre
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
-    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    used = least > -1e200
-    a, h = (cone @ root)[used], missing[used]
-    size = np.linalg.norm(a, axis=1)
-    kept = size > 0.0
-    a, h = a[kept] / size[kept, None], h[kept] / size[kept]
-    e = np.vstack([a.T, h])
-    f = np.append(np.zeros(a.shape[1]), 1.0)
-    try:
-        dual, norm = nnls(e, f, maxiter=20 * e.shape[1])
-    except RuntimeError:
-        return centre
-    if norm <= 1e-12:
-        return centre
-    rest = e @ dual - f
-    return np.asarray(centre - root @ (rest[:-1] / rest[-1]))
+    root, used = root_of(covariance), least > -1e200
+    step = nearest_inside(np.zeros((1, centre.size)), (cone @ root)[used], missing[used])[0]
+    return np.asarray(centre + root @ step) if np.isfinite(step).all() else centre
 
 
 class Reduced(NamedTuple):

@@ -19,6 +19,7 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
+from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
     interval95,
     log_theta_prior,
@@ -41,12 +42,12 @@ from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 #: Draws that a bundle and a report keep.
 KEPT_DRAWS = 2000
-#: Steps towards the centre in which a draw outside the passive set is brought inside.
-HALVINGS = 40
 #: NRMSD of the centre at the most over that of the optimum.
 WORSE = 1.1
 #: Widest total interval of ln viscosity that counts as identified where its time is not: a factor of seven.
 MAX_WIDTH_VISCOSITY = 2.0
+#: Gains of the channels among the priors.
+GAINS = ("force_gain", "displacement_gain")
 #: Names of a branch's time and viscosity, before its number.
 TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
@@ -81,29 +82,23 @@ class Draws:
     total: FloatArray
     statistical: FloatArray  # (n, p)
     gains: FloatArray  # (n, 2), force and displacement gain
-    centre: FloatArray  # (size,), means of the coordinates
 
 
-def _passive(law: ChannelLaw, linear: FloatArray, centre: FloatArray) -> FloatArray:
-    """Linear parameters drawn towards a passive centre until they are passive too."""
+def _passive(law: ChannelLaw, linear: FloatArray) -> FloatArray:
+    """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance."""
     cone, out = law.cone(), linear.copy()
-    least = -1e-12 * np.abs(centre).max()
-    bad = (out @ cone.T < least).any(axis=1)
-    if not bad.any():
-        return out
-    # a centre on a wall is outside it by rounding
-    slack, inside = np.maximum(cone @ centre, 0.0), out[bad] @ cone.T
-    ratio = np.where(inside < 0.0, slack / np.maximum(slack - inside, 1e-300), 1.0).min(axis=1)
-    out[bad] = centre + (ratio * (1.0 - 1e-9))[:, None] * (out[bad] - centre)
+    bad = (linear @ cone.T < -ON_WALL * np.abs(linear).max()).any(axis=1)
+    if bad.any():
+        root = root_of(np.atleast_2d(np.cov(linear.T)))
+        inside = nearest_inside(np.linalg.solve(root, linear[bad].T).T, cone @ root, np.zeros(len(cone)))
+        out[bad] = np.where(np.isfinite(inside), inside, 0.0) @ root.T
     return out
 
 
-def _theta_of(target: SpecimenTarget, vectors: FloatArray, centre: FloatArray) -> FloatArray:
+def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     """Theta of vectors, every one of them passive."""
     law, shared = target.law, target.shared(vectors)
-    t = law.times
-    linear = _passive(law, shared[:, t + len(MACHINE) :], centre)
-    return law.theta(shared[:, :t], linear)
+    return law.theta(shared[:, : law.times], _passive(law, shared[:, law.times + len(MACHINE) :]))
 
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
@@ -130,24 +125,18 @@ def _with_gains(law: ChannelLaw, theta: FloatArray, gains: FloatArray) -> FloatA
 
 def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
     """Draws as vectors and as tissues."""
-    z = sampled.chain.reshape(-1, sampled.chain.shape[2])
-    vectors = target.vectors(z)
-    t = target.law.times + len(MACHINE)
-    centre = target.optimum.point.linear
-    mean = vectors.mean(axis=0)
-    inside = _passive(target.law, target.shared(mean[None])[:, t:], centre)[0]
-    gains = np.ones((len(z), 2))
+    vectors = target.vectors(sampled.chain.reshape(-1, sampled.chain.shape[2]))
+    central = sampled.at_mean_machine
+    inner = _at_mean_machine(target, vectors) if central is None else target.vectors(central)
+    gains = np.ones((len(vectors), 2))
+    total, statistical = _theta_of(target, vectors), _theta_of(target, inner)
     if target.open:
-        rng = np.random.default_rng([seed, 5])
-        for k, name in enumerate(("force_gain", "displacement_gain")):
-            one = priors.calibration[name]
-            gains[:, k] = np.maximum(one.mean + one.sd * rng.standard_normal(len(z)), 0.05)
-    total = _with_gains(target.law, _theta_of(target, vectors, inside), gains)
-    statistical = _theta_of(target, _at_mean_machine(target, vectors), inside)
-    if target.open:
-        means = np.array([[priors.calibration[k].mean for k in ("force_gain", "displacement_gain")]])
-        statistical = _with_gains(target.law, statistical, means)
-    return Draws(vectors, total, statistical, gains, mean)
+        rng, known = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
+        for k, one in enumerate(known):
+            gains[:, k] = np.maximum(one.mean + one.sd * rng.standard_normal(len(vectors)), 0.05)
+        total = _with_gains(target.law, total, gains)
+        statistical = _with_gains(target.law, statistical, np.array([[one.mean for one in known]]))
+    return Draws(vectors, total, statistical, gains)
 
 
 def _sampled(
@@ -173,9 +162,11 @@ def _sampled(
 
     def bounded(density: NormalTarget) -> Sampled:
         found = walked(density)
-        thin = found.chain[:, ::2]
-        inside = density.passive(thin.reshape(-1, thin.shape[2])).reshape(thin.shape)
-        return replace(found, chain=inside, log_density=found.log_density[:, ::2])
+        # all of them: every second step would be one half of the sequence's strata
+        drawn = found.chain.reshape(-1, found.chain.shape[2])
+        inside = density.passive(drawn)
+        central = density.at_mean_machine(drawn, inside)
+        return replace(found, chain=inside.reshape(found.chain.shape), at_mean_machine=central)
 
     if fitted.identified.discrepant:
         return target, bounded(NormalTarget(target, sandwich_covariance(target)[0]))

@@ -171,6 +171,8 @@ class Sampled:
     converged: bool
     acceptance: float
     detail: dict[str, Any] = field(default_factory=dict)
+    #: (n, d): the same draws with the machine at its mean, where they are known.
+    at_mean_machine: FloatArray | None = None
 
 
 class Proposal(Protocol):

@@ -12,14 +12,13 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
-from tissueid.inference.optimum import covariance_of, whitener_of
+from tissueid.inference.optimum import covariance_of, nearest_inside, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
 from tissueid.inference.system import MACHINE, SHAPE, Point
 from tissueid.priors import CalibrationPrior
@@ -78,7 +77,8 @@ class SpecimenTarget:
         states = relaxation_states(path, path.depth_mm / self.system.depth_mm, np.exp(self._ln_tau))
         self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
         self._machine_priors = [self.priors.calibration[name] for name in MACHINE]
-        self.bent_machine = True
+        #: The machine is not bent by its priors, and the contact takes polynomials with it in proportion.
+        self.straight = False
         parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
         self._own_at_optimum, self._force_at_optimum = parts.own.T, parts.force
         self._lay_out(machine)
@@ -145,6 +145,9 @@ class SpecimenTarget:
             return out
         at = self.places["contact"]
         by, first = x[..., at] - self.mode[at], self.law.times + len(MACHINE)
+        if self.straight:
+            out[..., first:] += by[..., None] * self.slope[first : self.n_shared, at]
+            return out
         for one in self.law.blocks:
             if one.polynomial:
                 # a static polynomial has no constant term, which the shift would give it
@@ -191,11 +194,11 @@ class SpecimenTarget:
     def vectors(self, z: FloatArray) -> FloatArray:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
-        x[..., self.free] += (self._straight(z) if self.bent_machine else z) @ self.root.T
+        x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
         return x
 
     @property
-    def _machine_places(self) -> IntArray:
+    def machine_places(self) -> IntArray:
         """Places of the machine in a vector, where it is open."""
         return (
             np.arange(self.law.times, self.law.times + len(MACHINE))
@@ -208,7 +211,7 @@ class SpecimenTarget:
 
         The machine comes first in whitened coordinates, and what follows it linearly goes with it.
         """
-        at = self._machine_places
+        at = self.machine_places
         if at.size == 0:
             return z
         out = np.array(z)
@@ -222,7 +225,7 @@ class SpecimenTarget:
 
     def bent(self, z: FloatArray) -> FloatArray:
         """Whitened points -> points with the machine as quantiles of its prior, (n, d) -> (n, d)."""
-        at = self._machine_places
+        at = self.machine_places
         if at.size == 0:
             return z
         out, x = np.array(z), self.mode[self.free] + z @ self.root.T
@@ -285,14 +288,18 @@ class SpecimenTarget:
         used = prior.least > -1e200
         rows = np.zeros((int(used.sum()), len(self.mode)))
         rows[:, : self.n_shared] = prior.cone[used]
-        self.rows = rows[:, self.free] @ self.root
         self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
+        if "contact" in self.places:
+            # a contact that moves takes the polynomials with it
+            at = self.places["contact"]
+            rows[:, at] = prior.cone[used] @ self.slope[: self.n_shared, at]
+        self.rows = rows[:, self.free] @ self.root
         self.centre = self.root.T @ gradient[self.free]
         self.likely = self._likely(used)
 
     def factor(self, covariance: FloatArray) -> FloatArray:
         """Root of a covariance of the free coordinates, the machine first."""
-        places = np.searchsorted(np.flatnonzero(self.free), self._machine_places)
+        places = np.searchsorted(np.flatnonzero(self.free), self.machine_places)
         order = np.concatenate([places, np.setdiff1d(np.arange(len(covariance)), places)])
         inner = covariance[np.ix_(order, order)]
         out = np.empty_like(inner)
@@ -444,7 +451,8 @@ class NormalTarget:
         self.rows, self.walls, self.likely = base.rows @ to_old, base.walls, base.likely
         # the unbounded minimum stays where it is
         self.centre = np.linalg.solve(to_old, base.centre)
-        base.root, base.bent_machine = root, False
+        base.root, base.straight = root, True
+        self.machine = len(base.machine_places)
 
     @property
     def is_normal(self) -> bool:
@@ -464,26 +472,19 @@ class NormalTarget:
         """Log densities of whitened points, walls apart, (n, d) -> (n,)."""
         return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=1))
 
-    def passive(self, z: FloatArray) -> FloatArray:
-        """Nearest points within the walls, (n, d) -> (n, d)."""
-        size = np.linalg.norm(self.rows, axis=1)
-        kept = size > 0.0
-        rows, walls = self.rows[kept] / size[kept, None], self.walls[kept] / size[kept]
-        out = z.copy()
-        target = np.append(np.zeros(z.shape[1]), 1.0)
-        for i in np.flatnonzero(((z @ rows.T) < walls - 1e-12).any(axis=1)):
-            matrix = np.vstack([rows.T, walls - rows @ z[i]])
-            try:
-                dual, norm = nnls(matrix, target, maxiter=60 * rows.shape[0])
-            except RuntimeError:
-                out[i] = 0.0
-                continue
-            if norm <= 1e-12:
-                out[i] = 0.0
-                continue
-            rest = matrix @ dual - target
-            out[i] = z[i] - rest[:-1] / rest[-1]
-        return out
+    def passive(self, z: FloatArray, held: int = 0) -> FloatArray:
+        """Nearest points within the walls, (n, d) -> (n, d), the first ``held`` coordinates as they are."""
+        rows, rest = self.rows[:, held:], z[:, held:]
+        # one wall for all: held coordinates are the same in every point
+        walls = self.walls - self.rows[:, :held] @ z[0, :held]
+        inside = nearest_inside(rest, rows, walls)
+        return np.hstack([z[:, :held], np.where(np.isfinite(inside), inside, 0.0)])
+
+    def at_mean_machine(self, z: FloatArray, inside: FloatArray) -> FloatArray:
+        """Points as drawn with the machine at the mean of those within the walls, moved inside."""
+        out, machine = z.copy(), self.machine
+        out[:, :machine] = inside[:, :machine].mean(axis=0)
+        return self.passive(out, machine)
 
 
 def _of_mean(factor: FloatArray, half: FloatArray, own: FloatArray) -> FloatArray:
