@@ -65,7 +65,7 @@ def nearest_inside(points: FloatArray, rows: FloatArray, walls: FloatArray) -> F
         try:
             dual, norm = nnls(matrix, last, maxiter=60 * len(rows))
         except RuntimeError:
-            dual, norm = np.zeros(0), 0.0
+            dual, norm = np.zeros(0), np.float64(0.0)
         if norm > 1e-12:
             rest = matrix @ dual - last
             out[i] -= rest[:-1] / rest[-1]
