@@ -132,6 +132,18 @@ def test_without_a_hold_the_ramp_s_relaxation_is_not_invented():
     assert quoted.spectra == ()
 
 
+def test_a_law_without_force_at_a_hold_has_no_fractions_there():
+    handles = handles_for(draw(small_recipe(branches=(TRUE,)), 0))
+    state = fit_with_state("knee", handles, options=FitOptions(branches=1, stiffness_degree=0), machine=False)
+    nothing = np.zeros_like(state.tissue.theta)
+    nothing[-1] = 0.2
+    quoted, _ = state.quoted(replace(state.tissue, theta=nothing))
+    for one in quoted.model:
+        if one.name in {"fraction_relaxed", "peak_to_plateau", "tan_delta"}:
+            assert one.value is None
+            assert one.reason
+
+
 def test_moduli_are_forces_over_the_tip_s_geometry(fit):
     tip = Indenter("sphere", 3.0)
     depth = fit.depth_mm

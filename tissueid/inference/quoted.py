@@ -109,6 +109,11 @@ class _Quoter:
         return Quantity(name, unit, at, value, stderr)
 
 
+def _over(part: float, whole: float) -> float:
+    """Ratio, NaN where there is no whole: a law that ends above the depth of a hold has no force there."""
+    return float(part) / float(whole) if whole > 0.0 else float("nan")
+
+
 def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     """Fraction relaxed after an ideal step and after the ramp of the longest hold."""
     model, hold = quote.tissue.model, supported.hold
@@ -134,14 +139,14 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         for time in TIMES_S:
 
             def relaxed(m: ChannelModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
-                return float(1.0 - force(m, t, time) / force(m, t, 0.0))
+                return 1.0 - _over(force(m, t, time), force(m, t, 0.0))
 
             why = reason or supported.no_time(time)
             yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
 
         def ratio(m: ChannelModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
             rest = float(m.static_force(t, np.array([depth]))[0])
-            return float(force(m, t, 0.0)) / rest if rest > 0.0 else float("inf")
+            return _over(force(m, t, 0.0), rest)
 
         yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
 
@@ -163,7 +168,7 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
             return functionals.complex_stiffness(m, t, depth, f)[1]
 
         def tangent(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return loss(m, t, f) / storage(m, t, f)
+            return _over(loss(m, t, f), storage(m, t, f))
 
         def energy(m: ChannelModel, t: FloatArray, f: float = f) -> float:
             return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
