@@ -124,7 +124,6 @@ def _start(cohort: Cohort, pilot: Pilot, design: Design, hyper: Hyper, rng: np.r
         partial=np.zeros((p, p)),
         nu=np.array([rng.uniform(3.0, 30.0) if hyper.heavy else NORMAL_NU]),
         weight=np.ones(n),
-        distance2=np.zeros(n),
         step=np.log(np.stack([0.5 * sd, np.full(p, 0.3), np.ones(p)])),
         accepted=np.zeros(n, dtype=np.int64),
     )
