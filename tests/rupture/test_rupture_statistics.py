@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from rupture_cohorts import known_cohort, recorded_cohort, typical_threshold
 from scipy.integrate import quad
 from scipy.stats import binom, norm
@@ -62,7 +63,7 @@ def in_other_units(failures: list[Failure], power: float) -> list[Failure]:
         replace(
             one,
             measures={
-                "depth": replace(
+                "depth": structs.replace(
                     one.measures["depth"], value=7.0 * one.measures["depth"].value ** power, growth=power
                 )
             },
