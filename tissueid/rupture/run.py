@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
+from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model
@@ -53,16 +53,11 @@ class _Ends:
             yield raw
 
     def _add(self, raw: Trial) -> None:
-        trial, own, decision = raw, self.options, None
-        if self.study is not None:
-            decision = self.study.decision(raw.source.path, raw.source.sheet)
-        if why_excluded(raw, decision, self.study) is not None:
+        trial, options, excluded = as_decided(raw, self.options, self.study)
+        if excluded is not None:
             return
-        if self.study is not None and decision is not None:
-            trial = decided_trial(raw, decision, self.study)
-            own = decided_options(own, decision)
         try:
-            test = loaded_test(trial, segment(trial, options=own))
+            test = loaded_test(trial, segment(trial, options=options))
         except (ArithmeticError, np.linalg.LinAlgError):
             return  # the fit refuses the same recording, and says why
         if test is not None:
