@@ -11,7 +11,8 @@ import numpy as np
 from tissueid.design.machine import Machine, Setting
 from tissueid.design.precision import Asked, Chain, Ledger, Protocol
 from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
-from tissueid.design.tissues import Tissues, Want
+from tissueid.design.tissues import Tissues
+from tissueid.documents.design import Limit, Want
 from tissueid.errors import UsageError
 
 #: A change that betters the precision by less is not worth telling.
@@ -22,16 +23,6 @@ RIGID_N_PER_MM = 1e9
 
 #: Name, words, and fields of machine, setting and request that become others.
 _Change = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """One thing, changed."""
-
-    name: str  # ``noise``, ``filter``, ``rate``, ``speed``, ...
-    words: str  # what was changed
-    factor: float  # by how much the precision betters
-    enough: bool  # the wants would be reached
 
 
 def _of_machine(machine: Machine, now: Setting) -> Iterator[_Change]:

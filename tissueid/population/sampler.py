@@ -166,11 +166,7 @@ def _next_pilot(
 
 
 def _in_threads(work: Callable[[int], None], count: int, workers: int) -> None:
-    if min(workers, os.cpu_count() or 1) < 2:
-        for k in range(count):
-            work(k)
-        return
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(min(workers, os.cpu_count() or 1)) as pool:
         list(pool.map(work, range(count)))
 
 

@@ -6,13 +6,12 @@ that agrees because it must is labelled a round trip.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from tissueid.documents import plain
 from tissueid.errors import UsageError, printable
 
 Value = float | tuple[float, float]
@@ -118,11 +117,6 @@ class Item:
             msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
             raise ValueError(msg)
 
-    def as_json(self) -> dict[str, Any]:
-        """The ``items`` object of ``schemas/reproduction.schema.json``."""
-        document: dict[str, Any] = plain(self)
-        return document
-
 
 @dataclass(frozen=True, slots=True)
 class Said:
@@ -160,11 +154,6 @@ class Figure:
     drawing: str | None = None  # name of a drawing of the page: a schematic or a block diagram
     x_log: bool = False
 
-    def as_json(self) -> dict[str, Any]:
-        """The ``figures`` object of the schema."""
-        document: dict[str, Any] = plain(self)
-        return document
-
 
 #: Sadeghnejad et al., endoscopic sinus surgery: sheep orbital floor, indentation and relaxation.
 SADEGHNEJAD = "sadeghnejad"
@@ -191,6 +180,11 @@ _TABLE_1 = {2: (86.64, 0.0214), 4: (122.32, 0.0212), 6: (176.76, 0.0206), 8: (22
 _TABLE_3 = (1.25, 2.0, 30.0, 1.158, 115.4, 31.46)
 
 
+def points(values: Iterable[float], places: int = 4) -> tuple[float, ...]:
+    """Coordinates of a trace, rounded."""
+    return tuple(round(float(value), places) for value in values)
+
+
 def _catalogue() -> dict[str, Published]:
     numbers = {}
     for depth, (peak, tau) in _TABLE_1.items():
@@ -213,15 +207,15 @@ def _catalogue() -> dict[str, Published]:
 PUBLISHED: Numbers = MappingProxyType(_catalogue())
 
 
+@dataclass(slots=True)
 class Ledger:
     """Hands out the inputs of one computation and remembers them."""
 
-    def __init__(self, paper: str, numbers: Numbers = PUBLISHED) -> None:
-        self.paper = paper
-        self._numbers = numbers
-        self._used: list[str] = []
-        self._assumed: list[str] = []
-        self._readings: list[str] = []
+    paper: str
+    _numbers: Numbers = field(default_factory=lambda: PUBLISHED)
+    _used: list[str] = field(default_factory=list)
+    _assumed: list[str] = field(default_factory=list)
+    _readings: list[str] = field(default_factory=list)
 
     def printed(self, key: str) -> float:
         """A published number as an input; from now on its own row is a round trip."""
@@ -246,9 +240,7 @@ class Ledger:
 
     def branch(self) -> Ledger:
         """A ledger that starts with what was used so far; what it hands out stays its own."""
-        other = Ledger(self.paper, self._numbers)
-        other._used, other._assumed, other._readings = [*self._used], [*self._assumed], [*self._readings]
-        return other
+        return Ledger(self.paper, self._numbers, [*self._used], [*self._assumed], [*self._readings])
 
     def item(
         self,
@@ -354,8 +346,8 @@ class Readings:
     def as_json(self) -> dict[str, dict[str, str]]:
         """Choice and words of each."""
         return {
-            field.name: {"choice": getattr(self, field.name), "words": self.words(field.name)}
-            for field in fields(self)
+            one.name: {"choice": getattr(self, one.name), "words": self.words(one.name)}
+            for one in fields(self)
         }
 
 

@@ -24,6 +24,7 @@ from tissueid.reproduce.published import (
     Readings,
     Said,
     Trace,
+    points,
 )
 from tissueid.synth.recipe import Branch
 
@@ -127,7 +128,7 @@ def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
         )
     )
     traces = tuple(
-        Trace(f"{speed:.0f} mm/min", _rounded(depth), _rounded(curve))
+        Trace(f"{speed:.0f} mm/min", points(depth), points(curve))
         for speed, curve in zip(SPEEDS_MM_MIN, curves, strict=True)
     )
     caption = (
@@ -208,7 +209,7 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
                 "where it is above 1",
             )
         )
-        traces.append(Trace(words, SPEEDS_MM_MIN, _rounded(np.array(peaks))))
+        traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks)))
     items.append(_by_seven(readings, numbers))
     figure = Figure(
         "figure-4",
@@ -246,7 +247,3 @@ def _by_seven(readings: Readings, numbers: Numbers) -> Item:
         note="equation (7) alone lets force grow with speed at every depth; a fall needs a criterion of "
         "rupture, and under constant work a static curve that hardens",
     )
-
-
-def _rounded(values: FloatArray) -> tuple[float, ...]:
-    return tuple(round(float(value), 4) for value in values)
