@@ -88,8 +88,6 @@ def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_pa
 def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
     trial = members(1, seed=1, repeats=1, draws=100)[0].trials[0]
     assert trial.curve is not None
-    force = trial.curve.force_N
-    own = trial.curve.model_N
     theta = COORDINATES.to_theta(COORDINATES.to_phi(TYPICAL)[0])[0]
     made = COORDINATES.model.force(theta, ContactPath(trial.curve.time_s, trial.curve.depth_mm))
     scaled = replace(trial, curve=replace(trial.curve, force_N=1.1 * made))
@@ -99,7 +97,7 @@ def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
     # a tenth more force: root mean square of a tenth of it, over range and mean of eleven tenths
     rms = 0.1 * np.sqrt((made**2).mean())
     assert error == pytest.approx((rms / (1.1 * np.ptp(made)), rms / (1.1 * made.mean())), rel=1e-9)
-    assert own.shape == force.shape
+    assert trial.curve.model_N.shape == trial.curve.force_N.shape
 
 
 def test_two_specimens_make_no_population() -> None:
@@ -218,16 +216,21 @@ def test_equally_common_models_give_way_to_the_simplest() -> None:
     assert common_model([*two, *four[2:]]) == ("kelvin-voigt", 1, 0)
 
 
-def test_a_covariate_that_nobody_states_is_refused_with_those_there_are() -> None:
-    with pytest.raises(UsageError, match="no specimen states 'weight'; stated are age_years, donor, sex"):
-        design_of(members(3, draws=100), None, ("weight",))
+@pytest.mark.parametrize(
+    ("group_by", "covariates", "says"),
+    [
+        (None, ("weight",), "no specimen states 'weight'; stated are age_years, donor, sex"),
+        ("sex", (), "nothing to compare"),
+    ],
+    ids=["stated by nobody", "the same for all"],
+)
+def test_a_covariate_that_tells_nothing_is_refused(
+    group_by: str | None, covariates: tuple[str, ...], says: str
+) -> None:
+    same = [replace(one, covariates={**one.covariates, "sex": "f"}) for one in members(3, draws=100)]
 
-
-def test_a_group_that_all_belong_to_is_refused() -> None:
-    same = tuple(replace(one, covariates={"sex": "f"}) for one in members(3, draws=100))
-
-    with pytest.raises(UsageError, match="nothing to compare"):
-        design_of(same, "sex", ())
+    with pytest.raises(UsageError, match=says):
+        design_of(same, group_by, covariates)
 
 
 def test_missing_numbers_get_the_mean_and_are_named() -> None:
