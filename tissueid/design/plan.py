@@ -268,9 +268,8 @@ def _finalists(
     return out
 
 
-def _family(setting: Setting, protocol: Protocol) -> tuple[Setting, frozenset[tuple[float, float]]]:
-    """Common part of two protocols that differ in repeats and holds only."""
-    return setting, frozenset((test.speed_mm_min, test.depth_mm) for test in protocol)
+#: What protocols that differ in repeats and holds only have in common: setting, speeds and depths.
+_Family = tuple[Setting, frozenset[tuple[float, float]]]
 
 
 def _ranked(
@@ -281,9 +280,11 @@ def _ranked(
     progress: Progress,
 ) -> list[Judged]:
     """The best of every family, its repeats balanced for all tissues."""
-    best: dict[tuple[Setting, frozenset[tuple[float, float]]], Found] = {}
+    best: dict[_Family, Found] = {}
     for setting, one in sorted(finalists, key=lambda pair: pair[1].rank):
-        best.setdefault(_family(setting, one.protocol), one)
+        best.setdefault(
+            (setting, frozenset((test.speed_mm_min, test.depth_mm) for test in one.protocol)), one
+        )
     chosen = list(best.items())[:FINALISTS]
     # every setting is shown once at least
     for setting in machine.settings:

@@ -127,14 +127,11 @@ def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
 def _programs(logs: Sequence[Measured]) -> list[list[Measured]]:
     """Logs of each program: those with holds first, the deepest of them first; logs without a push last."""
     pushed = [(log, log.push) for log in logs if log.push is not None]
-    found = [[pushed[i] for i in members] for members in programs([_pushed(push) for _, push in pushed])]
+    told = [Pushed(one.speed_mm_s, _depth(one), one.peak.force_N, one.ramp_time_s) for _, one in pushed]
+    found = [[pushed[i] for i in members] for members in programs(told)]
     found.sort(key=lambda own: (any(log.holds for log, _ in own), _depth(own[0][1])), reverse=True)
     rest = [log for log in logs if log.push is None]
     return [[log for log, _ in own] for own in found] + ([rest] if rest else [])
-
-
-def _pushed(push: MeasuredPush) -> Pushed:
-    return Pushed(push.speed_mm_s, _depth(push), push.peak.force_N, push.ramp_time_s)
 
 
 def _depth(push: MeasuredPush) -> float:

@@ -15,7 +15,7 @@ from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model
-from tissueid.result import Identification, Refusal, SpecimenFit
+from tissueid.result import Identification, Refusal
 from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
@@ -102,7 +102,8 @@ def run_rupture(
         if fit.axes.normalised:
             msg = f"{fit.specimen}: the recordings are normalised, and a rupture is measured in mm and N"
             raise NotIdentifiedError(msg)
-        law = _law(fit)
+        model = rebuilt(fit.model, fit.depth_mm)
+        law = SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))
         tests = []
         for trial in fit.trials:
             test = ends.found.get((trial.path, trial.sheet))
@@ -143,8 +144,3 @@ def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
     if not (test.force_N > 0.0 and test.work_N_mm > 0.0):
         return "no force or work is left at its end"
     return None
-
-
-def _law(fit: SpecimenFit) -> SpecimenLaw:
-    model = rebuilt(fit.model, fit.depth_mm)
-    return SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))
