@@ -37,7 +37,7 @@ def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
 
     population = found.population
     assert population is not None
-    force = {row.name: row for row in population.quantities}["static_force_3_N"]
+    force = {row.name: row for row in population.told.quantities}["static_force_3_N"]
     truth = dict(zip(COORDINATES.names, COORDINATES.quantities(TYPICAL)[0], strict=True))["static_force_3_N"]
     # eight specimens that differ by 15 %: three standard errors of 5.3 %
     assert force.median == pytest.approx(truth, rel=0.16)
@@ -45,16 +45,16 @@ def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
     assert 0.05 < force.cv < 0.45
 
     # force is known to 1 % each, tau to 20 % where specimens differ by 15 %
-    shrinkage = np.array([row.shrinkage for row in population.specimens])
+    shrinkage = np.array([row.shrinkage for row in population.told.specimens])
     assert shrinkage[:, 2].max() < 0.2
     assert np.median(shrinkage[:, 4]) > 0.2
 
-    rows = [row for row in population.effects if row.covariate == "sex"]
+    rows = [row for row in population.told.effects if row.covariate == "sex"]
     assert len(rows) == COORDINATES.size
     assert all(row.ci95[0] < row.ratio < row.ci95[1] for row in rows)
     assert all(0.0 <= row.probability <= 1.0 for row in rows)
 
-    held = population.held_out
+    held = population.told.held_out
     assert held is not None
     assert (held.folds, len(held.trials)) == (8, 24)
     assert held.nrmsd_mean.median > held.nrmsd_range.median > 0.0
@@ -78,10 +78,10 @@ def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_pa
     # drawn specimens differ as specimens and donors do, around a mean that is not known: ln force at depth
     low, high = np.quantile(np.log(COORDINATES.quantities(back.draws)[:, 2]), [0.1587, 0.8413])
     assert found.population is not None
-    row = found.population.quantities[2]
+    row = found.population.told.quantities[2]
     mean = np.log(row.ci95[1] / row.ci95[0]) / 3.92
     # heavy tails widen the central 68 % a little, posteriors of spreads are skew
-    expected = np.sqrt(row.sd_ln**2 + row.levels["donor"]["sd_ln"] ** 2 + mean**2)
+    expected = np.sqrt(row.sd_ln**2 + row.levels["donor"].sd_ln ** 2 + mean**2)
     assert 0.5 * (high - low) == pytest.approx(expected, rel=0.3)
 
 
@@ -168,8 +168,8 @@ def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: s
     centre = coordinates.to_phi(np.array(LAWS[name]))[0][0]
     # seven specimens 10 % apart: their mean within 3.8 % standard error, five of it
     assert mean == pytest.approx(centre, abs=0.19)
-    assert found.population.held_out is not None
-    errors = [row.nrmsd_range for row in found.population.held_out.trials]
+    assert found.population.told.held_out is not None
+    errors = [row.nrmsd_range for row in found.population.told.held_out.trials]
     assert len(errors) == 7
     # quantities scatter by 10 %, so does the force of the typical tissue
     assert np.median(errors) < 0.15
@@ -289,7 +289,7 @@ def test_the_machine_s_part_does_not_average_out() -> None:
     found = cohort(total, CohortOptions(sampler=SHORT, hold_out=False))
 
     assert found.population is not None
-    row = found.population.quantities[2]
+    row = found.population.told.quantities[2]
     assert row.ci95_total is not None
     statistical = np.log(row.ci95[1] / row.ci95[0]) / 3.92
     with_machine = np.log(row.ci95_total[1] / row.ci95_total[0]) / 3.92
