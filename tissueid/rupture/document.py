@@ -113,10 +113,7 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
         ],
         "sentences": sentences(study),
         "left_out": [
-            *(
-                {"path": path, "sheet": sheet or None, "reason": reason}
-                for path, sheet, reason in run.left_out
-            ),
+            *plain(run.left_out),
             *(
                 {"path": one.path, "sheet": one.sheet, "reason": one.message}
                 for one in run.identification.refused

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tissueid.documents.rupture import LeftOut
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
 from tissueid.inspection import as_decided
 from tissueid.manifest import Study
@@ -34,8 +35,7 @@ class RuptureRun:
 
     study: RuptureStudy
     identification: Identification
-    #: Path, sheet (or empty) and reason of fitted recordings that no measure could be taken of.
-    left_out: tuple[tuple[str, str, str], ...]
+    left_out: tuple[LeftOut, ...]  # fitted recordings that no measure could be taken of
 
 
 @dataclass(slots=True)
@@ -97,7 +97,7 @@ def run_rupture(
     if not identification.specimens:
         raise _nothing_fitted(identification)
     failures: list[Failure] = []
-    left_out: list[tuple[str, str, str]] = []
+    left_out: list[LeftOut] = []
     for fit in identification.specimens:
         if fit.axes.normalised:
             msg = f"{fit.specimen}: the recordings are normalised, and a rupture is measured in mm and N"
@@ -109,7 +109,7 @@ def run_rupture(
             test = ends.found.get((trial.path, trial.sheet))
             why = None if test is None else _why_not(test, trial.contact_offset_mm)
             if test is None or why is not None:
-                left_out.append((trial.path, trial.sheet or "", why or "no loading to a depth was found"))
+                left_out.append(LeftOut(trial.path, trial.sheet, why or "no loading to a depth was found"))
             else:
                 tests.append((test, trial.contact_offset_mm))
         failures += failures_of(law, tests, weight=weight)
