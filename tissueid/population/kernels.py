@@ -106,7 +106,7 @@ def _slice_sampler(
 
 
 class _Scales(NamedTuple):
-    """What scales are drawn from; ``log_sd``, ``partial`` and ``low`` follow where the density is asked."""
+    """Data and state of a draw of scales; ``log_sd``, ``partial`` and ``low`` follow where it looks."""
 
     log_sd: FloatArray
     partial: FloatArray
