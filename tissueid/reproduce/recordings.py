@@ -94,7 +94,7 @@ def _central_99(draws: FloatArray) -> tuple[float, float]:
 
 
 def relaxation_of(fit: SpecimenFit, readings: Readings) -> tuple[float | None, tuple[float, float] | None]:
-    """What the paper may call its relaxation: the time or the rate, and its 99 % interval."""
+    """Relaxation as the reading has it, a time or a rate, and its 99 % interval."""
     tau, interval = fit.parameter("relaxation_time_s").value, interval_of(fit, "relaxation_time_s")
     if readings.relaxation == "time":
         return tau, interval
