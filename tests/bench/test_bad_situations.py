@@ -1,6 +1,6 @@
 """What goes wrong at a bench: each situation ends in the right reading, or in one sentence with a way out.
 
-A row is a situation: what is prepared in an empty folder, what is typed there, the exit code, and words that
+A row is a situation: the files of a folder, what is typed there, the exit code, and words that
 stdout and stderr must hold between them.  A further one is a row more.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,112 +28,87 @@ MOST_LINES = 3
 class Situation:
     """One thing that goes wrong."""
 
-    prepare: Callable[[Path], None]  # fills a folder
+    files: Mapping[str, str | bytes]  # what the folder holds: contents by path
     typed: tuple[str, ...]  # arguments; run in that folder
     code: int
     told: tuple[str, ...]  # words of the answer
     kept: tuple[str, ...] = ()  # files that must be there afterwards, as they were prepared
+    linked: bool = False  # whether "link" leads to "lab"
 
 
-def _lab(folder: Path) -> None:
-    (folder / "lab").mkdir()
-    lines = LOG.read_text(encoding="ascii").splitlines()
-    body = lines[6:1606:8]
-    (folder / "lab" / "log.csv").write_text("\n".join([*lines[:6], *body, ""]), encoding="ascii")
-
-
-def _linked(folder: Path) -> None:
-    _lab(folder)
-    (folder / "link").symlink_to(folder / "lab", target_is_directory=True)
-
-
-def _foreign(folder: Path) -> None:
-    _lab(folder)
-    (folder / "out").mkdir()
-    (folder / "out" / "report.html").write_text("mine", encoding="ascii")
-
-
-def _study(folder: Path) -> None:
-    _lab(folder)
-    (folder / "lab" / "study.toml").write_text('schema = "tissueid/study/1"\n', encoding="ascii")
-
-
-def _picture(folder: Path) -> None:
-    (folder / "photo.csv").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(64))
-
-
-def _empty(folder: Path) -> None:
-    (folder / "empty").mkdir()
-    (folder / "empty" / "notes.docx").write_text("Dear colleague", encoding="ascii")
-
-
-def _escape(folder: Path) -> None:
-    (folder / "bad\x1b[2J\u202e\nok.csv").write_text("nothing\n", encoding="ascii")
-
-
-def _file_as_folder(folder: Path) -> None:
-    _lab(folder)
-    (folder / "out").write_text("a file", encoding="ascii")
-
-
-def _table_as_bundle(folder: Path) -> None:
-    (folder / "liver.h5").write_text("depth,force\n1,2\n", encoding="ascii")
-
-
-def _nothing(folder: Path) -> None:
-    del folder
-
+LINES = LOG.read_text(encoding="ascii").splitlines()
+LAB = {"lab/log.csv": "\n".join([*LINES[:6], *LINES[6:1606:8], ""])}
+STUDY = LAB | {"lab/study.toml": 'schema = "tissueid/study/1"\n'}
+FOREIGN = LAB | {"out/report.html": "mine"}
+NOTES = {"empty/notes.docx": "Dear colleague"}
+TABLE = {"liver.h5": "depth,force\n1,2\n"}
+ESCAPE = {"bad\x1b[2J\u202e\nok.csv": "nothing\n"}
+PICTURE = {"photo.csv": b"\x89PNG\r\n\x1a\n" + bytes(64)}
 
 SITUATIONS: dict[str, Situation] = {
     "the output folder is the input": Situation(
-        _lab, ("fit", "lab", "-o", "lab"), 2, ("same folder", "-o results"), ("lab/log.csv",)
+        LAB, ("fit", "lab", "-o", "lab"), 2, ("same folder", "-o results"), ("lab/log.csv",)
     ),
     "the output folder is the input, by a link": Situation(
-        _linked, ("fit", "lab", "-o", "link"), 2, ("same folder",), ("lab/log.csv",)
+        LAB, ("fit", "lab", "-o", "link"), 2, ("same folder",), ("lab/log.csv",), linked=True
     ),
     "the input is the output folder, by a link and a dot": Situation(
-        _linked, ("fit", "link", "-o", "./lab/../lab"), 2, ("same folder",), ("lab/log.csv",)
+        LAB, ("fit", "link", "-o", "./lab/../lab"), 2, ("same folder",), ("lab/log.csv",), linked=True
     ),
     "the output folder is that of the study": Situation(
-        _study, ("fit", "lab/study.toml", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
+        STUDY,
+        ("fit", "lab/study.toml", "-o", "lab"),
+        2,
+        ("same folder",),
+        ("lab/log.csv",),
     ),
     "a study of rupture is written into its input": Situation(
-        _lab, ("rupture", "lab", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
+        LAB, ("rupture", "lab", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
     ),
     "the output folder holds somebody's report": Situation(
-        _foreign, ("fit", "lab", "-o", "out"), 2, ("report.html", "another folder"), ("out/report.html",)
+        LAB | {"out/report.html": "mine"},
+        ("fit", "lab", "-o", "out"),
+        2,
+        ("report.html", "another folder"),
+        ("out/report.html",),
     ),
     "the output folder is a file": Situation(
-        _file_as_folder, ("fit", "lab", "-o", "out"), 2, ("out", "file"), ("out",)
+        LAB | {"out": "a file"}, ("fit", "lab", "-o", "out"), 2, ("out", "file"), ("out",)
     ),
     "a folder without recordings": Situation(
-        _empty, ("fit", "empty", "-o", "out"), 3, ("empty", "no"), ("empty/notes.docx",)
+        NOTES, ("fit", "empty", "-o", "out"), 3, ("empty", "no"), ("empty/notes.docx",)
     ),
-    "a picture named .csv": Situation(_picture, ("inspect", "photo.csv"), 3, ("PNG", "test machine")),
-    "a file that is not there": Situation(_lab, ("fit", "lab/lgo.csv"), 2, ("no such file",)),
+    "a picture named .csv": Situation(PICTURE, ("inspect", "photo.csv"), 3, ("PNG", "test machine")),
+    "a file that is not there": Situation(LAB, ("fit", "lab/lgo.csv"), 2, ("no such file",)),
     "a name that would steer the terminal": Situation(
-        _escape, ("inspect", "."), 3, ("bad\\x1b[2J\\u202e\\nok.csv", "line 1")
+        {"bad\x1b[2J\u202e\nok.csv": "nothing\n"},
+        ("inspect", "."),
+        3,
+        ("bad\\x1b[2J\\u202e\\nok.csv", "line 1"),
     ),
-    "an option that does not exist": Situation(_lab, ("fit", "lab", "--branch", "1"), 2, ("--branches",)),
-    "a command that does not exist": Situation(_nothing, ("fti", "lab"), 2, ("Did you mean 'fit'",)),
+    "an option that does not exist": Situation(LAB, ("fit", "lab", "--branch", "1"), 2, ("--branches",)),
+    "a command that does not exist": Situation({}, ("fti", "lab"), 2, ("Did you mean 'fit'",)),
     "a flag that does not exist": Situation(
-        _nothing, ("explain", "not_identifed"), 2, ("did you mean not_identified",)
+        {}, ("explain", "not_identifed"), 2, ("did you mean not_identified",)
     ),
     "a column that does not exist": Situation(
-        _lab, ("inspect", "lab", "--columns", "force=Kraft"), 3, ("Kraft", "Load")
+        LAB, ("inspect", "lab", "--columns", "force=Kraft"), 3, ("Kraft", "Load")
     ),
     "a pair of columns without a quantity": Situation(
-        _lab, ("inspect", "lab", "--columns", "Kraft"), 2, ("time=Zeit", "'Kraft'")
+        LAB, ("inspect", "lab", "--columns", "Kraft"), 2, ("time=Zeit", "'Kraft'")
     ),
     "a contact beyond any machine": Situation(
-        _lab, ("inspect", "lab", "--contact", "1e9"), 2, ("--contact", "mm")
+        LAB, ("inspect", "lab", "--contact", "1e9"), 2, ("--contact", "mm")
     ),
     "a pattern of specimens that fits nothing": Situation(
-        _lab, ("fit", "lab", "--specimen-by", "cow([0-9]+)", *QUICK), 2, ("fits no recording", "log.csv")
+        LAB, ("fit", "lab", "--specimen-by", "cow([0-9]+)", *QUICK), 2, ("fits no recording", "log.csv")
     ),
-    "results that were never written": Situation(_lab, ("report", "lab"), 6, ("lab",), ("lab/log.csv",)),
+    "results that were never written": Situation(LAB, ("report", "lab"), 6, ("lab",), ("lab/log.csv",)),
     "a bundle that is a table": Situation(
-        _table_as_bundle, ("compare", "liver.h5", "liver.h5"), 6, ("liver.h5", "tissueid fit")
+        {"liver.h5": "depth,force\n1,2\n"},
+        ("compare", "liver.h5", "liver.h5"),
+        6,
+        ("liver.h5", "tissueid fit"),
     ),
 }
 
@@ -144,7 +119,12 @@ def test_a_bad_situation_ends_in_one_sentence_with_a_way_out(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = SITUATIONS[what]
-    one.prepare(tmp_path)
+    for name, content in one.files.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content.encode("ascii") if isinstance(content, str) else content)
+    if one.linked:
+        (tmp_path / "link").symlink_to(tmp_path / "lab", target_is_directory=True)
     monkeypatch.chdir(tmp_path)
     before = {name: Path(name).read_bytes() for name in one.kept}
     out, err = io.StringIO(), io.StringIO()

@@ -14,7 +14,8 @@ from tissueid.arrays import FloatArray
 from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
 from tissueid.design.precision import Asked, Chain, Indentation, Ledger, Protocol, given_protocol, ramp_of
-from tissueid.design.tissues import Tissues, Want, of_draws
+from tissueid.design.tissues import Tissues, of_draws
+from tissueid.documents.design import Want
 from tissueid.manifest import Study
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior, Priors

@@ -77,6 +77,7 @@ def test_a_machine_file_is_read_as_it_stands(tmp_path: Path) -> None:
         (("rate_Hz = 50\n", ""), r"\[\[setting\]\] 2: rate_Hz is missing"),
         (("noise_N = 0.05", 'noise_N = "low"'), "noise_N = 'low' must be a number above 0"),
         (("max_force_N = 50.0", "max_force_N = -1"), "max_force_N = -1 must be a number above 0"),
+        (("[[setting]]", "[[another]]"), "says nothing of the load channel"),
         (("name =", "colour ="), "unknown key 'colour'; known are name"),
         (("name =", "name == "), "is not TOML"),
         (("acceleration", "min_speed_mm_min = 400\nacceleration"), "is above max_speed_mm_min = 300"),
@@ -87,12 +88,6 @@ def test_a_machine_that_says_too_little_is_refused_with_the_way_out(
 ) -> None:
     with pytest.raises(InputError, match=says):
         found_machine(machine_file(tmp_path, MACHINE_TOML.replace(*change)))
-
-
-def test_a_machine_without_a_load_channel_is_refused(tmp_path: Path) -> None:
-    text = MACHINE_TOML.split("[[setting]]", maxsplit=1)[0]
-    with pytest.raises(InputError, match="says nothing of the load channel"):
-        found_machine(machine_file(tmp_path, text))
 
 
 def test_unknown_machines_are_answered_with_the_presets() -> None:

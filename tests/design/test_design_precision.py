@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from design_cases import (
 )
 from law_cases import LAWS, SPECTRUM, law_of
 
-from tissueid.design.machine import PRESETS, Setting
+from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.precision import Chain, Indentation, information, ramp_of, relative_sd, seconds_of
+from tissueid.model.channels import ChannelModel
 from tissueid.selfcheck.truth import ProtocolLog, low_pass, recorded_force
 
 MACHINE = PRESETS["paper-a"]
@@ -173,18 +175,26 @@ def slopes(
     return columns
 
 
+def fitted_force(
+    model: ChannelModel, test: Indentation, machine: Machine, setting: Setting
+) -> tuple[ProtocolLog, np.ndarray, Callable[..., np.ndarray]]:
+    """A recorded log, the samples that a fit takes, and their force by theta and calibration."""
+    (log,) = recorded_logs(test, machine, setting, 1, "log")
+    fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
+
+    def force(theta: np.ndarray, **calibration: float) -> np.ndarray:
+        made = recorded_force(model, theta, log, gain=1.0, offset_mm=0.0, calibration=calibration)
+        return np.asarray(made[fitted])
+
+    return log, fitted, force
+
+
 def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) -> np.ndarray:
     """Information by differences of the simulated force, and the inverse of its covariance matrix."""
     test, machine = Indentation(250.0, 2.0, hold_s), PRESETS["paper-a"]
-    (log,) = recorded_logs(test, machine, setting, 1, "log")
     model, theta = PAPER_A.model, PAPER_A.theta[0]
-    calibration = {"force_filter_s": setting.filter_s}
-    fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
-
-    def force(moved: np.ndarray) -> np.ndarray:
-        made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration=calibration)
-        return np.asarray(made[fitted])
-
+    log, fitted, recorded = fitted_force(model, test, machine, setting)
+    force = partial(recorded, force_filter_s=setting.filter_s)
     z = np.column_stack(slopes(force, theta, model.shape_places))
     gain = force(theta)
     offset = curves_moved(log, setting.filter_s)[fitted]
@@ -223,13 +233,7 @@ def test_information_of_any_law_is_that_of_its_simulated_forces(name: str, tissu
     setting, test = Setting(200.0, 0.5), Indentation(250.0, 2.0, 3.0)
     machine = replace(PRESETS["paper-a"], contact_sd_mm=1e-4)
     model, theta = law_of(name), np.array(tissue)
-    (log,) = recorded_logs(test, machine, setting, 1, "log")
-    fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
-
-    def force(moved: np.ndarray) -> np.ndarray:
-        made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration={})
-        return np.asarray(made[fitted])
-
+    _, _, force = fitted_force(model, test, machine, setting)
     z = np.column_stack(slopes(force, theta, model.shape_places))
 
     found = information(model, theta, test, Chain(machine, setting, 0.0, total=False), [test.hold_s])[0]
@@ -268,19 +272,11 @@ def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
     # together two speeds and two holds determine all ten
     for test in (Indentation(60.0, 3.0, 0.3), Indentation(400.0, 4.0, 0.6)):
         found += information(model, theta, test, chain, [test.hold_s])[0]
-        (log,) = recorded_logs(test, machine, setting, 1, "log")
-        fitted = log.depth_mm >= GUARD_SD * machine.contact_sd_mm
-
-        def force(
-            moved: np.ndarray, calibration: dict[str, float] = centre, log=log, fitted=fitted
-        ) -> np.ndarray:
-            made = recorded_force(model, moved, log, gain=1.0, offset_mm=0.0, calibration=calibration)
-            return np.asarray(made[fitted])
-
-        columns = slopes(force, theta, model.shape_places)
+        log, fitted, force = fitted_force(model, test, machine, setting)
+        columns = slopes(partial(force, **centre), theta, model.shape_places)
         for name, (value, step) in NUISANCES.items():
-            up_to, down_to = ({**centre, name: value + sign * step} for sign in (1.0, -1.0))
-            columns.append((force(theta, up_to) - force(theta, down_to)) / (2.0 * step))
+            above, below = (force(theta, **{**centre, name: value + sign * step}) for sign in (1.0, -1.0))
+            columns.append((above - below) / (2.0 * step))
         offset = curves_moved(log, setting.filter_s)[fitted]
         z = np.column_stack(columns)
         covariance = setting.noise_N**2 * np.eye(offset.size) + 0.01**2 * np.outer(offset, offset)

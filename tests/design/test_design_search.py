@@ -12,7 +12,7 @@ from design_cases import ETA, PAPER_A, TAU, asked_for, better_than_paper_a, pape
 
 from tissueid.design.machine import PRESETS, Setting
 from tissueid.design.plan import Plan, against, planned
-from tissueid.design.precision import Chain, Ledger
+from tissueid.design.precision import Asked, Chain, Ledger
 from tissueid.design.search import enumerated, learned_candidates, rounded
 from tissueid.design.tissues import Tissues, of_draws
 from tissueid.errors import UsageError
@@ -26,6 +26,10 @@ ASKED = asked_for({TAU: 0.08, ETA: 0.015}, MACHINE)
 @cache
 def plain_plan() -> Plan:
     return planned(MACHINE, PAPER_A, ASKED, silent)
+
+
+def ledger_of(setting: Setting = MACHINE.settings[0], asked: Asked = ASKED) -> Ledger:
+    return Ledger(PAPER_A, Chain(MACHINE, setting, asked.gain_sd, asked.total), asked)
 
 
 def uncertain(draws: int = 6) -> Tissues:
@@ -59,7 +63,7 @@ def test_a_plan_is_the_same_every_time_and_its_numbers_hold() -> None:
     assert [one.protocol for one in plan.ranked] == [one.protocol for one in again.ranked]
     assert plan.best.reached
     for one in plan.ranked:
-        ledger = Ledger(PAPER_A, Chain(MACHINE, one.setting, ASKED.gain_sd, ASKED.total), ASKED)
+        ledger = ledger_of(one.setting)
         assert ledger.precision(one.protocol).worst == pytest.approx(one.worst, rel=1e-9)
         assert ledger.duration(one.protocol) == pytest.approx(one.seconds, rel=1e-9)
         assert min(one.protocol.values()) >= ASKED.repeats
@@ -72,7 +76,7 @@ def test_a_plan_is_the_same_every_time_and_its_numbers_hold() -> None:
 
 def test_no_protocol_of_a_brute_search_is_shorter() -> None:
     best = plain_plan().best
-    ledger = Ledger(PAPER_A, Chain(MACHINE, MACHINE.settings[0], ASKED.gain_sd, ASKED.total), ASKED)
+    ledger = ledger_of()
     tests = [test for test in learned_candidates(ledger) if test.hold_s in {0.0, 1.0, 3.1}]
     assert len(tests) > 20
     shortest = np.inf
@@ -90,7 +94,7 @@ def test_no_protocol_of_a_brute_search_is_shorter() -> None:
 
 def test_one_log_fewer_misses_the_wants() -> None:
     best = plain_plan().best
-    ledger = Ledger(PAPER_A, Chain(MACHINE, MACHINE.settings[0], ASKED.gain_sd, ASKED.total), ASKED)
+    ledger = ledger_of()
     spare = {test: count for test, count in best.protocol.items() if count > ASKED.repeats}
     assert spare
     for test, count in spare.items():
@@ -185,9 +189,7 @@ def test_what_leaves_no_protocol_is_refused(change: dict[str, float], says: str)
 
 
 def test_an_enumeration_without_room_finds_nothing() -> None:
-    asked = replace(ASKED, budget_s=650.0)
-    ledger = Ledger(PAPER_A, Chain(MACHINE, MACHINE.settings[0], 0.02, total=False), asked)
-    assert enumerated(ledger) == ([], 0)
+    assert enumerated(ledger_of(asked=replace(ASKED, budget_s=650.0))) == ([], 0)
 
 
 def test_numbers_of_a_sheet_are_short_and_never_above() -> None:

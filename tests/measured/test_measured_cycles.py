@@ -58,6 +58,12 @@ def tissue(degree=0):
     return model, model.join(np.array([SLOPE, 0.0, 0.0]), stiffness, np.array([TAU_S]))
 
 
+def stepped(model, theta, depth, rate):
+    """Force of the servo's law along a path."""
+    stepper = TissueStepper(model, theta)
+    return np.array([stepper.step(depth[0], 0.0)] + [stepper.step(x, 1 / rate) for x in depth[1:]])
+
+
 def test_area_of_a_closed_polygon_is_the_shoelace():
     x = np.array([0.0, 2.0, 3.0, 1.0])
     f = np.array([0.0, 1.0, 4.0, 2.0])
@@ -122,9 +128,7 @@ def test_viscosity_by_the_model_is_the_truth_where_the_limit_fails(degree):
     time, x, turns = triangle(speed=100.0 * TAU_S * 100.0, rate=50_000.0)
     model, theta = tissue(degree)
     trial, segmentation = recording(time, x, np.zeros(x.size), turns, ["cycle"])
-    stepper = TissueStepper(model, theta)
-    force = np.array([stepper.step(x[0], 0.0)] + [stepper.step(v, 1 / 50_000.0) for v in x[1:]])
-    trial = replace(trial, force_N=force)
+    trial = replace(trial, force_N=stepped(model, theta, x, 50_000.0))
     rows = cycle_rows(trial, segmentation)
     wrong = model.join(theta[:3], 1.7 * model.split(theta)[1], model.split(theta)[2])
     (row,) = with_model_viscosity(trial, segmentation, rows, model, wrong, Adjustment())
@@ -260,8 +264,7 @@ def test_model_viscosity_of_preconditioning_starts_before_its_first_loop():
     model, theta = tissue()
     depth = np.concatenate([x, np.zeros(2000), np.linspace(0.0, 4.0, 1001), np.full(500, 4.0)])
     clock = np.arange(depth.size) / 5000.0
-    stepper = TissueStepper(model, theta)
-    force = np.array([stepper.step(depth[0], 0.0)] + [stepper.step(v, 1 / 5000.0) for v in depth[1:]])
+    force = stepped(model, theta, depth, 5000.0)
     ends = [*turns, x.size + 2000, x.size + 3000, depth.size - 1]
     made = recording(clock, depth, force, ends, ["cycle", "hold", "ramp", "hold"])
     trial, segmentation = made

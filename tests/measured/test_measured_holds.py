@@ -9,12 +9,10 @@ import pytest
 from pushed import pushed
 
 from tissueid.documents.measured import Measured
-from tissueid.flags import Flag
 from tissueid.measured import measure, spread
 from tissueid.measured.geometry import Geometry, TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.measured.spread import Pushed, measured_pairs, programs, ramp_reason
-from tissueid.measured.verdict import verdict_of
 from tissueid.model.moduli import Indenter
 from tissueid.segment import segment
 from tissueid.trial import Axes, Contact, Corner, Event, Phase, Protocol, Segmentation, Trial
@@ -227,24 +225,6 @@ def test_a_header_states_a_sphere_unless_something_else_is_stated():
     assert TipOf(header=False).of(trial) is None
     stated = Geometry(Indenter("flat", 1.0))
     assert TipOf(stated).of(trial) == stated
-
-
-def test_verdicts_give_one_reason_and_its_number():
-    trial, divided = recording()
-    found = measure(trial, divided)
-    assert verdict_of(trial, divided, found).level == "good"
-    clipped = replace(divided, flags=(Flag("clipped_force", "the force stands at 10 N for 12 samples"),))
-    assert verdict_of(trial, clipped, found).as_json() == {
-        "level": "repeat",
-        "reason": "the force stands at 10 N for 12 samples. Take a larger load cell, or less depth",
-    }
-    early = replace(divided, phases=(*divided.phases[:2], replace(divided.phases[2], stop=420, end_s=4.19)))
-    short = verdict_of(trial, early, measure(trial, early))
-    assert short.level == "look"
-    assert short.reason.startswith("hold too short: 0.99 s for a relaxation time of ")
-    slow, divided = recording(step=0.4)
-    said = verdict_of(slow, divided, measure(slow, divided)).reason
-    assert said.startswith("sampling too slow: 7 samples in a ramp of 2.4 s")
 
 
 def test_a_recording_without_phases_has_a_base_alone():

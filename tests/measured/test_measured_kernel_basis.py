@@ -20,6 +20,11 @@ STATE = 1e-9
 SLOPE = 3e-8
 
 
+def bounds(step_s, length_s):
+    """Range of ln tau that recordings of a step and a length are fitted in."""
+    return np.log(step_s / TAU_BELOW_STEP), np.log(length_s * TAU_ABOVE_LENGTH)
+
+
 def node_states(basis, time_s, depth_mm):
     return np.stack([branch_sensitivity(time_s, depth_mm, float(tau))[0] for tau in basis.tau_s])
 
@@ -51,8 +56,8 @@ def test_states_of_any_relaxation_time_follow_from_the_nodes(step_s, path):
     }[path]
     time = count * step_s
     basis = kernel_basis(step_s=step_s, length_s=time[-1])
-    low, high = np.log(step_s / TAU_BELOW_STEP), np.log(TAU_ABOVE_LENGTH * time[-1])
-    value, slope = worst_errors(basis, time, depth, np.linspace(low, high, 9 if JIT_OFF else 61))
+    taus = np.linspace(*bounds(step_s, time[-1]), 9 if JIT_OFF else 61)
+    value, slope = worst_errors(basis, time, depth, taus)
     assert value <= STATE
     assert slope <= SLOPE
 
@@ -73,7 +78,7 @@ def test_states_follow_from_the_nodes_on_random_paths_with_uneven_steps(seed, n,
     time = np.concatenate([[0.0], np.cumsum(steps)])
     depth = np.concatenate([[0.0], np.cumsum(rng.normal(size=n - 1))])
     basis = kernel_basis(step_s=step, length_s=time[-1])
-    low, high = np.log(step / TAU_BELOW_STEP), np.log(TAU_ABOVE_LENGTH * time[-1])
+    low, high = bounds(step, time[-1])
     value, slope = worst_errors(basis, time, depth, [low + share * (high - low)])
     assert value <= STATE
     assert slope <= SLOPE
@@ -88,8 +93,8 @@ def test_repeated_times_and_bursts_of_finer_steps_cost_one_digit_only():
         time = np.concatenate([[0.0], np.cumsum(steps)])
         depth = np.concatenate([[0.0], np.cumsum(rng.normal(size=LONG - 1))])
         basis = kernel_basis(step_s=0.01, length_s=time[-1])
-        low, high = np.log(0.01 / TAU_BELOW_STEP), np.log(TAU_ABOVE_LENGTH * time[-1])
-        value, _ = worst_errors(basis, time, depth, np.linspace(low, high, 7 if JIT_OFF else 31))
+        taus = np.linspace(*bounds(0.01, time[-1]), 7 if JIT_OFF else 31)
+        value, _ = worst_errors(basis, time, depth, taus)
         assert value <= 3e-8
 
 
@@ -122,9 +127,9 @@ def test_rounding_of_step_and_length_is_outwards():
     for _ in range(20):
         step = float(np.exp(rng.uniform(-8.0, 0.0)))
         length = step * float(np.exp(rng.uniform(1.0, 8.0)))
-        low, high = kernel_basis(step_s=step, length_s=length).log_bounds
-        assert low <= np.log(step / TAU_BELOW_STEP) + 1e-12
-        assert high >= np.log(length * TAU_ABOVE_LENGTH) - 1e-12
+        found, wanted = kernel_basis(step_s=step, length_s=length).log_bounds, bounds(step, length)
+        assert found[0] <= wanted[0] + 1e-12
+        assert found[1] >= wanted[1] - 1e-12
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,10 @@ def true_segmentation(trial, *, noise_N=0.0):
     return Segmentation(1, 1, Contact(0, 0.0, 1e-4), phases, noise_N)
 
 
+#: One relaxation of 10 N in 2 s down to 20 N.
+PLAIN = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
+
+
 def row_of(amplitudes, taus, *, noise_N=0.0, **made):
     """The one row of a hold that relaxes to 20 N, and its flags."""
     trial = hold_trial(lambda t: decay(t, 20.0, amplitudes, taus), **made)
@@ -132,7 +136,7 @@ def row_of(amplitudes, taus, *, noise_N=0.0, **made):
 
 
 def test_window_runs_from_the_stop_to_the_end_of_the_hold():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
+    trial = PLAIN
     (row,) = relaxation_rows(trial, true_segmentation(trial))
     assert row.window_s == pytest.approx((1.0, 31.0))
     assert row.peak_force_N == pytest.approx(30.0)
@@ -142,7 +146,7 @@ def test_window_runs_from_the_stop_to_the_end_of_the_hold():
 
 
 def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
+    trial = PLAIN
     force = trial.force_N.copy()
     force[19] = 31.0
     early = Trial("s", trial.time_s, trial.displacement_mm, force, trial.protocol)
@@ -153,7 +157,7 @@ def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
 
 
 def test_forces_recorded_with_the_other_sign_and_a_baseline_give_the_same_row():
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
+    trial = PLAIN
     (row,) = relaxation_rows(trial, true_segmentation(trial))
     flipped = Trial("s", trial.time_s, -trial.displacement_mm, 3.0 - trial.force_N, trial.protocol)
     phases = true_segmentation(trial).phases
@@ -189,7 +193,7 @@ def test_no_hold_or_no_contact_no_row():
     time = np.arange(200) * 0.01
     trial = Trial("s", time, time * 2.0, time * 10.0, Protocol(speed_mm_s=2.0, depth_mm=3.98))
     assert relaxation_rows(trial, true_segmentation(trial)) == ()
-    trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
+    trial = PLAIN
     segmentation = Segmentation(1, 1, None, true_segmentation(trial).phases, 0.0)
     assert relaxation_rows(trial, segmentation) == ()
 

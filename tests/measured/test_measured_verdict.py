@@ -79,6 +79,7 @@ def test_each_reason_is_said_with_its_number(case: str) -> None:
     assert found.level == level, found
     assert re.fullmatch(words, found.reason), found.reason
     assert len(found.reason.split()) <= 25
+    assert found.as_json() == {"level": level, "reason": found.reason}
 
 
 KEPT: dict[str, dict[str, Any]] = {

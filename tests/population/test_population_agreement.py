@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +22,18 @@ from tissueid.population.cohort import specimens_for_mean, specimens_for_sd
 from tissueid.population.members import Member
 
 
-def with_gains(*gains: tuple[float, ...]) -> tuple[Member, ...]:
-    made = members(len(gains), repeats=1, draws=100)
+def with_logs(*logs: Sequence[dict[str, Any]]) -> tuple[Member, ...]:
+    """Specimens, each with logs that differ from a first one as told."""
+    made = members(len(logs), repeats=1, draws=100)
     return tuple(
-        replace(
-            one,
-            trials=tuple(
-                replace(one.trials[0], gain=gain, run=k + 1, path=f"{k}.csv") for k, gain in enumerate(own)
-            ),
-        )
-        for one, own in zip(made, gains, strict=True)
+        replace(one, trials=tuple(replace(one.trials[0], **said) for said in own))
+        for one, own in zip(made, logs, strict=True)
+    )
+
+
+def with_gains(*gains: tuple[float, ...]) -> tuple[Member, ...]:
+    return with_logs(
+        *([{"gain": gain, "run": k + 1, "path": f"{k}.csv"} for k, gain in enumerate(own)] for own in gains)
     )
 
 
@@ -121,15 +125,6 @@ def test_cohort_size_gives_the_interval_it_promises() -> None:
 SLOW, MIDDLE, FAST = 10.0 / 60.0, 100.0 / 60.0, 500.0 / 60.0
 
 
-def at_speeds(*speeds: tuple[float, ...]) -> tuple[Member, ...]:
-    """Specimens, each with a log at each of its speeds."""
-    made = members(len(speeds), repeats=1, draws=100)
-    return tuple(
-        replace(one, trials=tuple(replace(one.trials[0], speed_mm_s=speed) for speed in own))
-        for one, own in zip(made, speeds, strict=True)
-    )
-
-
 @pytest.mark.parametrize(
     ("speeds", "kind", "says"),
     [
@@ -145,7 +140,8 @@ def at_speeds(*speeds: tuple[float, ...]) -> tuple[Member, ...]:
 def test_speeds_that_share_no_specimen_are_confounded_with_them(
     speeds: tuple[tuple[float, ...], ...], kind: str, says: str
 ) -> None:
-    found = speed_confounding(at_speeds(*speeds))
+    # each specimen with a log at each of its speeds
+    found = speed_confounding(with_logs(*([{"speed_mm_s": speed} for speed in own] for own in speeds)))
 
     assert found is not None
     assert found.kind == kind

@@ -138,17 +138,25 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
     )
 
 
-@pytest.mark.slow
-@pytest.mark.needs_jit
+pytestmark = [pytest.mark.slow, pytest.mark.needs_jit]
+
+
+def shown_cohorts(
+    capsys: pytest.CaptureFixture[str], count: int, rate_Hz: float | None = None
+) -> list[SimpleNamespace]:
+    """Cohorts of the first seeds, each shown as it is done."""
+    rows = []
+    for seed in range(count):
+        rows.append(cohort_of_recordings(seed, rate_Hz))
+        with capsys.disabled():
+            sys.stdout.write(json.dumps(vars(rows[-1])) + "\n")
+    return rows
+
+
 def test_populations_of_recordings_predict_better_than_separate_fits(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    rows = []
-    for seed in range(COHORTS):
-        rows.append(cohort_of_recordings(seed))
-        with capsys.disabled():
-            sys.stdout.write(json.dumps(vars(rows[-1])) + "\n")
-
+    rows = shown_cohorts(capsys, COHORTS)
     # what intervals hold is only shown: a tenth of such specimens would not be passive and is not drawn, so
     # that the cohort is not quite one of the population it was drawn from
     assert all(one.converged for one in rows)
@@ -157,14 +165,7 @@ def test_populations_of_recordings_predict_better_than_separate_fits(
     assert better >= 0.9 * COHORTS
 
 
-@pytest.mark.slow
-@pytest.mark.needs_jit
 def test_where_specimens_say_much_the_population_does_no_harm(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = []
-    for seed in range(FAST_COHORTS):
-        rows.append(cohort_of_recordings(seed, FAST_HZ))
-        with capsys.disabled():
-            sys.stdout.write(json.dumps(vars(rows[-1])) + "\n")
-
+    rows = shown_cohorts(capsys, FAST_COHORTS, FAST_HZ)
     assert all(one.converged for one in rows)
     assert np.mean([one.pooled for one in rows]) <= np.mean([one.separate for one in rows])

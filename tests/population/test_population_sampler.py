@@ -168,25 +168,6 @@ def test_the_same_seed_gives_the_same_draws_whatever_the_threads() -> None:
     assert np.array_equal(one.nu, two.nu)
 
 
-@pytest.mark.slow
-def test_single_precision_of_the_draws_is_harmless() -> None:
-    rng = np.random.default_rng(12)
-    stage = normal_stage(4.0 + 0.05 * rng.standard_normal((8, 3)), np.full(3, 0.02), rng, draws=500)
-    rounded = StageOne(
-        tuple(one.astype(np.float32).astype(np.float64) for one in stage.phi),
-        stage.log_reference,
-        stage.linear,
-        stage.ascending,
-    )
-    sd = 0.05
-
-    exact = np.concatenate(stage.phi)
-    change = 0.5 * (((np.concatenate(rounded.phi) - 4.0) / sd) ** 2 - ((exact - 4.0) / sd) ** 2).sum(axis=1)
-
-    # ln density of a draw in a population as narrow as 5 %: what a Metropolis step sees of the rounding
-    assert np.abs(change).max() < 1e-3
-
-
 def test_stated_priors_are_used() -> None:
     rng = np.random.default_rng(13)
     stage = normal_stage(0.4 * rng.standard_normal((4, 2)), np.full(2, 0.02), rng, draws=500)

@@ -10,6 +10,7 @@ import pytest
 from report_pages import drawn, opened, self_contained, wait_for_figures
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.report.reproduction_page import KINDS, render_reproduction
 from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.document import PAPER_WORDS, PLACES
@@ -46,8 +47,8 @@ def document() -> dict[str, Any]:
             "seed": 1,
             "seconds": 1.0,
             "readings": readings.as_json(),
-            "items": [item.as_json() for item in items],
-            "figures": [figure.as_json() for figure in figures],
+            "items": plain(items),
+            "figures": plain(figures),
             "lost": ["everything"],
         }
     )

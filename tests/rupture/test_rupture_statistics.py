@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from rupture_cohorts import known_cohort, recorded_cohort, typical_threshold
 from scipy.integrate import quad
 from scipy.stats import binom, norm
@@ -62,7 +63,7 @@ def in_other_units(failures: list[Failure], power: float) -> list[Failure]:
         replace(
             one,
             measures={
-                "depth": replace(
+                "depth": structs.replace(
                     one.measures["depth"], value=7.0 * one.measures["depth"].value ** power, growth=power
                 )
             },
@@ -115,12 +116,17 @@ def judged(decision: Decision, truth: str) -> str:
     return "right" if truth in KINDS[decision.kind] else "wrong"
 
 
+def shares_of(said: Counter[tuple[str, str]], cohorts: int) -> dict[str, float]:
+    """Shares of right, wrong and open decisions, whatever the truth."""
+    words = ("right", "wrong", "undecided")
+    return {word: sum(said[truth, word] for truth in TRUTHS) / cohorts for word in words}
+
+
 def band(cohorts: int, cells: int) -> tuple[float, float]:
     """Family-wise 99 % band of a coverage of 95 %."""
     tail = 0.01 / cells / 2.0
-    return float(binom.ppf(tail, cohorts, 0.95)) / cohorts, float(
-        binom.ppf(1.0 - tail, cohorts, 0.95)
-    ) / cohorts
+    low, high = (float(binom.ppf(p, cohorts, 0.95)) / cohorts for p in (tail, 1.0 - tail))
+    return low, high
 
 
 def test_each_criterion_is_found_in_a_few_cohorts() -> None:
@@ -146,9 +152,7 @@ def test_the_criterion_is_found_and_its_threshold_covered(cv: float) -> None:
         said[truth, judged(decide(list(fitted.values())), truth)] += 1
         low, high = fitted[truth].ci95
         covered[truth] += low <= thresholds[truth] <= high
-    total = {
-        word: sum(said[truth, word] for truth in TRUTHS) / COHORTS for word in ("right", "wrong", "undecided")
-    }
+    total = shares_of(said, COHORTS)
     shares = {truth: covered[truth] / count[truth] for truth in TRUTHS}
     print(  # noqa: T201
         f"\nCV {cv}: {total}, by truth {dict(said)}, coverage {shares}, band {band(min(count.values()), 6)}"
@@ -176,10 +180,7 @@ def test_the_criterion_is_found_from_recordings(cv: float) -> None:
         fitted = next(one for one in study.thresholds if one.criterion == truth)
         covered += fitted.ci95[0] <= thresholds[truth] <= fitted.ci95[1]
         ratios.append(fitted.median / thresholds[truth])
-    total = {
-        word: sum(said[truth, word] for truth in TRUTHS) / RECORDED
-        for word in ("right", "wrong", "undecided")
-    }
+    total = shares_of(said, RECORDED)
     low, high = band(RECORDED, 2)
     print(  # noqa: T201
         f"\nrecordings, CV {cv}: {total}, by truth {dict(said)}, coverage {covered / RECORDED:.3f} "

@@ -36,9 +36,8 @@ def table(case: Case, verdict: Verdict) -> str:
     lines.append(f"{'coverage [%] of':<34}   50     80     90     95   mean z  spread  contraction  ranks")
     for one in verdict.parameters:
         shares = "  ".join(f"{100 * row.fraction:5.1f}" for row in one.coverage)
-        ranks = (
-            "95 %" if one.inside_95 else "99 %" if one.inside_99 else "family" if one.inside_family else "OUT"
-        )
+        kept = {"95 %": one.inside.percent_95, "99 %": one.inside.percent_99, "family": one.inside.family}
+        ranks = next((name for name, holds in kept.items() if holds), "OUT")
         lines.append(
             f"{one.name:<34}{shares}  {one.mean_z:6.3f}  {one.spread_ratio:6.3f}  "
             f"{one.contraction:8.4f}     {ranks}"
@@ -56,7 +55,7 @@ def test_intervals_cover_over_many_specimens(case: Case, tmp_path: Path) -> None
         if not LOW <= one.coverage[-1].fraction <= HIGH
     }
     assert outside == {}
-    assert [one.name for one in verdict.parameters if not one.inside_family] == []
+    assert [one.name for one in verdict.parameters if not one.inside.family] == []
     assert len(verdict.failed) <= MANY // 100
 
 
@@ -67,7 +66,7 @@ def test_total_intervals_cover_behind_a_frame_that_nobody_knows_of(case: Case, t
     tissue = [one for one in verdict.parameters if one.name.startswith(TISSUE)]
     bounds = {}
     for one in tissue:
-        covered = one.coverage[-1].covered
+        covered = round(one.coverage[-1].fraction * verdict.simulations)
         # one-sided Clopper-Pearson
         bounds[one.name] = float(beta.ppf(0.01, covered, verdict.simulations - covered + 1))
     assert {name: bound for name, bound in bounds.items() if bound < FLOOR} == {}

@@ -15,6 +15,8 @@ from tissueid.synth.response import tissue_force
 
 MODEL = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=8.0)
 THETA = np.array([20.0, -1.2, 0.35, 63.62, 10.0, 0.2])
+#: 10 N/mm, and nothing that relaxes.
+ELASTIC = (kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0), np.array([10.0, 0.0, 0.0, 0.0, 1.0]))
 SPEED, CORNER = 4.0, 1.5
 TIME = np.arange(0.0, 4.0, 0.01)
 DEPTH = np.minimum(SPEED * TIME, SPEED * CORNER)
@@ -89,12 +91,8 @@ def test_a_late_force_is_the_force_of_before() -> None:
 
 
 def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
-    elastic = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0)
-    theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
     tau = 0.03
-    found = recorded_force(
-        elastic, theta, log(), gain=1.0, offset_mm=0.0, calibration={"force_filter_s": tau}
-    )
+    found = recorded_force(*ELASTIC, log(), gain=1.0, offset_mm=0.0, calibration={"force_filter_s": tau})
     ramp = TIME < CORNER
     # low-pass of a ramp from rest: rate (t - tau (1 - exp(-t / tau)))
     expected = 10.0 * SPEED * (TIME + tau * np.expm1(-TIME / tau))
@@ -104,10 +102,8 @@ def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
 def test_an_uneven_clock_is_filtered_as_exactly() -> None:
     rng = np.random.default_rng(4)
     time = np.sort(np.concatenate([[0.0], rng.uniform(0.0, 1.4, 300)]))
-    elastic = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=8.0)
-    theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
     one = log(time, SPEED * time)
-    found = recorded_force(elastic, theta, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
+    found = recorded_force(*ELASTIC, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
     np.testing.assert_allclose(found, 10.0 * SPEED * (time + 0.03 * np.expm1(-time / 0.03)), atol=1e-9)
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,18 +31,25 @@ def records_of(check: NormalMean, simulations: int, *, seed: int = 11) -> tuple[
     return tuple(one_record(check, seed, index) for index in range(simulations))
 
 
+def simulated(path: Path, simulations: int, **options: Any) -> tuple[Record, ...]:
+    """Records of simulations that go on with what a file holds."""
+    with Checkpoint(path, "d") as checkpoint:
+        return run_simulations(NormalMean(), checkpoint, simulations=simulations, **{"seed": 3, **options})
+
+
 def test_a_right_posterior_is_calibrated() -> None:
-    verdict = verdict_of(records_of(NormalMean(), 400))
+    records = records_of(NormalMean(), 400)
+    verdict = verdict_of(records)
     assert verdict.calibrated
     assert verdict.reasons == ()
-    (mean, twice) = verdict.parameters
+    mean, _ = verdict.parameters
     # z has mean 0 and mean square 1; 3.5 standard errors
     assert mean.mean_z == pytest.approx(0.0, abs=3.5 / np.sqrt(400))
     assert mean.spread_ratio == pytest.approx(1.0, abs=3.5 / np.sqrt(2 * 400))
     # posterior variance 0.8, prior variance 4: 1 - 0.8 / 4, known like a variance of 400 truths
     assert mean.contraction == pytest.approx(0.8, abs=3.5 * 0.2 * np.sqrt(2 / 400))
     # a monotone function of a parameter has its ranks
-    np.testing.assert_array_equal(mean.ranks, twice.ranks)
+    assert all(record.rank["mean"] == record.rank["twice"] for record in records)
 
 
 @pytest.mark.parametrize(
@@ -87,33 +95,27 @@ def test_too_few_draws_are_refused() -> None:
 
 
 def test_a_second_call_goes_on_with_the_same_simulations(tmp_path: Path) -> None:
-    check, path = NormalMean(), tmp_path / "calibrate.jsonl"
-    with Checkpoint(path, "d") as checkpoint:
-        first = run_simulations(check, checkpoint, simulations=8, seed=3)
+    path = tmp_path / "calibrate.jsonl"
+    first = simulated(path, 8)
     told: list[tuple[int, int]] = []
-    with Checkpoint(path, "d") as checkpoint:
-        both = run_simulations(
-            check, checkpoint, simulations=20, seed=3, progress=lambda _m, done, of: told.append((done, of))
-        )
+    both = simulated(path, 20, progress=lambda _m, done, of: told.append((done, of)))
     assert told[0] == (8, 20)
     assert told[-1] == (20, 20)
     assert [record.rank for record in both[:8]] == [record.rank for record in first]
-    whole = [one_record(check, 3, index) for index in range(20)]
+    whole = records_of(NormalMean(), 20, seed=3)
     assert [record.truth for record in both] == [record.truth for record in whole]
-    with Checkpoint(path, "d") as checkpoint:
-        # fewer than there are: the first ones
-        assert len(run_simulations(check, checkpoint, simulations=5, seed=3)) == 5
+    # fewer than there are: the first ones
+    assert len(simulated(path, 5)) == 5
 
 
 def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path: Path) -> None:
     path = tmp_path / "calibrate.jsonl"
-    with Checkpoint(path, "d") as checkpoint:
-        run_simulations(NormalMean(), checkpoint, simulations=4, seed=3)
+    simulated(path, 4)
     whole = path.read_bytes()
     path.write_bytes(whole[:-30])
     with Checkpoint(path, "d") as checkpoint:
         assert checkpoint.missing(4) == [3]
-        again = run_simulations(NormalMean(), checkpoint, simulations=4, seed=3)
+    again = simulated(path, 4)
     assert again[3].truth == one_record(NormalMean(), 3, 3).truth
     path.write_bytes(whole[:20])
     with Checkpoint(path, "d") as checkpoint:
@@ -138,8 +140,7 @@ def test_a_file_of_another_check_is_refused_and_kept(tmp_path: Path, content: by
 
 def test_a_damaged_line_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "calibrate.jsonl"
-    with Checkpoint(path, "d") as checkpoint:
-        run_simulations(NormalMean(), checkpoint, simulations=2, seed=3)
+    simulated(path, 2)
     lines = path.read_bytes().splitlines(keepends=True)
     for broken in (b"no json\n", b'{"index": 1, "unknown": 2}\n', b"[1, 2]\n"):
         path.write_bytes(b"".join([lines[0], broken, lines[2]]))
@@ -148,10 +149,8 @@ def test_a_damaged_line_is_refused(tmp_path: Path) -> None:
 
 
 def test_workers_change_nothing_but_the_clock(tmp_path: Path) -> None:
-    with Checkpoint(tmp_path / "one", "d") as checkpoint:
-        one = run_simulations(NormalMean(), checkpoint, simulations=6, seed=9)
-    with Checkpoint(tmp_path / "two", "d") as checkpoint:
-        two = run_simulations(NormalMean(), checkpoint, simulations=6, seed=9, workers=2)
+    one = simulated(tmp_path / "one", 6, seed=9)
+    two = simulated(tmp_path / "two", 6, seed=9, workers=2)
     assert [(r.index, r.truth, r.rank) for r in one] == [(r.index, r.truth, r.rank) for r in two]
 
 

@@ -158,12 +158,14 @@ def test_the_quoted_interval_counts_where_there_is_one(monkeypatch: pytest.Monke
 
     identified_by(monkeypatch, far_off)
     statistical, total = verdict_on(check_of(), 15), verdict_on(check_of(defects=True), 15)
-    at_95 = {one.name: one.coverage[-1].covered for one in statistical.parameters}
+    at_95 = {one.name: 15 * one.coverage[-1].fraction for one in statistical.parameters}
     assert at_95["relaxation_time_s"] == 0
     # a parameter without an end, and a force, which is quoted nowhere: the central interval of the draws
     assert at_95["static_1_N_per_mm"] > 10
     assert at_95["force_N at 4 mm, 4 mm/s"] > 10
-    assert {one.coverage[-1].covered for one in total.parameters if not one.name.startswith("force")} == {15}
+    assert {one.coverage[-1].fraction for one in total.parameters if not one.name.startswith("force")} == {
+        1.0
+    }
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissueid.synth import Branch, Log, Move, Rupture, dump_recipe, load_recipe, recipe, simulate
+from tissueid.synth import Branch, Log, Move, Rupture, recipe, simulate
 from tissueid.synth.response import crosshead_path, rupture_of
 
 STATIC = (6.0, 0.0, 0.4)
@@ -80,13 +80,6 @@ def test_a_recipe_without_rupture_draws_the_same_numbers_as_ever():
     assert one.truth["gain"] == pytest.approx(gain, rel=1e-12)
     noise = one.force_N - one.force_clean_N
     assert noise == pytest.approx(rng.standard_normal(noise.size), rel=1e-9, abs=1e-9)
-
-
-def test_a_recipe_with_rupture_comes_back_from_its_file(tmp_path):
-    plan = recipe("rupture-18")
-    file = tmp_path / "recipe.toml"
-    file.write_text(dump_recipe(plan), encoding="utf-8")
-    assert load_recipe(file) == plan
 
 
 @pytest.mark.parametrize(

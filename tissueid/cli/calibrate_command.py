@@ -157,10 +157,7 @@ def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -
         shares = "".join(f"{100 * row.fraction:>9.1f}" for row in one.coverage)
         mark = "" if one.calibrated else "   outside its band"
         yield f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}"
-    bands = "".join(
-        f"{100 * row.low / row.simulations:>4.0f}-{100 * row.high / row.simulations:<4.0f}"
-        for row in verdict.parameters[0].coverage
-    )
+    bands = "".join(f"{100 * row.low:>4.0f}-{100 * row.high:<4.0f}" for row in verdict.parameters[0].coverage)
     yield f"{'band':<{width}}{bands}"
     yield ""
     yield f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}"

@@ -7,8 +7,8 @@ of magnitude.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -17,6 +17,8 @@ from scipy.stats import chi2
 
 from tissueid import __version__
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
+from tissueid.documents.contrast import Common, Difference, Limit, Noticed, Number, Quantiles
 from tissueid.errors import UsageError
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import force_after_ramp
@@ -29,49 +31,33 @@ NEGLIGIBLE = 1e-6
 CENTRAL = (0.025, 0.5, 0.975)
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """Verdict over all forces."""
-
-    distance: float  # squared Mahalanobis distance
-    directions: int  # degrees of freedom
-    probability: float  # of a distance as large where the tissues are one
-    different: bool  # whether it is below :data:`LEVEL`
+Draws = Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One number of both."""
-
-    name: str  # with unit
-    #: 2.5, 50 and 97.5 % quantiles.
-    one: tuple[float, float, float]
-    other: tuple[float, float, float]
-    #: The same of other over one; ``None`` where a draw is not positive.
-    ratio: tuple[float, float, float] | None
-    larger: float  # probability that the other one's is larger
-
-
-def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list[Row]:
-    """Numbers that both have, beside each other; the posteriors are independent: draws pair as they come."""
-    found = []
+def _both(one: Draws, other: Draws) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Numbers that both have, with as many draws of each: posteriors are independent, any pair will do."""
     for name in one:
-        if name not in other:
-            continue
-        count = min(one[name].size, other[name].size)
-        a, b = one[name][:count], other[name][:count]
+        if name in other:
+            count = min(one[name].size, other[name].size)
+            yield name, one[name][:count], other[name][:count]
+
+
+def rows(one: Draws, other: Draws) -> list[Number]:
+    """Numbers that both have, beside each other."""
+    found = []
+    for name, a, b in _both(one, other):
         # every pair of independent draws is as good as any other: a shift makes new ones
-        shifts = [np.roll(b, count * k // 7) for k in range(7)]
+        shifts = [np.roll(b, b.size * k // 7) for k in range(7)]
         ratio = None
         if a.min() > 0.0 and b.min() > 0.0:
             ratio = _central(np.concatenate([shift / a for shift in shifts]))
         # a tie is half of either
         larger = float(np.mean([np.mean(shift > a) + 0.5 * np.mean(shift == a) for shift in shifts]))
-        found.append(Row(name, _central(one[name]), _central(other[name]), ratio, larger))
+        found.append(Number(name, _central(one[name]), _central(other[name]), ratio, larger))
     return found
 
 
-def difference(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> Difference:
+def difference(one: Draws, other: Draws) -> Difference:
     """Test all forces together: numbers whose names begin with "force", draws by name."""
     names = [name for name in one if name.startswith("force") and name in other]
     a, b = (np.log(np.maximum([of[name] for name in names], 1e-12)) for of in (one, other))
@@ -84,7 +70,7 @@ def difference(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -
     return Difference(distance, directions, probability, probability < LEVEL)
 
 
-def _central(values: FloatArray) -> tuple[float, float, float]:
+def _central(values: FloatArray) -> Quantiles:
     low, middle, high = (float(q) for q in np.quantile(values, CENTRAL))
     return low, middle, high
 
@@ -93,61 +79,31 @@ def _central(values: FloatArray) -> tuple[float, float, float]:
 LEAST_FORCE_N = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A just-noticeable difference."""
-
-    of: str  # beginning of the numbers it belongs to
-    share: float  # weber fraction
-    source: str
-    doi: str
-    conditions: str
-
-
+#: Just-noticeable differences: beginning of the numbers, Weber fraction, source and conditions.
 LIMITS = (
     Limit("force", 0.07, "Jones 1989, Perception 18:681", "10.1068/p180681", "elbow flexors, forces matched"),
     Limit(
-        "static stiffness",
-        0.23,
-        "Jones & Hunter 1990, Exp Brain Res 79:150",
-        "10.1007/BF00228884",
+        "static stiffness", 0.23, "Jones & Hunter 1990, Exp Brain Res 79:150", "10.1007/BF00228884",
         "two arms, motors, stiffness matched",
     ),
     Limit(
-        "viscosity",
-        0.34,
-        "Jones & Hunter 1993, Exp Brain Res 94:343",
-        "10.1007/BF00230304",
+        "viscosity", 0.34, "Jones & Hunter 1993, Exp Brain Res 94:343", "10.1007/BF00230304",
         "two arms, motors, viscosity matched",
     ),
-)
+)  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Noticed:
-    """Difference beside the least that could be felt."""
-
-    name: str  # of the number
-    limit: Limit
-    times: float  # median difference over the just-noticeable one
-    probability: float  # that it exceeds it
-
-
-def noticed(
-    one: Mapping[str, FloatArray], other: Mapping[str, FloatArray], *, force_scale: float
-) -> list[Noticed]:
+def noticed(one: Draws, other: Draws, *, force_scale: float) -> list[Noticed]:
     """Compare differences with what is noticed, at the scale of a device.
 
     ``one``, ``other``: draws by name; ``force_scale``: force at the device over that of the tissue.  A common
     scale keeps ratios of stiffness and viscosity; forces that become faint are harder to tell apart.
     """
     found = []
-    for name in one:
+    for name, a, b in _both(one, other):
         limit = next((limit for limit in LIMITS if name.startswith(limit.of)), None)
-        if limit is None or name not in other:
+        if limit is None:
             continue
-        count = min(one[name].size, other[name].size)
-        a, b = one[name][:count], other[name][:count]
         middle = 0.5 * np.abs(a + b)
         if limit.of == "force":
             middle = np.maximum(middle, LEAST_FORCE_N / force_scale)
@@ -182,13 +138,10 @@ class Compared:
             )
             raise UsageError(msg)
 
-
-@dataclass(frozen=True, slots=True)
-class Common:
-    """Depths and speeds at which all tissues of a comparison were identified."""
-
-    depth_mm: float
-    speeds_mm_s: tuple[float, float]  # slowest and fastest; equal where only one speed is common
+    def some_draws(self) -> FloatArray:
+        """At most :data:`MOST_DRAWS` of them, evenly spread."""
+        count = len(self.draws)
+        return np.asarray(self.draws[np.linspace(0, count - 1, min(count, MOST_DRAWS)).astype(int)])
 
 
 def common_range(tissues: Sequence[Compared]) -> Common:
@@ -207,8 +160,7 @@ def common_range(tissues: Sequence[Compared]) -> Common:
 
 def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
     """Draws (n,) of every number that is compared, by its name with unit: positive forces [N] first."""
-    keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
-    draws = tissue.draws[keep]
+    draws = tissue.some_draws()
     found: dict[str, FloatArray] = {}
     for share in DEPTH_SHARES:
         depth = share * common.depth_mm
@@ -259,10 +211,10 @@ def _longest(tissue: Compared) -> float:
 
 
 def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> dict[str, Any]:
-    keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
-    ramps = np.empty((len(speeds), keep.size, depth.size))
-    holds = np.empty((keep.size, time.size))
-    for row, theta in enumerate(tissue.draws[keep]):
+    draws = tissue.some_draws()
+    ramps = np.empty((len(speeds), len(draws), depth.size))
+    holds = np.empty((len(draws), time.size))
+    for row, theta in enumerate(draws):
         for place, speed in enumerate(speeds):
             ramps[place, row] = loading_force(tissue.model, theta, depth, speed_mm_s=speed)
         still = float(tissue.model.static_force(theta, depth[-1:])[0])
@@ -309,16 +261,16 @@ def contrast_document(
             {
                 "one": tissues[i].name,
                 "other": tissues[j].name,
-                "difference": asdict(difference(draws[i], draws[j])),
-                "numbers": [asdict(row) for row in rows(draws[i], draws[j])],
-                "noticed": [asdict(one) for one in noticed(draws[i], draws[j], force_scale=scale)],
+                "difference": plain(difference(draws[i], draws[j])),
+                "numbers": plain(rows(draws[i], draws[j])),
+                "noticed": plain(noticed(draws[i], draws[j], force_scale=scale)),
             }
         )
     return {
         "schema": "tissueid/contrast/1",
         "tissueid": __version__,
         "level": LEVEL,
-        "common": {"depth_mm": common.depth_mm, "speeds_mm_s": list(common.speeds_mm_s)},
+        "common": plain(common),
         "device": {"clamp_N": clamp_N, "force_scale": scale},
         "tissues": [
             {

@@ -11,7 +11,8 @@ import numpy as np
 from tissueid.design.machine import Machine, Setting
 from tissueid.design.precision import Asked, Chain, Ledger, Protocol
 from tissueid.design.search import REFINED, Found, balanced, count_paths, enumerated, refined
-from tissueid.design.tissues import Tissues, Want
+from tissueid.design.tissues import Tissues
+from tissueid.documents.design import Limit, Want
 from tissueid.errors import UsageError
 
 #: A change that betters the precision by less is not worth telling.
@@ -22,16 +23,6 @@ RIGID_N_PER_MM = 1e9
 
 #: Name, words, and fields of machine, setting and request that become others.
 _Change = tuple[str, str, dict[str, Any], dict[str, Any], dict[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """One thing, changed."""
-
-    name: str  # ``noise``, ``filter``, ``rate``, ``speed``, ...
-    words: str  # what was changed
-    factor: float  # by how much the precision betters
-    enough: bool  # the wants would be reached
 
 
 def _of_machine(machine: Machine, now: Setting) -> Iterator[_Change]:
@@ -277,9 +268,8 @@ def _finalists(
     return out
 
 
-def _family(setting: Setting, protocol: Protocol) -> tuple[Setting, frozenset[tuple[float, float]]]:
-    """Common part of two protocols that differ in repeats and holds only."""
-    return setting, frozenset((test.speed_mm_min, test.depth_mm) for test in protocol)
+#: What protocols that differ in repeats and holds only have in common: setting, speeds and depths.
+_Family = tuple[Setting, frozenset[tuple[float, float]]]
 
 
 def _ranked(
@@ -290,9 +280,11 @@ def _ranked(
     progress: Progress,
 ) -> list[Judged]:
     """The best of every family, its repeats balanced for all tissues."""
-    best: dict[tuple[Setting, frozenset[tuple[float, float]]], Found] = {}
+    best: dict[_Family, Found] = {}
     for setting, one in sorted(finalists, key=lambda pair: pair[1].rank):
-        best.setdefault(_family(setting, one.protocol), one)
+        best.setdefault(
+            (setting, frozenset((test.speed_mm_min, test.depth_mm) for test in one.protocol)), one
+        )
     chosen = list(best.items())[:FINALISTS]
     # every setting is shown once at least
     for setting in machine.settings:

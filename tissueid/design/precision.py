@@ -19,7 +19,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.design.machine import CALIBRATION, Machine, Setting
-from tissueid.design.tissues import Tissues, Want
+from tissueid.design.tissues import Tissues
+from tissueid.documents.design import Want
 from tissueid.errors import UsageError
 from tissueid.inference.window import GUARD_SD
 from tissueid.model.base import ContactPath

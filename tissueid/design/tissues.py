@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.design import Want
 from tissueid.errors import UsageError
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
@@ -38,14 +39,6 @@ WIDEST_GUESS = 2.0
 _SUFFIX = re.compile(r"(_b[23])$")
 _GUESS = re.compile(r"^\s*(\w+)\s*=\s*([^~±\s]+)\s*(?:(?:~|±)\s*([0-9.eE+-]+)\s*%)?\s*$")
 _WANT = re.compile(r"^\s*(\w+)\s*=\s*([0-9.eE+-]+)\s*%\s*$")
-
-
-@dataclass(frozen=True, slots=True)
-class Want:
-    """A wanted precision: standard deviation of the estimate as a share of its value."""
-
-    name: str
-    share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,8 +198,11 @@ def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> ChannelModel:
     return kelvin_voigt(branches=branches, stiffness_degree=max([0, *degrees]), depth_mm=depth_mm)
 
 
-def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tissues:
+def plain_guesses(guesses: Sequence[Guess], *, depth_mm: float | None, count: int) -> Tissues:
     """Draws around guesses: log-normal, by a fixed low-discrepancy sequence; what is not guessed is 0."""
+    if depth_mm is None:
+        msg = "guesses say nothing of the depth: add --max-depth, in mm"
+        raise UsageError(msg)
     model = _guessed_model(guesses, depth_mm)
     known: dict[str, Guess] = {}
     for one in guesses:
@@ -298,11 +294,3 @@ def of_bundle(path: Path, *, count: int) -> Tissues:
     words = f"{kind} {path}" if bundle.draws is not None else f"the optimum of {path}: it holds no draws"
     theta = bundle.theta if bundle.draws is None else bundle.draws
     return of_draws(words, bundle.specimen, model, theta, count=count, known_depth_mm=bundle.depth_mm)
-
-
-def plain_guesses(guesses: Sequence[Guess], *, depth_mm: float | None, count: int) -> Tissues:
-    """Tissues around plain guesses."""
-    if depth_mm is None:
-        msg = "guesses say nothing of the depth: add --max-depth, in mm"
-        raise UsageError(msg)
-    return of_guesses(guesses, depth_mm=depth_mm, count=count)

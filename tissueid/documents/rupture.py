@@ -10,13 +10,19 @@ from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative
 from tissueid.documents.identification import Provenance
 from tissueid.documents.population import Confounding
 
+Criterion = Literal["work", "weighted-force", "stored-energy", "depth"]
+Unit = Literal["N mm", "N", "mm"]
+Kind = Literal["work", "weighted force", "elastic limit"]
+Quantity = Literal["force_N", "depth_mm", "work_N_mm"]
+Direction = Literal["falls", "rises", "undecided"]
+
 
 class Law(Document, frozen=True):
     """The tissue breaks when a measure of its loading first reaches the threshold."""
 
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"]
+    criterion: Criterion
     threshold: Positive  # Median over tests of this specimen
-    unit: Literal["N mm", "N", "mm"]
+    unit: Unit
     weight: NonNegative
     sd_ln: NonNegative  # Of ln threshold from test to test
     specimen_sd_ln: NonNegative
@@ -29,8 +35,8 @@ class Decision(Document, frozen=True):
     """Criterion that was decided for."""
 
     answer: Literal["decided", "undecided", "none"]
-    kind: Literal["work", "weighted force", "elastic limit"] | None
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"] | None
+    kind: Kind | None
+    criterion: Criterion | None
     probability: dict[str, NonNegative]  # Of each kind of criterion: work, weighted force, elastic limit
     reason: str
 
@@ -38,8 +44,8 @@ class Decision(Document, frozen=True):
 class Threshold(Document, frozen=True):
     """Threshold under one criterion."""
 
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"]
-    unit: Literal["N mm", "N", "mm"]
+    criterion: Criterion
+    unit: Unit
     median: Positive
     ci95: tuple[float, float]
     sd_ln: NonNegative
@@ -74,10 +80,10 @@ class Speed(Document, frozen=True):
 class Change(Document, frozen=True):
     """Change from the slowest to the fastest speed."""
 
-    quantity: Literal["force_N", "depth_mm", "work_N_mm"]
+    quantity: Quantity
     ratio: Positive
     ci95: tuple[float, float]
-    direction: Literal["falls", "rises", "undecided"]
+    direction: Direction
 
 
 class Hardening(Document, frozen=True):
@@ -86,7 +92,7 @@ class Hardening(Document, frozen=True):
     mean: float
     ci95: tuple[float, float]
     ruptures: PositiveCount
-    direction: Literal["falls", "rises", "undecided"]
+    direction: Direction
 
 
 class Limit(Document, frozen=True):

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissueid.documents import plain
+from tissueid.documents.contrast import MeasuredNumber, Side
 from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush, Spread
 from tissueid.measured.measuring import REFERENCE_S, TIMES_S
 from tissueid.quantities import RAMP_TIMES, beyond_ramp, predicted_mean
@@ -125,14 +127,11 @@ def spread(logs: Sequence[Measured]) -> tuple[Spread, ...]:
 def _programs(logs: Sequence[Measured]) -> list[list[Measured]]:
     """Logs of each program: those with holds first, the deepest of them first; logs without a push last."""
     pushed = [(log, log.push) for log in logs if log.push is not None]
-    found = [[pushed[i] for i in members] for members in programs([_pushed(push) for _, push in pushed])]
+    told = [Pushed(one.speed_mm_s, _depth(one), one.peak.force_N, one.ramp_time_s) for _, one in pushed]
+    found = [[pushed[i] for i in members] for members in programs(told)]
     found.sort(key=lambda own: (any(log.holds for log, _ in own), _depth(own[0][1])), reverse=True)
     rest = [log for log in logs if log.push is None]
     return [[log for log, _ in own] for own in found] + ([rest] if rest else [])
-
-
-def _pushed(push: MeasuredPush) -> Pushed:
-    return Pushed(push.speed_mm_s, _depth(push), push.peak.force_N, push.ramp_time_s)
 
 
 def _depth(push: MeasuredPush) -> float:
@@ -196,7 +195,7 @@ EQUAL_DEPTH = 0.1
 def measured_pairs(sides: Sequence[tuple[str, Sequence[Spread]]]) -> list[dict[str, Any]]:
     """All pairs of sides, each with every number that both have."""
     return [
-        {"one": one[0], "other": other[0], "numbers": _numbers(one[1], other[1])}
+        {"one": one[0], "other": other[0], "numbers": plain(_numbers(one[1], other[1]))}
         for one, other in combinations(sides, 2)
     ]
 
@@ -205,8 +204,8 @@ def _key(row: Spread) -> tuple[str, int, float | None]:
     return row.name, row.hold, row.time_s
 
 
-def _numbers(one: Sequence[Spread], other: Sequence[Spread]) -> list[dict[str, Any]]:
-    rows = []
+def _numbers(one: Sequence[Spread], other: Sequence[Spread]) -> list[MeasuredNumber]:
+    rows: list[MeasuredNumber] = []
     for own, its in _matched(_by_program(one), _by_program(other)):
         found = {_key(row): row for row in its}
         depths = [{row.hold: row.mean for row in every if row.name == "depth"} for every in (own, its)]
@@ -239,31 +238,26 @@ def _push(rows: Sequence[Spread]) -> Pushed | None:
     return None if depth is None or "speed" not in means else Pushed(means["speed"], depth)
 
 
-def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
+def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> MeasuredNumber:
     reason = one.reason or other.reason or _reason(one, other, depths)
     ratio = None
     if not reason and one.mean and other.mean is not None:
         ratio = other.mean / one.mean
-    return {
-        "name": one.name,
-        "unit": one.unit,
-        "program": one.program,
-        "hold": one.hold,
-        "time_s": one.time_s,
-        "one": _side(one),
-        "other": _side(other),
-        "ratio": ratio,
-        "reason": reason or None,
-    }
+    return MeasuredNumber(
+        name=one.name,
+        unit=one.unit,
+        program=one.program,
+        hold=one.hold,
+        time_s=one.time_s,
+        one=_side(one),
+        other=_side(other),
+        ratio=ratio,
+        reason=reason or None,
+    )
 
 
-def _side(row: Spread) -> dict[str, Any]:
-    return {
-        "mean": row.mean,
-        "sd": row.sd,
-        "count": row.count,
-        "ramp_time_s": None if row.ramp_time_s is None else list(row.ramp_time_s),
-    }
+def _side(row: Spread) -> Side:
+    return Side(row.mean, row.sd, row.count, row.ramp_time_s)
 
 
 def _reason(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | None]]) -> str:

@@ -18,18 +18,9 @@ LEVELS = ("good", "look", "repeat")
 #: Flags that spoil a recording, and those that ask for a look, the gravest first.
 SPOILING = ("clipped_force", "no_contact", "no_ramp", "too_few_samples", "no_decimals")
 DOUBTFUL = (
-    "doubtful_rupture",
-    "corner_overshoot",
-    "baseline_drift",
-    "contact_uncertain",
-    "gap",
-    "jump",
-    "spike",
-    "quantised_force",
-    "below_resolution",
-    "below_cell_range",
-    "not_preconditioned",
-)
+    "doubtful_rupture", "corner_overshoot", "baseline_drift", "contact_uncertain", "gap", "jump", "spike",
+    "quantised_force", "below_resolution", "below_cell_range", "not_preconditioned",
+)  # fmt: skip
 #: A hold should last so many relaxation times; it is said where it lasts less than so many.
 HELD_TAUS, FEWEST_TAUS = 3.0, 2.0
 #: Samples that a ramp and a relaxation time should have, and fewer than which are said.

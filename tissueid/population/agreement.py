@@ -14,6 +14,8 @@ from typing import Literal
 
 import numpy as np
 from scipy import stats
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.population import Agreement, Confounding, Interval, Order, Pair, Repeatability
@@ -207,16 +209,15 @@ def confounding_of(speeds_of: Sequence[Sequence[float]]) -> Confounding | None:
             speeds.append(speed)
     if not speeds:
         return None
-    part = list(range(len(speeds)))
-    home: dict[int, int] = {}
-    for who, speed in tested:
-        at = max(k for k, known in enumerate(speeds) if speed >= known * (1.0 - 1e-12))
-        other = part[home.setdefault(who, at)]
-        mine = part[at]
-        part = [mine if one == other else one for one in part]
+    people = len(speeds_of)
+    at = [max(k for k, known in enumerate(speeds) if speed >= known * (1.0 - 1e-12)) for _, speed in tested]
+    links = (np.ones(len(tested)), ([who for who, _ in tested], people + np.array(at)))
+    graph = coo_array(links, shape=(people + len(speeds),) * 2)
+    # specimens first, then speeds
+    label = connected_components(graph, directed=False)[1][people:].tolist()
     parts = tuple(
-        tuple(speed for speed, label in zip(speeds, part, strict=True) if label == one)
-        for one in dict.fromkeys(part)
+        tuple(speed for speed, own in zip(speeds, label, strict=True) if own == one)
+        for one in dict.fromkeys(label)
     )
     kind: Literal["none", "partly", "confounded", "single speed"] = "partly"
     if len(parts) == 1:

@@ -24,15 +24,15 @@ from tissueid.population.kernels import (
     Cohort,
     Hyper,
     State,
-    centre_of,
+    centres,
     correlation_factor,
+    distance2,
     draw_coefficients,
     draw_effects,
-    draw_nu,
     draw_scales,
+    draw_weights,
     factor,
-    solved,
-    squares,
+    inverse_factor,
     unit_factor,
 )
 
@@ -51,29 +51,15 @@ def log_mixture(
     not in its logarithm; ``centre`` (p,); ``log_weight`` (c,): of each component, its determinant included;
     ``mean`` (c, p); ``unit`` (c, p, p): inverse Cholesky factors.
     """
-    p = phi.size
-    x = np.empty(p)
-    for k in range(p):
-        x[k] = phi[k] - centre[k]
+    x = phi - centre
+    for k in range(x.size):
         if linear[k]:
             x[k] = math.exp(min(x[k], LARGEST))
-    best = -np.inf
-    value = np.empty(log_weight.size)
-    for c in range(log_weight.size):
-        square = 0.0
-        for i in range(p):
-            z = 0.0
-            for j in range(i + 1):
-                z += unit[c, i, j] * (x[j] - mean[c, j])
-            square += z * z
-        value[c] = log_weight[c] - 0.5 * square
-        best = max(best, value[c])
+    value = np.array([log_weight[c] - 0.5 * distance2(x, mean[c], unit[c]) for c in range(log_weight.size)])
+    best = value.max()
     if not best > -np.inf:
         return -np.inf
-    total = 0.0
-    for c in range(value.size):
-        total += math.exp(value[c] - best)
-    return best + math.log(total)
+    return float(best + math.log(np.exp(value - best).sum()))
 
 
 #: Proposals of a sweep for a specimen among its draws: with the frozen weights, and among all draws alike.
@@ -86,20 +72,10 @@ PROPOSAL_NU = 5.0
 STEP_LENGTH = 2.38
 #: Acceptance that joint moves are brought to while the chain settles.
 WANTED_ACCEPTANCE = 0.4
+#: Change of ln of a step's length for an acceptance too much.
+ADAPTATION = 0.2
 #: From so many specimens on, one coordinate a sweep is moved jointly.
 MANY = 400
-
-
-@kernel()
-def distance2(phi, mean: FloatArray, unit: FloatArray) -> float:  # type: ignore[no-untyped-def]
-    """Squared distance of a point from a centre, in units of an inverse Cholesky factor."""
-    total = 0.0
-    for i in range(mean.size):
-        z = 0.0
-        for j in range(i + 1):
-            z += unit[i, j] * (phi[j] - mean[j])
-        total += z * z
-    return total
 
 
 @kernel()
@@ -111,7 +87,7 @@ def _log_population(square: float, p: int, nu: float, heavy: bool) -> float:
 
 
 @kernel()
-def smooth_likelihood(cohort: Cohort, i: int, phi: FloatArray) -> float:
+def smooth_likelihood(cohort: Cohort, i: int | np.int64, phi: FloatArray) -> float:
     """Ln of the smooth likelihood of specimen i; -inf where relaxation times do not ascend."""
     s = cohort.smooth[i]
     for k in range(cohort.ascending.size - 1):
@@ -124,16 +100,13 @@ def smooth_likelihood(cohort: Cohort, i: int, phi: FloatArray) -> float:
 
 @kernel()
 def move_among_draws(
-    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray
-) -> None:
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
+    centre: FloatArray,
+) -> None:  # fmt: skip
     """Propose other stage-1 draws to the specimens among theirs; weights of the mixture are integrated."""
-    p = unit.shape[0]
-    mean = np.zeros(p)
-    nu = state.nu[0]
-    for i in range(state.weight.size):
-        if cohort.smooth[i] >= 0:
-            continue
-        centre_of(cohort, state, i, mean)
+    p, nu = unit.shape[0], state.nu[0]
+    for i in np.flatnonzero(cohort.smooth < 0):
+        mean = centre[i]
         first, end = cohort.start[i], cohort.start[i + 1]
         now = state.pick[i]
         value = _log_population(distance2(cohort.phi[now], mean, unit), p, nu, hyper.heavy)
@@ -160,65 +133,28 @@ def move_among_draws(
 
 
 @kernel()
-def _up(low: FloatArray, z: FloatArray) -> None:
-    """Solve ``low.T @ x = z`` in place."""
-    for i in range(z.size - 1, -1, -1):
-        for k in range(i + 1, z.size):
-            z[i] -= low[k, i] * z[k]
-        z[i] /= low[i, i]
-
-
-@kernel()
-def _away2(low: FloatArray, phi: FloatArray, mean: FloatArray) -> float:
-    """Squared distance in units of a precision's factor."""
-    total = 0.0
-    for j in range(mean.size):
-        z = 0.0
-        for i in range(j, mean.size):
-            z += low[i, j] * (phi[i] - mean[i])
-        total += z * z
-    return total
-
-
-@kernel()
 def move_smooth(
-    rng: np.random.Generator, cohort: Cohort, state: State, unit: FloatArray, inverse: FloatArray
+    rng: np.random.Generator, cohort: Cohort, state: State, unit: FloatArray, centre: FloatArray
 ) -> None:
     """Move the specimens with a smooth likelihood, given their weights in the mixture."""
-    p = unit.shape[0]
-    mean, best, other, z = np.zeros(p), np.zeros(p), np.zeros(p), np.zeros(p)
-    precision = np.zeros((p, p))
-    for i in range(state.weight.size):
-        s = cohort.smooth[i]
-        if s < 0:
-            continue
-        centre_of(cohort, state, i, mean)
-        weight = state.weight[i]
-        for k in range(p):
-            best[k] = 0.0
-            for j in range(p):
-                precision[k, j] = weight * inverse[k, j] + cohort.precision[s, k, j]
-                best[k] += weight * inverse[k, j] * mean[j] + cohort.precision[s, k, j] * cohort.likely[s, j]
-        low = factor(precision)
-        best[:] = solved(low, best)
-        _up(low, best)
-        now = state.phi[i]
+    p, inverse = unit.shape[0], unit.T @ unit
+    half = 0.5 * (PROPOSAL_NU + p)
+    for i in np.flatnonzero(cohort.smooth >= 0):
+        s, mean, weight, now = cohort.smooth[i], centre[i], state.weight[i], state.phi[i]
+        low = factor(weight * inverse + cohort.precision[s])
+        root = inverse_factor(low).T
+        best = root @ (root.T @ (weight * (inverse @ mean) + cohort.precision[s] @ cohort.likely[s]))
         value = state.likelihood[i] - 0.5 * weight * distance2(now, mean, unit)
         for attempt in range(1 + STEPS):
-            for k in range(p):
-                z[k] = rng.standard_normal()
-            _up(low, z)
+            step = root @ rng.standard_normal(p)
             ratio = 0.0
             if attempt == 0:
                 stretch = 1.0 / math.sqrt(rng.standard_gamma(0.5 * PROPOSAL_NU) / (0.5 * PROPOSAL_NU))
-                half = 0.5 * (PROPOSAL_NU + p)
-                for k in range(p):
-                    other[k] = best[k] + stretch * z[k]
-                ratio += half * math.log1p(_away2(low, other, best) / PROPOSAL_NU)
-                ratio -= half * math.log1p(_away2(low, now, best) / PROPOSAL_NU)
+                other = best + stretch * step
+                ratio += half * math.log1p(((low.T @ (other - best)) ** 2).sum() / PROPOSAL_NU)
+                ratio -= half * math.log1p(((low.T @ (now - best)) ** 2).sum() / PROPOSAL_NU)
             else:
-                for k in range(p):
-                    other[k] = now[k] + STEP_LENGTH / math.sqrt(p) * z[k]
+                other = now + STEP_LENGTH / math.sqrt(p) * step
             likelihood = smooth_likelihood(cohort, i, other)
             proposed = likelihood - 0.5 * weight * distance2(other, mean, unit)
             ratio += proposed - value
@@ -230,130 +166,62 @@ def move_smooth(
 
 
 @kernel()
-def _shifted(
-    cohort: Cohort, state: State, i: int, k: int, kind: int, change: float, mean: FloatArray,
-    other: FloatArray,
-) -> None:  # fmt: skip
-    """Place of a smooth specimen after a joint move, into ``other``."""
-    other[:] = state.phi[i]
-    if kind == 0:
-        other[k] += change
-    else:
-        centre_of(cohort, state, i, mean)
-        other[k] = mean[k] + math.exp(change) * (other[k] - mean[k])
-
-
-@kernel()
 def _try_together(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
-    which: tuple[int, int], adapt: bool, likelihood: FloatArray,
-) -> None:  # fmt: skip
-    """Move the mean (kind 0) or the spread (kind 1) of a coordinate with the smooth specimens."""
-    p, (k, kind) = unit.shape[0], which
-    mean, other = np.zeros(p), np.zeros(p)
-    change = math.exp(state.step[kind, k]) * rng.standard_normal()
-    ratio = 0.0
-    if kind == 0:
-        before = state.coefficient[0, k]
-        after = before + change
-        ratio -= 0.5 * (after * after - before * before) / hyper.coefficient_sd[0] ** 2
-    else:
-        before, after = state.log_sd[k], state.log_sd[k] + change
-        ratio -= 0.5 * ((after - hyper.scale[0]) ** 2 - (before - hyper.scale[0]) ** 2) / hyper.scale[1] ** 2
+    shift: FloatArray, k: int, stretch: float,
+) -> float:  # fmt: skip
+    """Try to move the mean by ``shift`` and ln D of coordinate k by ``stretch``, smooth specimens with both.
+
+    Gives 1 where it did.  Of a smooth specimen the density in the population stays, ``unit`` follows D.
+    """
+    away, still = state.phi - centres(cohort, state), np.zeros(shift.size)
+    moved, left = state.phi + shift, away - shift
+    moved[:, k] += (math.exp(stretch) - 1.0) * away[:, k]
+    left[:, k] *= math.exp(-stretch)
+    mean, log_sd, (middle, sd) = state.coefficient[0], state.log_sd[k], hyper.scale[:2]
+    ratio = -0.5 * ((mean + shift) ** 2 - mean**2).sum() / hyper.coefficient_sd[0] ** 2
+    ratio -= 0.5 * ((log_sd + stretch - middle) ** 2 - (log_sd - middle) ** 2) / sd**2
+    likelihood = state.likelihood.copy()
     for i in range(state.weight.size):
         if cohort.smooth[i] >= 0:
-            _shifted(cohort, state, i, k, kind, change, mean, other)
-            likelihood[i] = smooth_likelihood(cohort, i, other)
+            likelihood[i] = smooth_likelihood(cohort, i, moved[i])
             ratio += likelihood[i] - state.likelihood[i]
-            continue
-        centre_of(cohort, state, i, mean)
-        for j in range(p):
-            other[j] = state.phi[i, j] - mean[j]
-            mean[j] = 0.0
-        ratio += 0.5 * state.weight[i] * distance2(other, mean, unit)
-        if kind == 0:
-            other[k] -= change
         else:
-            other[k] *= math.exp(-change)
-            ratio -= change
-        ratio -= 0.5 * state.weight[i] * distance2(other, mean, unit)
-    accepted = ratio >= 0.0 or rng.random() < math.exp(ratio)
-    if accepted:
-        for i in range(state.weight.size):
-            if cohort.smooth[i] >= 0:
-                _shifted(cohort, state, i, k, kind, change, mean, other)
-                state.phi[i, k] = other[k]
-                state.likelihood[i] = likelihood[i]
-        if kind == 0:
-            state.coefficient[0, k] = after
-        else:
-            state.log_sd[k] = after
-            for i in range(k, p):
-                unit[i, k] *= math.exp(-change)
-    if adapt:
-        state.step[kind, k] += 0.2 * ((1.0 if accepted else 0.0) - WANTED_ACCEPTANCE)
-
-
-@kernel()
-def open_together(cohort: Cohort) -> FloatArray:
-    """Cholesky factor of what the data of the smooth specimens say together of their common place."""
-    together = np.zeros(cohort.precision.shape[1:])
-    for s in range(cohort.precision.shape[0]):
-        together += cohort.precision[s]
-    return factor(together)
-
-
-@kernel()
-def _try_translation(
-    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
-    open_low: FloatArray, adapt: bool, likelihood: FloatArray,
-) -> None:  # fmt: skip
-    """Move the mean with the smooth specimens in all coordinates at once."""
-    p = unit.shape[0]
-    change, mean, other = np.zeros(p), np.zeros(p), np.zeros(p)
-    for k in range(p):
-        change[k] = math.exp(state.step[2, 0]) * rng.standard_normal()
-    _up(open_low, change)
-    ratio = 0.0
-    for k in range(p):
-        before = state.coefficient[0, k]
-        ratio -= 0.5 * ((before + change[k]) ** 2 - before**2) / hyper.coefficient_sd[0] ** 2
-    for i in range(state.weight.size):
-        if cohort.smooth[i] >= 0:
-            other[:] = state.phi[i] + change
-            likelihood[i] = smooth_likelihood(cohort, i, other)
-            ratio += likelihood[i] - state.likelihood[i]
-            continue
-        centre_of(cohort, state, i, mean)
-        ratio += 0.5 * state.weight[i] * distance2(state.phi[i], mean, unit)
-        mean += change
-        ratio -= 0.5 * state.weight[i] * distance2(state.phi[i], mean, unit)
-    accepted = ratio >= 0.0 or rng.random() < math.exp(ratio)
-    if accepted:
-        state.coefficient[0] += change
-        for i in range(state.weight.size):
-            if cohort.smooth[i] >= 0:
-                state.phi[i] += change
-                state.likelihood[i] = likelihood[i]
-    if adapt:
-        state.step[2, 0] += 0.2 * ((1.0 if accepted else 0.0) - WANTED_ACCEPTANCE)
+            nearer = distance2(away[i], still, unit) - distance2(left[i], still, unit)
+            ratio += 0.5 * state.weight[i] * nearer - stretch
+    if not (ratio >= 0.0 or rng.random() < math.exp(ratio)):
+        return 0.0
+    for s in np.flatnonzero(cohort.smooth >= 0):
+        state.phi[s] = moved[s]
+    state.likelihood[:] = likelihood
+    state.coefficient[0] += shift
+    state.log_sd[k] += stretch
+    unit[:, k] *= math.exp(-stretch)
+    return 1.0
 
 
 @kernel()
 def move_together(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
-    open_low: FloatArray, adapt: bool,
+    open_root: FloatArray, adapt: bool,
 ) -> None:  # fmt: skip
     """Move means and spreads together with the smooth specimens; ``unit`` follows the spreads."""
     p = unit.shape[0]
-    likelihood = np.zeros(state.weight.size)
-    _try_translation(rng, cohort, hyper, state, unit, open_low, adapt, likelihood)
+    gain = ADAPTATION if adapt else 0.0
+    shift = open_root @ (math.exp(state.step[2, 0]) * rng.standard_normal(p))
+    accepted = _try_together(rng, cohort, hyper, state, unit, shift, p - 1, 0.0)
+    state.step[2, 0] += gain * (accepted - WANTED_ACCEPTANCE)
     only = min(int(rng.random() * p), p - 1) if state.weight.size >= MANY else -1
     for k in range(p):
         if only >= 0 and k != only:
             continue
         for kind in range(2):
-            _try_together(rng, cohort, hyper, state, unit, (k, kind), adapt, likelihood)
+            change = math.exp(state.step[kind, k]) * rng.standard_normal()
+            shift = np.zeros(p)
+            shift[k] = change if kind == 0 else 0.0
+            stretch = change if kind == 1 else 0.0
+            accepted = _try_together(rng, cohort, hyper, state, unit, shift, k, stretch)
+            state.step[kind, k] += gain * (accepted - WANTED_ACCEPTANCE)
 
 
 class Record(NamedTuple):
@@ -373,58 +241,23 @@ class Record(NamedTuple):
 
 
 @kernel()
-def _write_population(state: State, record: Record, step: int, low: FloatArray) -> None:
-    p = state.log_sd.size
+def _write(cohort: Cohort, hyper: Hyper, state: State, record: Record, step: int, low: FloatArray) -> None:
+    """Keep a state of the chain."""
     record.nu[step] = state.nu[0]
     record.log_sd[step] = state.log_sd
     record.coefficient[step] = state.coefficient
     record.level_log_sd[step] = state.level_log_sd
+    record.correlation[step] = low @ low.T
     record.effect[:] += state.effect
-    for k in range(p):
-        for j in range(p):
-            total = 0.0
-            for i in range(min(j, k) + 1):
-                total += low[k, i] * low[j, i]
-            record.correlation[step, k, j] = total
-
-
-@kernel()
-def _write_specimens(
-    cohort: Cohort, hyper: Hyper, state: State, record: Record, step: int, low: FloatArray
-) -> None:
-    n, p = state.phi.shape
+    record.weight[:] += state.weight
+    centre, unit = centres(cohort, state), unit_factor(state.log_sd, low)
+    record.deviation[:] += (state.phi - centre) * np.exp(-state.log_sd)
+    for i in range(centre.shape[0]):
+        record.far[i] += distance2(state.phi[i], centre[i], unit) > hyper.far
     kept = record.phi.shape[0]
     thin = max(record.nu.size // max(kept, 1), 1)
-    row = step // thin if step % thin == 0 and step // thin < kept else -1
-    mean = np.zeros(p)
-    unit = unit_factor(state.log_sd, low)
-    for i in range(n):
-        centre_of(cohort, state, i, mean)
-        record.weight[i] += state.weight[i]
-        if distance2(state.phi[i], mean, unit) > hyper.far:
-            record.far[i] += 1.0
-        for k in range(p):
-            record.deviation[i, k] += (state.phi[i, k] - mean[k]) * math.exp(-state.log_sd[k])
-            if row >= 0:
-                record.phi[row, i, k] = state.phi[i, k]
-
-
-@kernel()
-def _draw_weights(
-    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray
-) -> None:
-    """Degrees of freedom with the weights integrated, then the weights."""
-    p = unit.shape[0]
-    mean = np.zeros(p)
-    for i in range(state.weight.size):
-        centre_of(cohort, state, i, mean)
-        state.distance2[i] = distance2(state.phi[i], mean, unit)
-    state.nu[0] = draw_nu(rng, state.nu[0], state.distance2, p, hyper.nu[0], hyper.nu[1])
-    half = 0.5 * state.nu[0]
-    for i in range(state.weight.size):
-        drawn = rng.standard_gamma(half + 0.5 * p) / (half + 0.5 * state.distance2[i])
-        # a weight that is zero by rounding would never come back
-        state.weight[i] = max(drawn, 1e-12)
+    if step % thin == 0 and step // thin < kept:
+        record.phi[step // thin] = state.phi
 
 
 @kernel()
@@ -433,41 +266,28 @@ def sweeps(
     keep: bool,
 ) -> None:  # fmt: skip
     """Go on for so many sweeps, ``state`` in place; without ``keep`` steps of joint moves are adapted."""
-    p = state.log_sd.size
-    inverse = np.zeros((p, p))
-    any_smooth = False
-    for i in range(cohort.smooth.size):
-        if cohort.smooth[i] >= 0:
-            any_smooth = True
-            state.likelihood[i] = smooth_likelihood(cohort, i, state.phi[i])
-    open_low = open_together(cohort) if any_smooth else np.zeros((p, p))
+    smooth = np.flatnonzero(cohort.smooth >= 0)
+    # what the data of the smooth specimens leave open of their common place
+    open_root = np.zeros(state.partial.shape)
+    if smooth.size:
+        open_root[:] = inverse_factor(factor(cohort.precision.sum(axis=0))).T
+    for i in smooth:
+        state.likelihood[i] = smooth_likelihood(cohort, i, state.phi[i])
     for step in range(steps):
         unit = unit_factor(state.log_sd, correlation_factor(state.partial))
-        move_among_draws(rng, cohort, hyper, state, unit)
-        if any_smooth:
-            _inverse(unit, inverse)
-            move_smooth(rng, cohort, state, unit, inverse)
+        centre = centres(cohort, state)
+        move_among_draws(rng, cohort, hyper, state, unit, centre)
+        if smooth.size:
+            move_smooth(rng, cohort, state, unit, centre)
         if hyper.heavy:
-            _draw_weights(rng, cohort, hyper, state, unit)
-        if any_smooth:
-            move_together(rng, cohort, hyper, state, unit, open_low, not keep)
-        _inverse(unit, inverse)
+            draw_weights(rng, hyper, state, unit, centre)
+        if smooth.size:
+            move_together(rng, cohort, hyper, state, unit, open_root, not keep)
+        inverse = unit.T @ unit
         draw_coefficients(rng, cohort, hyper, state, inverse)
         draw_effects(rng, cohort, hyper, state, inverse)
-        count = float(state.weight.size)
-        low = draw_scales(rng, state.log_sd, state.partial, squares(cohort, state), count, hyper.scale)
+        away, count = state.phi - centres(cohort, state), float(state.weight.size)
+        squares = (away * state.weight[:, None]).T @ away
+        low = draw_scales(rng, state.log_sd, state.partial, squares, count, hyper.scale)
         if keep:
-            _write_population(state, record, step, low)
-            _write_specimens(cohort, hyper, state, record, step, low)
-
-
-@kernel()
-def _inverse(unit: FloatArray, out: FloatArray) -> None:
-    """Precision from the inverse of its covariance's Cholesky factor."""
-    p = unit.shape[0]
-    for k in range(p):
-        for j in range(p):
-            total = 0.0
-            for i in range(max(k, j), p):
-                total += unit[i, k] * unit[i, j]
-            out[k, j] = total
+            _write(cohort, hyper, state, record, step, low)

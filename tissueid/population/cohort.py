@@ -480,15 +480,9 @@ class Population:
     """Population of specimens, where there are enough."""
 
     coordinates: Coordinates
-    described: Described
     draws: PopulationDraws
     predictive: Predictive
-    quantities: tuple[documents.Quantity, ...]
-    specimens: tuple[documents.Specimen, ...]
-    effects: tuple[documents.Effect, ...]
-    held_out: documents.HeldOut | None
-    repeatability: documents.Repeatability | None
-    sizes: tuple[documents.CohortSize, ...]
+    told: documents.Populations  # everything that is said of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -530,10 +524,9 @@ def cohort(
     described = design_of(kept, options.group_by, options.covariates)
     stage, floored = stage_one(kept, coordinates)
     population = _population(kept, stage, coordinates, described, options, tick)
-    force = {row.specimen: row.pooled[coordinates.static_at_depth] for row in population.specimens}
-    flags += population_flags(
-        population.draws, population.predictive, population.specimens, described, floored
-    )
+    specimens = population.told.specimens
+    force = {row.specimen: row.pooled[coordinates.static_at_depth] for row in specimens}
+    flags += population_flags(population.draws, population.predictive, specimens, described, floored)
     return CohortFit(kept, left, population, None, agreement(kept, force), order, confounding, tuple(flags))
 
 
@@ -555,15 +548,43 @@ def _population(
     predicted = None
     if options.hold_out:
         predicted = held_out(members, stage, described, coordinates, options.priors, options.sampler, tick)
-    return Population(
-        coordinates=coordinates,
-        described=described,
-        draws=draws,
-        predictive=predictive,
+    law, correlation = coordinates.model, draws.correlation.reshape(-1, coordinates.size, coordinates.size)
+    told = documents.Populations(
+        model=documents.Model(law.branches, law.stiffness_degree, law.name),
+        depth_mm=coordinates.depth_mm,
         quantities=quantity_rows(draws, coordinates, described, instrument, rng),
-        specimens=specimen_rows(members, stage, draws, coordinates),
+        correlation=np.clip(np.median(correlation, axis=0), -1.0, 1.0).tolist(),
+        degrees_of_freedom=_degrees_of_freedom(draws),
+        groups=described.groups,
         effects=effect_rows(draws, coordinates, described),
-        held_out=predicted,
+        specimens=specimen_rows(members, stage, draws, coordinates),
         repeatability=repeatability(members, sd[:, coordinates.static_at_depth], rng),
-        sizes=size_rows(coordinates.names, sd, np.asarray(own_sd, dtype=np.float64)),
+        held_out=predicted,
+        cohort_size=size_rows(coordinates.names, sd, np.asarray(own_sd, dtype=np.float64)),
+        predictive=documents.Predictive(
+            len(predictive.theta), predictive.refused, predictive.typical_is_drawn
+        ),
+        sampler=_sampler(draws),
+    )
+    return Population(coordinates, draws, predictive, told)
+
+
+def _degrees_of_freedom(draws: PopulationDraws) -> documents.DegreesOfFreedom | None:
+    """Those of the t distribution; ``None`` of a normal population."""
+    if not np.isfinite(draws.nu).all():
+        return None
+    return documents.DegreesOfFreedom(float(np.median(draws.nu)), interval_95(draws.nu))
+
+
+def _sampler(draws: PopulationDraws) -> documents.Sampler:
+    chains, sweeps = draws.nu.shape
+    found = draws.diagnostics.values()
+    return documents.Sampler(
+        converged=draws.converged,
+        chains=chains,
+        sweeps=sweeps,
+        r_hat=max(one.r_hat for one in found),
+        r_hat_wanted=R_HAT,
+        ess=min(min(one.ess_bulk, one.ess_tail) for one in found),
+        ess_wanted=ESS_A_CHAIN * chains,
     )

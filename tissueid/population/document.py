@@ -13,9 +13,8 @@ from tissueid import __version__
 from tissueid.documents import plain
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
 from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.population.cohort import CohortFit, CohortOptions, Population
+from tissueid.population.cohort import CohortFit, CohortOptions
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
-from tissueid.population.sampler import ESS_A_CHAIN, R_HAT
 from tissueid.priors import PopulationPriors, SpreadPrior
 from tissueid.result import Curve, Estimate, ModelChoice
 from tissueid.store.bundle import Bundle
@@ -132,7 +131,7 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[
         "specimens_used": [one.specimen for one in fit.members],
         "left_out": plain(fit.left_out),
         "reason": fit.reason,
-        "population": None if found is None else _population(found),
+        "population": None if found is None else plain(found.told),
         "agreement": plain(fit.agreement),
         "order": plain(fit.order),
         "confounding": plain(fit.confounding),
@@ -145,46 +144,6 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[
             "tails": options.sampler.tails,
             "seed": options.sampler.seed,
             "priors": options.priors.as_json(),
-        },
-    }
-
-
-def _population(found: Population) -> dict[str, Any]:
-    coordinates, draws = found.coordinates, found.draws
-    heavy = bool(np.isfinite(draws.nu).all())
-    correlation = np.median(draws.correlation.reshape(-1, coordinates.size, coordinates.size), axis=0)
-    low, high = np.quantile(draws.nu, [0.025, 0.975]) if heavy else (0.0, 0.0)
-    return {
-        "model": {
-            "name": coordinates.model.name,
-            "branches": coordinates.model.branches,
-            "stiffness_degree": coordinates.model.stiffness_degree,
-        },
-        "depth_mm": coordinates.depth_mm,
-        "quantities": plain(found.quantities),
-        "correlation": np.clip(correlation, -1.0, 1.0).tolist(),
-        "degrees_of_freedom": (
-            {"median": float(np.median(draws.nu)), "ci95": [float(low), float(high)]} if heavy else None
-        ),
-        "groups": list(found.described.groups),
-        "effects": plain(found.effects),
-        "specimens": plain(found.specimens),
-        "repeatability": plain(found.repeatability),
-        "held_out": plain(found.held_out),
-        "cohort_size": plain(found.sizes),
-        "predictive": {
-            "specimens": len(found.predictive.theta),
-            "refused": found.predictive.refused,
-            "typical_is_drawn": found.predictive.typical_is_drawn,
-        },
-        "sampler": {
-            "converged": draws.converged,
-            "chains": int(draws.nu.shape[0]),
-            "sweeps": int(draws.nu.shape[1]),
-            "r_hat": max(one.r_hat for one in draws.diagnostics.values()),
-            "r_hat_wanted": R_HAT,
-            "ess": min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values()),
-            "ess_wanted": ESS_A_CHAIN * draws.nu.shape[0],
         },
     }
 

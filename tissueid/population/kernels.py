@@ -11,13 +11,16 @@ sufficient statistics.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import kernel
+
+Given = TypeVar("Given")
 
 #: Steps out and shrinkings of a slice at the most; a slice is found long before.
 MOST_STEPS = 40
@@ -70,19 +73,54 @@ def _log_likelihood(
     return value - 0.5 * square
 
 
+def _slice_sampler(
+    log_density: Callable[[float, Given], float], width: float
+) -> Callable[[np.random.Generator, float, Given], float]:
+    """Compile a draw by slice sampling; the density was last asked of the place that is drawn."""
+
+    @kernel()
+    def draw(rng: np.random.Generator, start: float, given: Given) -> float:
+        level = log_density(start, given) - rng.standard_exponential()
+        left = start - width * rng.random()
+        right = left + width
+        for _ in range(MOST_STEPS):
+            if log_density(left, given) <= level:
+                break
+            left -= width
+        for _ in range(MOST_STEPS):
+            if log_density(right, given) <= level:
+                break
+            right += width
+        for _ in range(2 * MOST_STEPS):
+            value = left + (right - left) * rng.random()
+            if log_density(value, given) > level:
+                return value
+            if value < start:
+                left = value
+            else:
+                right = value
+        log_density(start, given)
+        return start
+
+    return draw
+
+
 class _Scales(NamedTuple):
-    """Standard deviations, factor of the correlations, what was seen of how many, work space, prior."""
+    """Data and state of a draw of scales; ``log_sd``, ``partial`` and ``low`` follow where it looks."""
 
     log_sd: FloatArray
-    low: FloatArray
-    root: FloatArray
+    partial: FloatArray
+    low: FloatArray  # factor of the correlations
+    root: FloatArray  # factor of the sum of squares
     many: float
-    x: FloatArray
+    x: FloatArray  # work space
     prior: FloatArray
 
 
 @kernel()
-def _at_log_sd(value: float, k: int, scales: _Scales) -> float:
+def _at_log_sd(value: float, given: tuple[int, _Scales]) -> float:
+    """Ln density of ln of a standard deviation."""
+    k, scales = given
     scales.log_sd[k] = value
     away = (value - scales.prior[0]) / scales.prior[1]
     likelihood = _log_likelihood(scales.log_sd, scales.low, scales.root, scales.many, scales.x)
@@ -90,15 +128,21 @@ def _at_log_sd(value: float, k: int, scales: _Scales) -> float:
 
 
 @kernel()
-def _at_correlation(value: float, i: int, j: int, w: FloatArray, scales: _Scales) -> float:
+def _at_correlation(value: float, given: tuple[int, int, _Scales]) -> float:
+    """Ln density of arctanh of a partial correlation."""
+    i, j, scales = given
     if abs(value) > MOST_Z:
         return -np.inf
-    w[i, j] = math.tanh(value)
-    _factor_row(w, i, scales.low)
+    scales.partial[i, j] = math.tanh(value)
+    _factor_row(scales.partial, i, scales.low)
     # Beta(b, b) on (-1, 1), times d w / d arctanh w
-    b = scales.prior[2] + 0.5 * (w.shape[0] - 2 - j)
+    b = scales.prior[2] + 0.5 * (scales.log_sd.size - 2 - j)
     likelihood = _log_likelihood(scales.log_sd, scales.low, scales.root, scales.many, scales.x)
     return float(likelihood - 2.0 * b * math.log(math.cosh(value)))
+
+
+_draw_log_sd = _slice_sampler(_at_log_sd, SD_WIDTH)
+_draw_correlation = _slice_sampler(_at_correlation, CORRELATION_WIDTH)
 
 
 @kernel()
@@ -106,50 +150,15 @@ def draw_scales(
     rng: np.random.Generator, log_sd: FloatArray, w: FloatArray, squares: FloatArray, count: float,
     prior: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """One sweep over ln standard deviations and partial correlations, in place; the Cholesky factor of R."""
-    p = log_sd.size
+    """Draw ln standard deviations and partial correlations in turn, in place; the Cholesky factor of R."""
     low = correlation_factor(w)
-    scales = _Scales(log_sd, low, _root(squares), count, np.zeros((p, p)), prior)
-    for k in range(p):
-        _draw_scale(rng, k, k, log_sd[k], SD_WIDTH, w, scales)
-    for i in range(1, p):
+    scales = _Scales(log_sd, w, low, _root(squares), count, np.zeros(w.shape), prior)
+    for k in range(log_sd.size):
+        _draw_log_sd(rng, log_sd[k], (k, scales))
+    for i in range(1, log_sd.size):
         for j in range(i):
-            _draw_scale(rng, i, j, math.atanh(w[i, j]), CORRELATION_WIDTH, w, scales)
+            _draw_correlation(rng, math.atanh(w[i, j]), (i, j, scales))
     return low
-
-
-@kernel()
-def _at_scale(value: float, i: int, j: int, w: FloatArray, scales: _Scales) -> float:
-    if i == j:
-        return _at_log_sd(value, i, scales)
-    return _at_correlation(value, i, j, w, scales)
-
-
-@kernel()
-def _draw_scale(
-    rng: np.random.Generator, i: int, j: int, start: float, width: float, w: FloatArray, scales: _Scales
-) -> None:
-    """Slice-sample ln of standard deviation i where j is i, else the partial correlation of i and j."""
-    level = _at_scale(start, i, j, w, scales) - rng.standard_exponential()
-    left = start - width * rng.random()
-    right = left + width
-    for _ in range(MOST_STEPS):
-        if _at_scale(left, i, j, w, scales) <= level:
-            break
-        left -= width
-    for _ in range(MOST_STEPS):
-        if _at_scale(right, i, j, w, scales) <= level:
-            break
-        right += width
-    for _ in range(2 * MOST_STEPS):
-        value = left + (right - left) * rng.random()
-        if _at_scale(value, i, j, w, scales) > level:
-            return
-        if value < start:
-            left = value
-        else:
-            right = value
-    _at_scale(start, i, j, w, scales)
 
 
 @kernel()
@@ -170,78 +179,19 @@ def _root(squares: FloatArray) -> FloatArray:
 
 
 @kernel()
-def _log_sd_density(value: float, square: float, count: float, mean: float, sd: float) -> float:
-    away = (value - mean) / sd
-    return -count * value - 0.5 * square * math.exp(-2.0 * value) - 0.5 * away * away
-
-
-@kernel()
-def draw_log_sd(
-    rng: np.random.Generator, start: float, square: float, count: float, mean: float, sd: float
-) -> float:
-    """Draw ln of the standard deviation of ``count`` normal deviations with that sum of squares."""
-    level = _log_sd_density(start, square, count, mean, sd) - rng.standard_exponential()
-    left = start - SD_WIDTH * rng.random()
-    right = left + SD_WIDTH
-    for _ in range(MOST_STEPS):
-        if _log_sd_density(left, square, count, mean, sd) <= level:
-            break
-        left -= SD_WIDTH
-    for _ in range(MOST_STEPS):
-        if _log_sd_density(right, square, count, mean, sd) <= level:
-            break
-        right += SD_WIDTH
-    for _ in range(2 * MOST_STEPS):
-        value = left + (right - left) * rng.random()
-        if _log_sd_density(value, square, count, mean, sd) > level:
-            return value
-        if value < start:
-            left = value
-        else:
-            right = value
-    return start
-
-
-@kernel()
-def _nu_density(log_nu: float, distance2: FloatArray, p: int, shape: float, rate: float) -> float:
-    """Of ln nu, the weights of the specimens integrated: multivariate t of every squared distance."""
-    nu = math.exp(log_nu)
+def _at_log_nu(value: float, given: tuple[FloatArray, int, FloatArray]) -> float:
+    """Ln density of ln nu, weights integrated, prior Gamma(shape, rate) cut to :data:`NU_RANGE`."""
+    distance2, p, prior = given
+    nu = math.exp(value)
     if nu < NU_RANGE[0] or nu > NU_RANGE[1]:
         return -np.inf
-    n = distance2.size
-    value = n * (math.lgamma(0.5 * (nu + p)) - math.lgamma(0.5 * nu) - 0.5 * p * math.log(nu))
     half = 0.5 * (nu + p)
-    for i in range(n):
-        value -= half * math.log1p(distance2[i] / nu)
-    return value + shape * log_nu - rate * nu
+    each = math.lgamma(half) - math.lgamma(0.5 * nu) - 0.5 * p * value
+    seen = distance2.size * each - half * np.log1p(distance2 / nu).sum()
+    return float(seen + prior[0] * value - prior[1] * nu)
 
 
-@kernel()
-def draw_nu(
-    rng: np.random.Generator, nu: float, distance2: FloatArray, p: int, shape: float, rate: float
-) -> float:
-    """Draw the degrees of freedom, prior Gamma(shape, rate) cut to :data:`NU_RANGE`."""
-    start = math.log(nu)
-    level = _nu_density(start, distance2, p, shape, rate) - rng.standard_exponential()
-    left = start - NU_WIDTH * rng.random()
-    right = left + NU_WIDTH
-    for _ in range(MOST_STEPS):
-        if _nu_density(left, distance2, p, shape, rate) <= level:
-            break
-        left -= NU_WIDTH
-    for _ in range(MOST_STEPS):
-        if _nu_density(right, distance2, p, shape, rate) <= level:
-            break
-        right += NU_WIDTH
-    for _ in range(2 * MOST_STEPS):
-        value = left + (right - left) * rng.random()
-        if _nu_density(value, distance2, p, shape, rate) > level:
-            return math.exp(value)
-        if value < start:
-            left = value
-        else:
-            right = value
-    return nu
+_draw_log_nu = _slice_sampler(_at_log_nu, NU_WIDTH)
 
 
 @kernel()
@@ -269,17 +219,6 @@ def inverse_factor(low: FloatArray) -> FloatArray:
                 inverse[i, j] -= low[i, k] * inverse[k, j]
             inverse[i, j] /= low[i, i]
     return inverse
-
-
-@kernel()
-def solved(low: FloatArray, away: FloatArray) -> FloatArray:
-    """The z of ``low @ z = away``."""
-    z = away.copy()
-    for i in range(z.size):
-        for k in range(i):
-            z[i] -= low[i, k] * z[k]
-        z[i] /= low[i, i]
-    return z
 
 
 class Cohort(NamedTuple):
@@ -331,9 +270,7 @@ class State(NamedTuple):
     log_sd: FloatArray  # (p,)
     partial: FloatArray  # (p, p), partial correlations, strictly lower
     nu: FloatArray  # (1,)
-    #: (n,): of the scale mixture, and squared distance from the population.
-    weight: FloatArray
-    distance2: FloatArray  # (n,)
+    weight: FloatArray  # (n,), of the scale mixture
     #: (3, p): ln of the steps of joint moves of mean and of scale, and, first of its row, of the whole mean.
     step: FloatArray
     accepted: IntArray  # (n,), moves of each specimen so far
@@ -342,132 +279,89 @@ class State(NamedTuple):
 @kernel()
 def unit_factor(log_sd: FloatArray, low: FloatArray) -> FloatArray:
     """Inverse of the Cholesky factor of D R D from ln D and the factor of R."""
-    out = inverse_factor(low)
-    for j in range(log_sd.size):
-        unit = math.exp(-log_sd[j])
-        for i in range(j, log_sd.size):
-            out[i, j] *= unit
-    return out
+    return inverse_factor(low) * np.exp(-log_sd)
 
 
 @kernel()
-def centre_of(cohort: Cohort, state: State, i: int, mean: FloatArray) -> None:
-    """Centre of the population for one specimen, into ``mean``."""
-    for k in range(mean.size):
-        value = 0.0
-        for a in range(cohort.design.shape[1]):
-            value += cohort.design[i, a] * state.coefficient[a, k]
+def centres(cohort: Cohort, state: State) -> FloatArray:
+    """Centre of the population for each specimen, shape (n, p)."""
+    centre = cohort.design @ state.coefficient
+    for i in range(centre.shape[0]):
         for level in range(cohort.group.shape[0]):
-            value += state.effect[cohort.group[level, i], k]
-        mean[k] = value
+            centre[i] += state.effect[cohort.group[level, i]]
+    return centre
+
+
+@kernel()
+def distance2(phi, mean: FloatArray, unit: FloatArray) -> float:  # type: ignore[no-untyped-def]
+    """Squared distance of a point from a centre, in units of an inverse Cholesky factor."""
+    total = 0.0
+    for i in range(mean.size):
+        z = 0.0
+        for j in range(i + 1):
+            z += unit[i, j] * (phi[j] - mean[j])
+        total += z * z
+    return total
+
+
+@kernel()
+def draw_weights(
+    rng: np.random.Generator, hyper: Hyper, state: State, unit: FloatArray, centre: FloatArray
+) -> None:
+    """Degrees of freedom with the weights integrated, then the weights."""
+    n, p = state.phi.shape
+    square = np.array([distance2(state.phi[i], centre[i], unit) for i in range(n)])
+    state.nu[0] = math.exp(_draw_log_nu(rng, math.log(state.nu[0]), (square, p, hyper.nu)))
+    half = 0.5 * state.nu[0]
+    for i in range(n):
+        drawn = rng.standard_gamma(half + 0.5 * p) / (half + 0.5 * square[i])
+        # a weight that is zero by rounding would never come back
+        state.weight[i] = max(drawn, 1e-12)
 
 
 @kernel()
 def _draw_normal(rng: np.random.Generator, precision: FloatArray, pull: FloatArray) -> FloatArray:
-    """Draw from the normal of that precision whose mean solves ``precision @ mean = pull``."""
-    low = factor(precision)
-    z = solved(low, pull)
-    n = z.size
-    for i in range(n):
-        z[i] += rng.standard_normal()
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            z[i] -= low[k, i] * z[k]
-        z[i] /= low[i, i]
-    return z
+    """Draw from the normal with that precision, and ``pull`` its product with the mean."""
+    unit = inverse_factor(factor(precision))
+    return unit.T @ (unit @ pull + rng.standard_normal(pull.size))
 
 
 @kernel()
 def draw_coefficients(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, inverse: FloatArray
 ) -> None:
-    """Mean and effects of covariates, all at once, given the effects of levels."""
+    """Draw mean and effects of covariates, all at once, given the effects of levels."""
     q, p = state.coefficient.shape
-    gram = np.zeros((q, q))
-    pulled = np.zeros((q, p))
-    for i in range(state.weight.size):
-        for a in range(q):
-            weighted = state.weight[i] * cohort.design[i, a]
-            for b in range(q):
-                gram[a, b] += weighted * cohort.design[i, b]
-            for k in range(p):
-                rest = state.phi[i, k]
-                for level in range(cohort.group.shape[0]):
-                    rest -= state.effect[cohort.group[level, i], k]
-                pulled[a, k] += weighted * rest
-    precision = np.zeros((q * p, q * p))
-    pull = np.zeros(q * p)
-    for a in range(q):
-        for k in range(p):
-            row = a * p + k
-            precision[row, row] = 1.0 / (hyper.coefficient_sd[a] * hyper.coefficient_sd[a])
-            for j in range(p):
-                pull[row] += inverse[k, j] * pulled[a, j]
+    weighted = cohort.design * state.weight[:, None]
+    own = state.phi - centres(cohort, state) + cohort.design @ state.coefficient
+    pulled = weighted.T @ own
+    gram, precision = weighted.T @ cohort.design, np.zeros((q * p, q * p))
     for a in range(q):
         for b in range(q):
-            for k in range(p):
-                for j in range(p):
-                    precision[a * p + k, b * p + j] += gram[a, b] * inverse[k, j]
-    drawn = _draw_normal(rng, precision, pull)
-    for a in range(q):
-        for k in range(p):
-            state.coefficient[a, k] = drawn[a * p + k]
+            precision[a * p : (a + 1) * p, b * p : (b + 1) * p] = gram[a, b] * inverse
+    for row in range(q * p):
+        precision[row, row] += hyper.coefficient_sd[row // p] ** -2.0
+    state.coefficient[:] = _draw_normal(rng, precision, (pulled @ inverse).ravel()).reshape((q, p))
 
 
 @kernel()
 def draw_effects(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, inverse: FloatArray
 ) -> None:
-    """Effects of the groups of each level, and how far they spread."""
+    """Draw effects of the groups of each level, and how far they spread."""
     groups, p = state.effect.shape
-    mean = np.zeros(p)
     for level in range(cohort.group.shape[0]):
-        count = np.zeros(groups)
-        pulled = np.zeros((groups, p))
-        for i in range(state.weight.size):
-            g = cohort.group[level, i]
-            centre_of(cohort, state, i, mean)
+        centre = centres(cohort, state)
+        count, pulled = np.zeros(groups), np.zeros((groups, p))
+        for i, g in enumerate(cohort.group[level]):
             count[g] += state.weight[i]
-            for k in range(p):
-                pulled[g, k] += state.weight[i] * (state.phi[i, k] - mean[k] + state.effect[g, k])
-        square = np.zeros(p)
-        size = 0
-        for g in range(groups):
-            if cohort.level_of[g] != level:
-                continue
-            precision = np.zeros((p, p))
-            pull = np.zeros(p)
-            for k in range(p):
-                for j in range(p):
-                    precision[k, j] = count[g] * inverse[k, j]
-                    pull[k] += inverse[k, j] * pulled[g, j]
-                precision[k, k] += math.exp(-2.0 * state.level_log_sd[level, k])
-            drawn = _draw_normal(rng, precision, pull)
-            for k in range(p):
-                state.effect[g, k] = drawn[k]
-                square[k] += drawn[k] * drawn[k]
-            size += 1
+            pulled[g] += state.weight[i] * (state.phi[i] - centre[i] + state.effect[g])
+        own = np.flatnonzero(cohort.level_of == level)
+        prior = np.diag(np.exp(-2.0 * state.level_log_sd[level]))
+        for g in own:
+            state.effect[g] = _draw_normal(rng, count[g] * inverse + prior, inverse @ pulled[g])
+        square = (state.effect[own] ** 2).sum(axis=0)
         for k in range(p):
-            state.level_log_sd[level, k] = draw_log_sd(
-                rng, state.level_log_sd[level, k], square[k], float(size), hyper.level[0], hyper.level[1]
-            )
-
-
-@kernel()
-def squares(cohort: Cohort, state: State) -> FloatArray:
-    """Weighted sum of squares and products of the specimens' deviations."""
-    p = state.log_sd.size
-    out = np.zeros((p, p))
-    mean = np.zeros(p)
-    away = np.zeros(p)
-    for i in range(state.weight.size):
-        centre_of(cohort, state, i, mean)
-        for k in range(p):
-            away[k] = state.phi[i, k] - mean[k]
-        for k in range(p):
-            for j in range(k + 1):
-                out[k, j] += state.weight[i] * away[k] * away[j]
-    for k in range(p):
-        for j in range(k):
-            out[j, k] = out[k, j]
-    return out
+            # one number alone: no correlation
+            alone, sums = np.zeros((1, 1)), np.full((1, 1), square[k])
+            draw_scales(rng, state.level_log_sd[level, k : k + 1], alone, sums, float(own.size), hyper.level)

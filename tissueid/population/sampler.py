@@ -124,7 +124,6 @@ def _start(cohort: Cohort, pilot: Pilot, design: Design, hyper: Hyper, rng: np.r
         partial=np.zeros((p, p)),
         nu=np.array([rng.uniform(3.0, 30.0) if hyper.heavy else NORMAL_NU]),
         weight=np.ones(n),
-        distance2=np.zeros(n),
         step=np.log(np.stack([0.5 * sd, np.full(p, 0.3), np.ones(p)])),
         accepted=np.zeros(n, dtype=np.int64),
     )
@@ -167,11 +166,7 @@ def _next_pilot(
 
 
 def _in_threads(work: Callable[[int], None], count: int, workers: int) -> None:
-    if min(workers, os.cpu_count() or 1) < 2:
-        for k in range(count):
-            work(k)
-        return
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(min(workers, os.cpu_count() or 1)) as pool:
         list(pool.map(work, range(count)))
 
 

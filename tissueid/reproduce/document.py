@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid import __version__
+from tissueid.documents import plain
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.published import (
@@ -72,8 +73,8 @@ def reproduction(
         "seed": effort.seed,
         "seconds": time.perf_counter() - began,
         "readings": readings.as_json(),
-        "items": [item.as_json() for item in items],
-        "figures": [figure.as_json() for figure in figures],
+        "items": plain(items),
+        "figures": plain(figures),
         "lost": list(LOST),
     }
 

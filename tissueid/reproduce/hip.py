@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, cast
 
 import numpy as np
@@ -21,9 +22,9 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
-    Said,
     Trace,
     near,
+    points,
 )
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
@@ -50,7 +51,8 @@ def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"restitution/{asked}",
                 _after_drop(damping_factor(asked), mass),
-                said=Said(f"Restitution reached where e = {asked} is asked for", where="Equation (1)"),
+                f"Restitution reached where e = {asked} is asked for",
+                where="Equation (1)",
                 note="below what is asked for: the factor as printed holds for e near 1; mass, stiffness and "
                 "speed do not enter",
             )
@@ -89,9 +91,9 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
     traces = []
     for name, column in (("impedance", 0), ("surface", 1)):
         for height in HEIGHTS_MM:
-            force = tuple(round(float(value), 5) for value in swept[height][:, column])
             style = "line" if column == 0 else "dash"
-            traces.append(Trace(f"{name}, {height:g} mm", tuple(float(e) for e in error), force, style))
+            force = points(swept[height][:, column], 5)
+            traces.append(Trace(f"{name}, {height:g} mm", tuple(error.tolist()), force, style))
     slopes = [float(swept[height][1, 0] / (1e-3 * error[1])) for height in HEIGHTS_MM]
     inside = max(
         float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
@@ -114,36 +116,19 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
 
 def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside: float) -> list[Item]:
     """Sentences about Fig. 4: largest forces on the axis and within the surface [N], slopes [N/m]."""
+    zero: tuple[str, Callable[[float], bool]] = ("zero", lambda value: value == 0.0)
+    positive: tuple[str, Callable[[float], bool]] = ("greater than zero", lambda value: value > 0.0)
+    axis = "No impedance force without a radial error: largest force on the axis"
+    rise = "The stiffness rises as the axial displacement falls: least rise from height to height"
+    free = "No contact, no force of the surface: largest force within it"
+    claims = (
+        ("nothing-on-the-axis", axis, "N", at_axis, zero),
+        ("steeper", rise, "N/m", float(np.diff(slopes).min()), positive),
+        ("free-inside", free, "N", inside, zero),
+    )
     return [
-        ledger.claim(
-            "guidance/nothing-on-the-axis",
-            Said(
-                "No impedance force without a radial error: largest force on the axis",
-                unit="N",
-                where="Fig. 4",
-            ),
-            at_axis,
-            lambda force: force == 0.0,
-            "zero",
-        ),
-        ledger.claim(
-            "guidance/steeper",
-            Said(
-                "The stiffness rises as the axial displacement falls: least rise from height to height",
-                unit="N/m",
-                where="Fig. 4",
-            ),
-            float(np.diff(slopes).min()),
-            lambda least: least > 0.0,
-            "greater than zero",
-        ),
-        ledger.claim(
-            "guidance/free-inside",
-            Said("No contact, no force of the surface: largest force within it", unit="N", where="Fig. 4"),
-            inside,
-            lambda force: force == 0.0,
-            "zero",
-        ),
+        ledger.claim(f"guidance/{key}", words, value, holds, rule, unit=unit, where="Fig. 4")
+        for key, words, unit, value, (rule, holds) in claims
     ]
 
 

@@ -6,13 +6,12 @@ that agrees because it must is labelled a round trip.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from tissueid.documents import plain
 from tissueid.errors import UsageError, printable
 
 Value = float | tuple[float, float]
@@ -118,20 +117,6 @@ class Item:
             msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
             raise ValueError(msg)
 
-    def as_json(self) -> dict[str, Any]:
-        """The ``items`` object of ``schemas/reproduction.schema.json``."""
-        document: dict[str, Any] = plain(self)
-        return document
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """Words of a row of which the paper prints no number: its unit, and its place in the paper."""
-
-    words: str = ""
-    unit: str = ""
-    where: str = ""
-
 
 @dataclass(frozen=True, slots=True)
 class Trace:
@@ -160,11 +145,6 @@ class Figure:
     drawing: str | None = None  # name of a drawing of the page: a schematic or a block diagram
     x_log: bool = False
 
-    def as_json(self) -> dict[str, Any]:
-        """The ``figures`` object of the schema."""
-        document: dict[str, Any] = plain(self)
-        return document
-
 
 #: Sadeghnejad et al., endoscopic sinus surgery: sheep orbital floor, indentation and relaxation.
 SADEGHNEJAD = "sadeghnejad"
@@ -191,15 +171,17 @@ _TABLE_1 = {2: (86.64, 0.0214), 4: (122.32, 0.0212), 6: (176.76, 0.0206), 8: (22
 _TABLE_3 = (1.25, 2.0, 30.0, 1.158, 115.4, 31.46)
 
 
+def points(values: Iterable[float], places: int = 4) -> tuple[float, ...]:
+    """Coordinates of a trace, rounded."""
+    return tuple(round(float(value), places) for value in values)
+
+
 def _catalogue() -> dict[str, Published]:
     numbers = {}
     for depth, (peak, tau) in _TABLE_1.items():
-        numbers[f"table-1/peak-{depth}mm"] = Published(
-            "Table 1", peak, "N", f"Peak force, held at {depth} mm"
-        )
-        numbers[f"table-1/tau-{depth}mm"] = Published(
-            "Table 1", tau, "s", f"Relaxation time, held at {depth} mm"
-        )
+        held = f"held at {depth} mm"
+        numbers[f"table-1/peak-{depth}mm"] = Published("Table 1", peak, "N", f"Peak force, {held}")
+        numbers[f"table-1/tau-{depth}mm"] = Published("Table 1", tau, "s", f"Relaxation time, {held}")
     numbers["table-2/stiffness"] = Published("Table 2", 63.62, "N/mm", "Stiffness of the branch, K")
     numbers["table-2/tau"] = Published("Table 2", 0.021, "s", "Relaxation time")
     for place, value in enumerate(_TABLE_3, start=1):
@@ -213,15 +195,15 @@ def _catalogue() -> dict[str, Published]:
 PUBLISHED: Numbers = MappingProxyType(_catalogue())
 
 
+@dataclass(slots=True)
 class Ledger:
     """Hands out the inputs of one computation and remembers them."""
 
-    def __init__(self, paper: str, numbers: Numbers = PUBLISHED) -> None:
-        self.paper = paper
-        self._numbers = numbers
-        self._used: list[str] = []
-        self._assumed: list[str] = []
-        self._readings: list[str] = []
+    paper: str
+    _numbers: Numbers = field(default_factory=lambda: PUBLISHED)
+    _used: list[str] = field(default_factory=list)
+    _assumed: list[str] = field(default_factory=list)
+    _readings: list[str] = field(default_factory=list)
 
     def printed(self, key: str) -> float:
         """A published number as an input; from now on its own row is a round trip."""
@@ -246,23 +228,26 @@ class Ledger:
 
     def branch(self) -> Ledger:
         """A ledger that starts with what was used so far; what it hands out stays its own."""
-        other = Ledger(self.paper, self._numbers)
-        other._used, other._assumed, other._readings = [*self._used], [*self._assumed], [*self._readings]
-        return other
+        return Ledger(self.paper, self._numbers, [*self._used], [*self._assumed], [*self._readings])
 
     def item(
         self,
         key: str,
-        recomputed: float | tuple[float, float] | None,
+        recomputed: Value | None,
+        words: str = "",
         *,
+        unit: str = "",
+        where: str = "",
         against: str | None = None,
-        said: Said | None = None,
-        interval: tuple[float, float] | None = None,
+        interval: Interval = None,
         judge: Judgement | None = None,
         note: str | None = None,
     ) -> Item:
-        """A row of the comparison; its kind follows from what this ledger handed out."""
-        beside, said = against or key, said or Said()
+        """A row of the comparison; its kind follows from what this ledger handed out.
+
+        ``unit`` and ``where`` count where the paper prints no number.
+        """
+        beside = against or key
         printed = self._numbers.get(beside)
         agrees = None
         if printed is not None and judge is not None and recomputed is not None:
@@ -270,9 +255,9 @@ class Ledger:
         return Item(
             item=key,
             paper=self.paper,
-            where=said.where if printed is None else printed.where,
-            words=said.words if said.words or printed is None else printed.words,
-            unit=said.unit if printed is None else printed.unit,
+            where=where if printed is None else printed.where,
+            words=words if words or printed is None else printed.words,
+            unit=unit if printed is None else printed.unit,
             published=None if printed is None else printed.value,
             recomputed=recomputed,
             interval=interval,
@@ -297,14 +282,14 @@ class Ledger:
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
-        return replace(self.item(key, None, said=Said(words), note=note), kind=Kind.GIVEN)
+        return replace(self.item(key, None, words, note=note), kind=Kind.GIVEN)
 
     def claim(
-        self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,
-        *, note: str | None = None,
+        self, key: str, words: str, value: float, holds: Callable[[float], bool], rule: str,
+        *, where: str, unit: str = "", note: str | None = None,
     ) -> Item:  # fmt: skip
         """A sentence of the paper without a number, and whether what is computed bears it out."""
-        row = self.item(key, value, said=said, note=note)
+        row = self.item(key, value, words, unit=unit, where=where, note=note)
         return replace(row, agrees=holds(value), rule=rule)
 
 
@@ -354,8 +339,8 @@ class Readings:
     def as_json(self) -> dict[str, dict[str, str]]:
         """Choice and words of each."""
         return {
-            field.name: {"choice": getattr(self, field.name), "words": self.words(field.name)}
-            for field in fields(self)
+            one.name: {"choice": getattr(self, one.name), "words": self.words(one.name)}
+            for one in fields(self)
         }
 
 

@@ -29,9 +29,9 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
-    Said,
     Trace,
     overlaps,
+    points,
     within_interval,
 )
 from tissueid.reproduce.speeds import read_branch
@@ -85,8 +85,20 @@ def interval_of(fit: SpecimenFit, name: str) -> tuple[float, float] | None:
     """99 % interval of a parameter, the machine as unknown as it was to the fit; ``None`` without draws."""
     if fit.posterior is None or name not in fit.posterior.theta_names:
         return None
-    low, high = np.quantile(total_draws(fit.posterior)[:, fit.posterior.theta_names.index(name)], TAILS_99)
+    return _central_99(total_draws(fit.posterior)[:, fit.posterior.theta_names.index(name)])
+
+
+def _central_99(draws: FloatArray) -> tuple[float, float]:
+    low, high = np.quantile(draws, TAILS_99)
     return float(low), float(high)
+
+
+def relaxation_of(fit: SpecimenFit, readings: Readings) -> tuple[float | None, tuple[float, float] | None]:
+    """Relaxation as the reading has it, a time or a rate, and its 99 % interval."""
+    tau, interval = fit.parameter("relaxation_time_s").value, interval_of(fit, "relaxation_time_s")
+    if readings.relaxation == "time":
+        return tau, interval
+    return None if tau is None else 1.0 / tau, interval and (1.0 / interval[1], 1.0 / interval[0])
 
 
 def total_draws(posterior: Posterior) -> FloatArray:
@@ -114,10 +126,7 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
     stiffness = (
         f"stiffness_{len(branch.stiffness) - 1}_{'N_per_mm' if len(branch.stiffness) == 1 else 'N_per_mm2'}"
     )
-    tau, interval = fit.parameter("relaxation_time_s").value, interval_of(fit, "relaxation_time_s")
-    if readings.relaxation == "rate":
-        tau = None if tau is None else 1.0 / tau
-        interval = None if interval is None else (1.0 / interval[1], 1.0 / interval[0])
+    tau, interval = relaxation_of(fit, readings)
     return [
         ledger.item(
             "table-2/stiffness",
@@ -131,7 +140,9 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
             Ledger(SADEGHNEJAD, numbers).item(
                 f"table-2/{name}",
                 None,
-                said=Said(f"Coefficient {name} of the static force", unit=unit, where="Table 2"),
+                f"Coefficient {name} of the static force",
+                unit=unit,
+                where="Table 2",
                 note="the cell did not survive in the text that this was made from",
             )
             for name, unit in (("a1", "N/mm"), ("a2", "N/mm2"), ("a3", "N/mm3"))
@@ -145,14 +156,14 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
     names = {} if fit.posterior is None else {n: k for k, n in enumerate(fit.posterior.theta_names)}
     if fit.posterior is not None and "stiffness_1_N_per_mm2" not in names:
         draws = total_draws(fit.posterior)
-        product = draws[:, names["stiffness_0_N_per_mm"]] * draws[:, names["relaxation_time_s"]]
-        low, high = np.quantile(product, TAILS_99)
-        interval = float(low), float(high)
+        interval = _central_99(draws[:, names["stiffness_0_N_per_mm"]] * draws[:, names["relaxation_time_s"]])
     return ledger.item(
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,
+        "Viscosity K tau",
+        unit="N s/mm",
+        where="Table 2",
         interval=interval,
-        said=Said("Viscosity K tau", unit="N s/mm", where="Table 2"),
         note="known ten times better than K and tau by themselves",
     )
 
@@ -200,8 +211,8 @@ def specimen_scatter(
         ledger.item(
             f"figure-5/nrmsd-by-{name}",
             tuple(100.0 * float(q) for q in np.quantile(column, CENTRAL)),  # type: ignore[arg-type]
+            f"NRMSD of a held-out specimen by {name}, central 68 %",
             against="figure-5/nrmsd",
-            said=Said(f"NRMSD of a held-out specimen by {name}, central 68 %"),
             judge=overlaps(),
             note=f"median {100.0 * float(np.median(column)):.3g} %; scatter between specimens gives it, not "
             "the model's form",
@@ -248,13 +259,11 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
         curve = curves[k]
         use = np.flatnonzero(curve.fitted)
         use = use[np.linspace(0, use.size - 1, min(use.size, DRAWN)).astype(int)]
-        depth = tuple(round(float(x), 4) for x in curve.depth_mm[use])
+        depth = points(curve.depth_mm[use])
         predicted = _predicted(fits, k, curve)[use]
         name = fits[k].specimen
-        traces.append(Trace(name, depth, tuple(round(float(f), 3) for f in curve.force_N[use]), "points"))
-        traces.append(
-            Trace(f"{name}, predicted", depth, tuple(round(float(f), 3) for f in predicted), "dash")
-        )
+        traces.append(Trace(name, depth, points(curve.force_N[use], 3), "points"))
+        traces.append(Trace(f"{name}, predicted", depth, points(predicted, 3), "dash"))
     return Figure(
         "figure-5",
         SADEGHNEJAD,

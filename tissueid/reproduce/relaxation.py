@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
+from scipy.signal import lfilter
 
 from tissueid.arrays import FloatArray
 from tissueid.reproduce.published import (
@@ -21,13 +22,13 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
-    Said,
     Trace,
     near,
+    points,
     rounded,
     within_interval,
 )
-from tissueid.reproduce.recordings import Effort, fitted, interval_of, read_back
+from tissueid.reproduce.recordings import Effort, fitted, read_back, relaxation_of
 from tissueid.reproduce.speeds import (
     DEPTHS_MM,
     HOLD_SPEED_MM_MIN,
@@ -56,10 +57,7 @@ def settling_force(
     depth = depth_mm + overshoot_mm * np.exp(-time / settling_s)
     force = np.polynomial.polynomial.polyval(depth, [0.0, *static])
     kept = np.exp(-STEP_S / FILTER_S)
-    filtered = np.empty_like(time)
-    filtered[0] = force[0]
-    for n in range(1, time.size):
-        filtered[n] = kept * filtered[n - 1] + (1.0 - kept) * force[n]
+    filtered, _ = lfilter([1.0 - kept], [1.0, -kept], force, zi=[kept * force[0]])
     return time, filtered
 
 
@@ -161,28 +159,17 @@ def _recipe(ledger: Ledger, readings: Readings, depth: int, rate_Hz: float) -> R
 def _rows(ledger: Ledger, readings: Readings, effort: Effort, depth: int, trials: list[Trial]) -> list[Item]:
     degree = 0 if readings.stiffness == "constant" else 1
     (fit,) = fitted(trials, effort, stiffness_degree=degree)
-    value = fit.parameter("relaxation_time_s").value
-    interval = interval_of(fit, "relaxation_time_s")
-    if readings.relaxation == "rate":
-        value = None if value is None else 1.0 / value
-        interval = None if interval is None else (1.0 / interval[1], 1.0 / interval[0])
+    value, interval = relaxation_of(fit, readings)
     imitation = elastic_imitation(ledger.branch(), readings, depth)
     return [
         replace(
             ledger.item(
-                f"table-1/peak-{depth}mm",
-                float(trials[0].force_N.max()),
-                judge=near(PEAK_TOLERANCE_N, "N"),
+                f"table-1/peak-{depth}mm", float(trials[0].force_N.max()), judge=near(PEAK_TOLERANCE_N, "N")
             ),
             instrument="no: a force, not a time",
         ),
         replace(
-            ledger.item(
-                f"table-1/tau-{depth}mm",
-                value,
-                interval=interval,
-                judge=within_interval(),
-            ),
+            ledger.item(f"table-1/tau-{depth}mm", value, interval=interval, judge=within_interval()),
             instrument=imitation,
         ),
     ]
@@ -200,8 +187,8 @@ def _mean(numbers: Numbers) -> Item:
     return ledger.item(
         "table-2/mean-of-table-1",
         mean,
+        "Relaxation time of Table 2 as the mean of Table 1's",
         against="table-2/tau",
-        said=Said("Relaxation time of Table 2 as the mean of Table 1's"),
         judge=rounded(3),
     )
 
@@ -215,7 +202,9 @@ def _share_left(readings: Readings, numbers: Numbers) -> Item:
     return ledger.item(
         "figure-2/drop-8mm",
         force,
-        said=Said("Force that relaxes after the ramp to 8 mm", unit="N", where="Fig. 2"),
+        "Force that relaxes after the ramp to 8 mm",
+        unit="N",
+        where="Fig. 2",
         note=f"{over}: a curve that falls over 30 s needs a second, slower branch"
         if readings.relaxation == "time"
         else over,
@@ -228,11 +217,7 @@ def _trace(depth: int, trial: Trial) -> Trace:
     fine = np.arange(max(corner - DRAWN // 4, 0), min(corner + DRAWN // 4, trial.time_s.size))
     coarse = np.linspace(0, trial.time_s.size - 1, DRAWN // 2).astype(int)
     kept = np.union1d(fine, coarse)
-    return Trace(
-        f"{depth} mm",
-        tuple(round(float(t), 5) for t in trial.time_s[kept]),
-        tuple(round(float(f), 4) for f in trial.force_N[kept]),
-    )
+    return Trace(f"{depth} mm", points(trial.time_s[kept], 5), points(trial.force_N[kept]))
 
 
 def _figure(traces: list[Trace]) -> Figure:

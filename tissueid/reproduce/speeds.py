@@ -22,8 +22,8 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
-    Said,
     Trace,
+    points,
 )
 from tissueid.synth.recipe import Branch
 
@@ -86,6 +86,12 @@ def cubic_through_peaks(ledger: Ledger, branch: Branch) -> tuple[float, ...]:
     return tuple(float(a) for a in np.linalg.lstsq(columns, rest, rcond=None)[0])
 
 
+def tissue_of_table_1(ledger: Ledger, readings: Readings) -> Tissue:
+    """The branch of Table 2 beside the cubic through the peaks of Table 1."""
+    branch = read_branch(ledger, readings)
+    return Tissue(cubic_through_peaks(ledger, branch), branch)
+
+
 #: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].
 HARDENING = (0.0, 0.0, 0.43)
 #: Depth at which a tissue that is indented infinitely slowly ruptures [mm].
@@ -97,17 +103,16 @@ DRAWN = 161
 def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
     """Fig. 3: six speeds to 8 mm, and whether force grows with speed."""
     ledger = Ledger(SADEGHNEJAD, numbers)
-    branch = read_branch(ledger, readings)
-    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    tissue = tissue_of_table_1(ledger, readings)
     depth = np.linspace(0.0, float(DEPTHS_MM[-1]), DRAWN)
     curves = np.array([tissue.force(depth, speed) for speed in SPEEDS_MM_MIN])
     items = [
         ledger.item(
             f"figure-3/increment-{speed:.0f}",
             float(curve[-1] - curves[0, -1]),
-            said=Said(
-                f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min", unit="N", where="Fig. 3"
-            ),
+            f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min",
+            unit="N",
+            where="Fig. 3",
             note="the paper prints no numbers on the axes of this figure",
         )
         for speed, curve in zip(SPEEDS_MM_MIN[1:], curves[1:], strict=True)
@@ -115,19 +120,16 @@ def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
     items.append(
         ledger.claim(
             "figure-3/grows",
-            Said(
-                "Force at a given displacement grows with speed: least growth from speed to speed, "
-                "from 1 mm on",
-                unit="N",
-                where="Fig. 3",
-            ),
+            "Force at a given displacement grows with speed: least growth from speed to speed, from 1 mm on",
             float(np.diff(curves[:, depth >= 1.0], axis=0).min()),
             lambda least: least > 0.0,
             "greater than zero everywhere",
+            unit="N",
+            where="Fig. 3",
         )
     )
     traces = tuple(
-        Trace(f"{speed:.0f} mm/min", _rounded(depth), _rounded(curve))
+        Trace(f"{speed:.0f} mm/min", points(depth), points(curve))
         for speed, curve in zip(SPEEDS_MM_MIN, curves, strict=True)
     )
     caption = (
@@ -189,26 +191,26 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
                 ledger.item(
                     f"figure-4/{name}-{speed:.0f}",
                     peak,
-                    said=Said(f"Peak force at {speed:.0f} mm/min, {words}", unit="N", where="Fig. 4"),
+                    f"Peak force at {speed:.0f} mm/min, {words}",
+                    unit="N",
+                    where="Fig. 4",
                     note="the paper prints no numbers on the axes of this figure",
                 )
             )
         items.append(
             ledger.claim(
                 f"figure-4/{name}-falls",
-                Said(
-                    f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
-                    unit="N",
-                    where="Fig. 4",
-                ),
+                f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
                 peaks[-1] - peaks[0],
                 lambda change: change < 0.0,
                 "less than zero",
+                unit="N",
+                where="Fig. 4",
                 note=f"x F_s'/F_s is {hardens:.2f} at 6 mm; under constant work the peak falls with speed "
                 "where it is above 1",
             )
         )
-        traces.append(Trace(words, SPEEDS_MM_MIN, _rounded(np.array(peaks))))
+        traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks)))
     items.append(_by_seven(readings, numbers))
     figure = Figure(
         "figure-4",
@@ -229,24 +231,17 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
 def _by_seven(readings: Readings, numbers: Numbers) -> Item:
     """Peak at a fixed depth by (7) alone."""
     ledger = Ledger(SADEGHNEJAD, numbers)
-    branch = read_branch(ledger, readings)
-    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    tissue = tissue_of_table_1(ledger, readings)
     slow, fast = (tissue.force(np.array([RUPTURE_DEPTH_MM]), SPEEDS_MM_MIN[k])[0] for k in (0, -1))
     return ledger.claim(
         "figure-4/by-equation-7",
-        Said(
-            "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from "
-            "10 to 500 mm/min, (7) changes the force by",
-            unit="N",
-            where="Fig. 4",
-        ),
+        "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from "
+        "10 to 500 mm/min, (7) changes the force by",
         float(fast - slow),
         lambda change: change < 0.0,
         "less than zero",
+        unit="N",
+        where="Fig. 4",
         note="equation (7) alone lets force grow with speed at every depth; a fall needs a criterion of "
         "rupture, and under constant work a static curve that hardens",
     )
-
-
-def _rounded(values: FloatArray) -> tuple[float, ...]:
-    return tuple(round(float(value), 4) for value in values)

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.documents import plain, typed
-from tissueid.documents.rupture import Rupture
+from tissueid.documents.rupture import Change, Rupture
 from tissueid.errors import UsageError
 from tissueid.report.rupture_page import render_rupture
 from tissueid.rupture.failures import Failure
 from tissueid.rupture.run import RuptureRun
-from tissueid.rupture.study import Change, RuptureStudy
+from tissueid.rupture.study import RuptureStudy
 from tissueid.store.bundle import bundle_from_fit, write_bundle
 from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
@@ -113,10 +113,7 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
         ],
         "sentences": sentences(study),
         "left_out": [
-            *(
-                {"path": path, "sheet": sheet or None, "reason": reason}
-                for path, sheet, reason in run.left_out
-            ),
+            *plain(run.left_out),
             *(
                 {"path": one.path, "sheet": one.sheet, "reason": one.message}
                 for one in run.identification.refused
@@ -127,27 +124,17 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+#: What is told of a test as it was loaded, and of its measures.
+_LOADED = ("path", "sheet", "speed_mm_s", "force_N", "work_N_mm", "residual")
+_MEASURED = (
+    "specimen", "ruptured", "force_sd_N", "depth_mm", "depth_sd_mm", "work_sd_N_mm", "dynamic_share",
+    "hardening", "hardening_sd", "settled",
+)  # fmt: skip
+
+
 def _test(one: Failure) -> dict[str, Any]:
-    test = one.test
-    return {
-        "path": test.path,
-        "sheet": test.sheet,
-        "specimen": one.specimen,
-        "ruptured": one.ruptured,
-        "speed_mm_s": test.speed_mm_s,
-        "force_N": test.force_N,
-        "force_sd_N": one.force_sd_N,
-        "depth_mm": one.depth_mm,
-        "depth_sd_mm": one.depth_sd_mm,
-        "work_N_mm": test.work_N_mm,
-        "work_sd_N_mm": one.work_sd_N_mm,
-        "dynamic_share": one.dynamic_share,
-        "hardening": one.hardening,
-        "hardening_sd": one.hardening_sd,
-        "settled": one.settled,
-        "residual": test.residual,
-        "measures": plain(one.measures),
-    }
+    loaded = {name: getattr(one.test, name) for name in _LOADED}
+    return loaded | {name: getattr(one, name) for name in _MEASURED} | {"measures": plain(one.measures)}
 
 
 RUPTURE = "rupture.json"

@@ -9,8 +9,9 @@ where tests are censored by Gauss-Hermite quadrature about its normal given the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from scipy.special import log_ndtr
 from scipy.stats import f as f_distribution
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.rupture import Criterion, Threshold, Unit
 from tissueid.rupture.failures import Failure
 from tissueid.rupture_law import THRESHOLD_UNITS
 
@@ -124,25 +126,6 @@ FLAT = 1e6
 #: Speeds of a specimen that differ by less than this in ln are one.
 ONE_SPEED = 0.05
 INTERVAL = (0.025, 0.975)
-
-
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Evidence of the tests on one criterion."""
-
-    criterion: str
-    unit: str
-    median: float  # over specimens and tests, by maximum likelihood
-    ci95: tuple[float, float]  # of the median, with the uncertainty of both spreads
-    #: Of ln threshold, from test to test and between specimens, by maximum likelihood.
-    sd_ln: float
-    specimen_sd_ln: float
-    ln_evidence: float  # of the depths of rupture
-    growth: float  # typical d ln(measure)/d ln(depth)
-    #: Change of ln threshold per unit of ln speed that the criterion leaves, 0 where one speed was used.
-    trend: float
-    trend_p: float | None  # its p value; ``None`` where it can't be told
-    specimens: Mapping[str, float]  # median over tests of each specimen
 
 
 def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes, float, float]:
@@ -273,8 +256,8 @@ def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     names = list(dict.fromkeys(one.specimen for one in failures))
     means = specimen_means(tests, mu, s, b)
     return Threshold(
-        criterion=criterion,
-        unit=THRESHOLD_UNITS[criterion],
+        criterion=cast("Criterion", criterion),
+        unit=cast("Unit", THRESHOLD_UNITS[criterion]),
         median=float(np.exp(growth * mu)),
         ci95=(float(np.exp(growth * low)), float(np.exp(growth * high))),
         sd_ln=growth * s,

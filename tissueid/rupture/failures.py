@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.rupture import Limit
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.rupture import hardening_ratio, rupture_measures
@@ -146,22 +147,12 @@ class SpecimenLaw:
 
 
 @dataclass(frozen=True, slots=True)
-class Measure:
-    """One measure at the end of a test."""
-
-    #: [:data:`~tissueid.rupture_law.THRESHOLD_UNITS`]; a lower bound of the threshold where censored.
-    value: float
-    sd_ln: float  # of the measurement
-    growth: float  # d ln(value) / d ln(depth) at the end of the test
-
-
-@dataclass(frozen=True, slots=True)
 class Failure:
     """One test with its measures."""
 
     test: LoadedTest
     specimen: str
-    measures: Mapping[str, Measure]  # by criterion
+    measures: Mapping[str, Limit]  # by criterion; lower bounds of thresholds where censored
     depth_mm: float  # below the refined contact point
     depth_sd_mm: float
     force_sd_N: float
@@ -262,7 +253,7 @@ def _failure(
     noise = test.force_sd_N / test.force_N
     own = {"work": 0.0, "weighted-force": noise, "stored-energy": 0.0, "depth": test.contact_sd_mm / depth_mm}
     measures = {
-        name: Measure(
+        name: Limit(
             value=values[name],
             sd_ln=float(
                 np.sqrt((found.growth[name] * step_sd / depth_mm) ** 2 + own[name] ** 2 + law_sd[name] ** 2)

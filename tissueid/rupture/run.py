@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.decided import decided_options, decided_trial, why_excluded
+from tissueid.documents.rupture import LeftOut
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
+from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model
-from tissueid.result import Identification, Refusal, SpecimenFit
+from tissueid.result import Identification, Refusal
 from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
@@ -34,8 +35,7 @@ class RuptureRun:
 
     study: RuptureStudy
     identification: Identification
-    #: Path, sheet (or empty) and reason of fitted recordings that no measure could be taken of.
-    left_out: tuple[tuple[str, str, str], ...]
+    left_out: tuple[LeftOut, ...]  # fitted recordings that no measure could be taken of
 
 
 @dataclass(slots=True)
@@ -53,16 +53,11 @@ class _Ends:
             yield raw
 
     def _add(self, raw: Trial) -> None:
-        trial, own, decision = raw, self.options, None
-        if self.study is not None:
-            decision = self.study.decision(raw.source.path, raw.source.sheet)
-        if why_excluded(raw, decision, self.study) is not None:
+        trial, options, excluded = as_decided(raw, self.options, self.study)
+        if excluded is not None:
             return
-        if self.study is not None and decision is not None:
-            trial = decided_trial(raw, decision, self.study)
-            own = decided_options(own, decision)
         try:
-            test = loaded_test(trial, segment(trial, options=own))
+            test = loaded_test(trial, segment(trial, options=options))
         except (ArithmeticError, np.linalg.LinAlgError):
             return  # the fit refuses the same recording, and says why
         if test is not None:
@@ -102,18 +97,19 @@ def run_rupture(
     if not identification.specimens:
         raise _nothing_fitted(identification)
     failures: list[Failure] = []
-    left_out: list[tuple[str, str, str]] = []
+    left_out: list[LeftOut] = []
     for fit in identification.specimens:
         if fit.axes.normalised:
             msg = f"{fit.specimen}: the recordings are normalised, and a rupture is measured in mm and N"
             raise NotIdentifiedError(msg)
-        law = _law(fit)
+        model = rebuilt(fit.model, fit.depth_mm)
+        law = SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))
         tests = []
         for trial in fit.trials:
             test = ends.found.get((trial.path, trial.sheet))
             why = None if test is None else _why_not(test, trial.contact_offset_mm)
             if test is None or why is not None:
-                left_out.append((trial.path, trial.sheet or "", why or "no loading to a depth was found"))
+                left_out.append(LeftOut(trial.path, trial.sheet, why or "no loading to a depth was found"))
             else:
                 tests.append((test, trial.contact_offset_mm))
         failures += failures_of(law, tests, weight=weight)
@@ -148,8 +144,3 @@ def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
     if not (test.force_N > 0.0 and test.work_N_mm > 0.0):
         return "no force or work is left at its end"
     return None
-
-
-def _law(fit: SpecimenFit) -> SpecimenLaw:
-    model = rebuilt(fit.model, fit.depth_mm)
-    return SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))

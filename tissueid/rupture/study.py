@@ -16,15 +16,27 @@ from scipy.stats import t as t_distribution
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.population import Confounding
+from tissueid.documents.rupture import (
+    AtRupture,
+    Change,
+    Criterion,
+    Decision,
+    Direction,
+    Hardening,
+    Kind,
+    Quantity,
+    Speed,
+    Threshold,
+)
 from tissueid.errors import NotIdentifiedError
 from tissueid.flags import Flag
 from tissueid.population.agreement import confounding_flags, confounding_of
-from tissueid.rupture.evidence import Threshold, threshold_of
+from tissueid.rupture.evidence import threshold_of
 from tissueid.rupture.failures import Failure
 from tissueid.rupture_law import CRITERIA, RuptureLaw
 
 #: What is quoted of a rupture.
-QUOTED: Mapping[str, Callable[[Failure], float]] = {
+QUOTED: Mapping[Quantity, Callable[[Failure], float]] = {
     "force_N": lambda one: one.test.force_N,
     "depth_mm": lambda one: one.depth_mm,
     "work_N_mm": lambda one: one.test.work_N_mm,
@@ -36,49 +48,16 @@ FEWEST_SPECIMENS = 3
 SPEEDS_DIFFER = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class AtSpeed:
-    """Ruptures at one speed."""
-
-    speed_mm_s: float
-    ruptured: int
-    censored: int
-    #: Of force [N], depth [mm] and work [N mm] at rupture; no sd of a single rupture.
-    mean: Mapping[str, float | None]
-    sd: Mapping[str, float | None]
-    #: Means of x F_s'/F and of the share of the force that relaxes; ``None`` without a rupture.
-    hardening: float | None
-    dynamic_share: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Change of a quantity from one speed to ten times it, inside specimens."""
-
-    quantity: str
-    ratio: float  # at ten times the speed over at the speed
-    ci95: tuple[float, float]
-    direction: str  # ``falls``, ``rises`` or ``undecided``
-
-
-@dataclass(frozen=True, slots=True)
-class Hardening:
-    """The sign test x F_s'/F over the ruptures."""
-
-    mean: float  # of the specimens' means
-    ci95: tuple[float, float]
-    ruptures: int  # how many it is of
-    direction: str  # of the force at rupture with speed, if the work is constant
-
-
-def direction(ends: tuple[float, float], *, below: str = "falls", above: str = "rises") -> str:
+def direction(
+    ends: tuple[float, float], *, below: Direction = "falls", above: Direction = "rises"
+) -> Direction:
     """Word for an interval of a ratio below or above 1, and ``undecided`` for one that holds it."""
     if ends[1] < 1.0:
         return below
     return above if ends[0] > 1.0 else "undecided"
 
 
-def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[AtSpeed]:
+def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[Speed]:
     """Means and standard deviations at each speed, slowest first."""
     speeds = np.log(confounding.speeds_mm_s)
     groups: list[list[Failure]] = [[] for _ in speeds]
@@ -94,12 +73,14 @@ def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[AtS
         ]
         values = {name: np.array([of(one) for one in broken]) for name, of in QUOTED.items()}
         found.append(
-            AtSpeed(
+            Speed(
                 speed_mm_s=speed,
                 ruptured=len(broken),
                 censored=len(group) - len(broken),
-                mean={name: float(v.mean()) if v.size else None for name, v in values.items()},
-                sd={name: float(v.std(ddof=1)) if v.size > 1 else None for name, v in values.items()},
+                mean=AtRupture(**{name: float(v.mean()) if v.size else None for name, v in values.items()}),
+                sd=AtRupture(
+                    **{name: float(v.std(ddof=1)) if v.size > 1 else None for name, v in values.items()}
+                ),
                 hardening=float(np.mean([one.hardening for one in near])) if near else None,
                 dynamic_share=float(np.mean([one.dynamic_share for one in near])) if near else None,
             )
@@ -161,7 +142,7 @@ def hardening_of(failures: Sequence[Failure]) -> Hardening | None:
 
 
 #: Kinds that are weighed, with the criteria that count as one.
-KINDS: Mapping[str, tuple[str, ...]] = {
+KINDS: Mapping[Kind, tuple[Criterion, ...]] = {
     "work": ("work",),
     "weighted force": ("weighted-force",),
     "elastic limit": ("stored-energy", "depth"),
@@ -172,18 +153,6 @@ DECIDED_FROM = 0.95
 TREND_P = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """The answer."""
-
-    #: ``decided``, ``undecided`` or ``none`` (every criterion leaves a trend with speed, or the likeliest).
-    answer: str
-    kind: str | None  # of :data:`KINDS`, where it is decided
-    criterion: str | None  # the likelier one of that kind
-    probability: Mapping[str, float]  # of each kind, given that it is one of them
-    reason: str  # one sentence
-
-
 def decide(thresholds: Sequence[Threshold], *, hindrance: str | None = None) -> Decision:
     """Weigh the criteria."""
     found = {one.criterion: one for one in thresholds}
@@ -192,7 +161,7 @@ def decide(thresholds: Sequence[Threshold], *, hindrance: str | None = None) -> 
         for kind, names in KINDS.items()
     }
     total = float(np.logaddexp.reduce(list(ln.values())))
-    probability = {kind: float(np.exp(value - total)) for kind, value in ln.items()}
+    probability: dict[str, float] = {kind: float(np.exp(value - total)) for kind, value in ln.items()}
     if hindrance is not None:
         return Decision("undecided", None, None, probability, hindrance)
     kind = max(ln, key=lambda one: ln[one])
@@ -227,7 +196,7 @@ class RuptureStudy:
     failures: tuple[Failure, ...]  # every test, censored ones among them
     weight: float  # w of the weighted force
     confounding: Confounding
-    speeds: tuple[AtSpeed, ...]
+    speeds: tuple[Speed, ...]
     changes: tuple[Change, ...]  # inside specimens; empty where nothing can be said
     hardening: Hardening | None
     thresholds: tuple[Threshold, ...]  # one for each criterion

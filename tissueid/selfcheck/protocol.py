@@ -17,10 +17,10 @@ from scipy.ndimage import uniform_filter1d
 from tissueid import IdentifyOptions, PosteriorOptions, identify
 from tissueid.arrays import FloatArray
 from tissueid.collection import display_names
-from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.documents.identification import NoiseFit
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.inference.specimen import FitOptions
+from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
 from tissueid.model.channels import ChannelModel
@@ -28,7 +28,7 @@ from tissueid.model.frame import deflection
 from tissueid.model.grammar import rebuilt
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import SpecimenFit
-from tissueid.segment import SegmentOptions, segment
+from tissueid.segment import segment
 from tissueid.selfcheck.records import DRAWS
 from tissueid.selfcheck.truth import ProtocolLog
 from tissueid.store.bundle import Bundle
@@ -231,14 +231,13 @@ _Reload = Callable[[Source], Trial]
 
 def _in_contact(raw: Trial, study: Study | None) -> tuple[Trial, Segmentation, Contact] | None:
     """A recording as the study decides it, divided; ``None`` where a fit would leave it out."""
-    trial, options = raw, SegmentOptions()
-    decision = None
-    if study is not None:
-        decision = study.decision(raw.source.path, raw.source.sheet)
-        if study.only_listed and not decision.listed:
-            return None
-        trial, options = decided_trial(raw, decision, study), decided_options(options, decision)
-    if why_excluded(raw, decision, study) is not None:
+    trial, options, excluded = as_decided(raw, None, study)
+    unlisted = (
+        study is not None
+        and study.only_listed
+        and not study.decision(raw.source.path, raw.source.sheet).listed
+    )
+    if unlisted or excluded is not None:
         return None
     try:
         found = segment(trial, options=options)

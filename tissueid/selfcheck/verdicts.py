@@ -21,6 +21,8 @@ from scipy.stats import binom
 
 from tissueid import PosteriorOptions, __version__
 from tissueid.arrays import FloatArray, IntArray
+from tissueid.documents import plain
+from tissueid.documents.selfcheck import Coverage, Inside, Parameter
 from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.protocol import Protocol
 from tissueid.selfcheck.records import DRAWS, Record, failures
@@ -119,81 +121,11 @@ BINS = 20
 QUOTED = 0.95
 
 
-@dataclass(frozen=True, slots=True)
-class Coverage:
-    """Count of truths in an interval: the central one, and at 95 % the one that a fit quotes."""
-
-    level: float
-    covered: int
-    simulations: int
-    #: Family-wise band of ``covered``.
-    low: int
-    high: int
-
-    @property
-    def inside(self) -> bool:
-        """True where the count lies within its band."""
-        return self.low <= self.covered <= self.high
-
-    @property
-    def fraction(self) -> float:
-        """Share of the simulations."""
-        return self.covered / self.simulations
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``coverage``."""
-        n = self.simulations
-        return {
-            "level": self.level,
-            "fraction": self.fraction,
-            "low": self.low / n,
-            "high": self.high / n,
-            "inside": self.inside,
-        }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ParameterCheck:
-    """Verdict of the simulations on one parameter."""
-
-    name: str
-    ranks: IntArray  # (n,)
-    counts: IntArray  # ranks below each point of the band
-    coverage: tuple[Coverage, ...]  # one for each of :data:`LEVELS`
-    #: Mean of (truth - posterior mean) / posterior sd; 0 where right, its standard error 1 / sqrt(n).
-    mean_z: float
-    spread_ratio: float  # root mean square of the same: 1 where right, above 1 where intervals are too narrow
-    contraction: float  # 1 - mean posterior variance / variance of the truths: 0 where the data said nothing
-    #: Whether the ECDF keeps the parameter's own bands, and the family-wise one.
-    inside_95: bool
-    inside_99: bool
-    inside_family: bool
-
-    @property
-    def calibrated(self) -> bool:
-        """True where ranks and coverage keep the family-wise bands."""
-        return self.inside_family and all(row.inside for row in self.coverage)
-
-    def as_json(self) -> dict[str, Any]:
-        """A row of ``parameters``."""
-        return {
-            "name": self.name,
-            "calibrated": self.calibrated,
-            "mean_z": self.mean_z,
-            "spread_ratio": self.spread_ratio,
-            "contraction": self.contraction,
-            "inside": {"95": self.inside_95, "99": self.inside_99, "family": self.inside_family},
-            "coverage": [row.as_json() for row in self.coverage],
-            "histogram": np.histogram(self.ranks, bins=BINS, range=(0, DRAWS + 1))[0].tolist(),
-            "ecdf": self.counts.tolist(),
-        }
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """The verdict on a whole check."""
 
-    parameters: tuple[ParameterCheck, ...]
+    parameters: tuple[Parameter, ...]
     #: ``95``, ``99`` and ``family`` -> :class:`~tissueid.selfcheck.verdicts.EcdfBand`.
     bands: Mapping[str, EcdfBand]
     simulations: int  # with a posterior
@@ -207,11 +139,11 @@ class Verdict:
         if len(self.failed) > MOST_FAILED * total:
             said.append(f"{len(self.failed)} of {total} simulations have no posterior: {self.failed[0]}")
         for one in self.parameters:
-            if not one.inside_family:
+            if not one.inside.family:
                 said.append(f"{one.name}: ranks leave the family-wise 99 % band")
             said += [
                 f"{one.name}: the {100 * row.level:g} % interval covers {100 * row.fraction:.1f} % "
-                f"(band {100 * row.low / row.simulations:.1f} to {100 * row.high / row.simulations:.1f} %)"
+                f"(band {100 * row.low:.1f} to {100 * row.high:.1f} %)"
                 for row in one.coverage
                 if not row.inside
             ]
@@ -226,7 +158,7 @@ class Verdict:
         """``parameters``, ``bands`` and ``verdict`` of the schema."""
         points = next(iter(self.bands.values())).points
         return {
-            "parameters": [one.as_json() for one in self.parameters],
+            "parameters": plain(self.parameters),
             "bands": {
                 "points": points.tolist(),
                 **{
@@ -241,16 +173,15 @@ class Verdict:
 def _coverage(ranks: IntArray, level: float, error: float, held: Sequence[bool | None]) -> Coverage:
     """Count truths in the quoted interval; else ranks in the central one: (L + 1) * level of the L + 1."""
     out = round((1.0 - level) / 2.0 * (DRAWS + 1))
-    low, high = binomial_interval(ranks.size, level, error)
+    n, (low, high) = ranks.size, binomial_interval(ranks.size, level, error)
     inside = (ranks >= out) & (ranks <= DRAWS - out)
     if level == QUOTED:
         inside = np.array([own if told is None else told for own, told in zip(inside, held, strict=True)])
-    return Coverage(level=level, covered=int(inside.sum()), simulations=ranks.size, low=low, high=high)
+    covered = int(inside.sum())
+    return Coverage(level, covered / n, low / n, high / n, inside=low <= covered <= high)
 
 
-def _parameter(
-    name: str, records: Sequence[Record], bands: Mapping[str, EcdfBand], family: int
-) -> ParameterCheck:
+def _parameter(name: str, records: Sequence[Record], bands: Mapping[str, EcdfBand], family: int) -> Parameter:
     truth, mean, sd = (
         np.array([getattr(record, key)[name] for record in records]) for key in ("truth", "mean", "sd")
     )
@@ -262,17 +193,18 @@ def _parameter(
     varies = truth.size > 1 and float(np.ptp(truth)) > SAME * float(np.abs(truth).max())
     spread = float(truth.var(ddof=1)) if varies else 0.0
     error = FAMILY_ERROR / (family * len(LEVELS))
-    return ParameterCheck(
+    inside = Inside(*(bands[key].holds(counts) for key in ("95", "99", "family")))
+    coverage = tuple(_coverage(ranks, level, error, held) for level in LEVELS)
+    return Parameter(
         name=name,
-        ranks=ranks,
-        counts=counts,
-        coverage=tuple(_coverage(ranks, level, error, held) for level in LEVELS),
+        calibrated=inside.family and all(row.inside for row in coverage),
         mean_z=float(z.mean()),
         spread_ratio=float(np.sqrt((z**2).mean())),
         contraction=1.0 - float((sd**2).mean()) / spread if spread > 0.0 else 0.0,
-        inside_95=bands["95"].holds(counts),
-        inside_99=bands["99"].holds(counts),
-        inside_family=bands["family"].holds(counts),
+        inside=inside,
+        coverage=coverage,
+        histogram=tuple(np.histogram(ranks, bins=BINS, range=(0, DRAWS + 1))[0].tolist()),
+        ecdf=tuple(counts.tolist()),
     )
 
 

@@ -71,15 +71,14 @@ EXPORTS: Mapping[str, Export] = MappingProxyType(
             ".TRA",
             partial(tra_text, language="de", delimiter=";", decimal=","),
         ),
-        "testxpert-workbook": Export(
-            "testXpert .xlsx, English", ".xlsx", _one(zwick_workbook, language="en")
-        ),
-        "testxpert-workbook-fr": Export(
-            "testXpert .xlsx, French", ".xlsx", _one(zwick_workbook, language="fr")
-        ),
-        "testxpert-workbook-de": Export(
-            "testXpert .xlsx, German", ".xlsx", _one(zwick_workbook, language="de")
-        ),
+        **{
+            name: Export(f"testXpert .xlsx, {spoken}", ".xlsx", _one(zwick_workbook, language=language))
+            for name, spoken, language in (
+                ("testxpert-workbook", "English", "en"),
+                ("testxpert-workbook-fr", "French", "fr"),
+                ("testxpert-workbook-de", "German", "de"),
+            )
+        },
         "mach-1": Export("Mach-1 text: a contact block, then the log, in gf", ".txt", _one(mach1_text)),
         "mts-793": Export("MTS 793 text, English", ".dat", _one(mts793_text, language="en")),
         "mts-793-de": Export(

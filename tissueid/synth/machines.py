@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from xml.sax.saxutils import escape
 
 from tissueid.synth.simulate import SyntheticLog
@@ -191,12 +191,19 @@ def chiaro_text(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
 
 def chiaro_zip(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
     """The same in a zip archive, beside a note; the same log gives the same bytes."""
+    return _zipped(
+        {
+            "synthetic Indentation_001.txt": chiaro_text(log, decimals=decimals),
+            "position.txt": b"synthetic: no table\n",
+        }
+    )
+
+
+def _zipped(parts: Mapping[str, bytes]) -> bytes:
+    """A zip archive; the same parts give the same bytes."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in (
-            ("synthetic Indentation_001.txt", chiaro_text(log, decimals=decimals)),
-            ("position.txt", b"synthetic: no table\n"),
-        ):
+        for name, data in parts.items():
             archive.writestr(zipfile.ZipInfo(name, (2024, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
 
@@ -254,12 +261,7 @@ def xlsx(sheets: Sequence[tuple[str, Iterable[Sequence[Cell]]]]) -> bytes:
         parts[f"xl/worksheets/sheet{i}.xml"] = (
             f'<worksheet xmlns="{_MAIN}"><sheetData>{cells}</sheetData></worksheet>'
         )
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in parts.items():
-            stamp = zipfile.ZipInfo(name, (2024, 1, 1, 0, 0, 0))
-            archive.writestr(stamp, (_XML + text).encode(), zipfile.ZIP_DEFLATED)
-    return packed.getvalue()
+    return _zipped({name: (_XML + text).encode() for name, text in parts.items()})
 
 
 def _rounded(log: SyntheticLog, decimals: Decimals) -> list[tuple[float, float, float]]:

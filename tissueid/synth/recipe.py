@@ -40,16 +40,9 @@ from tissueid.errors import InputError, UsageError
 
 SECONDS_PER_MINUTE = 60.0
 NONNEGATIVE = (
-    "sigma_N",
-    "ar1_sigma_N",
-    "sigma_mm",
-    "cv_specimen",
-    "cv_static",
-    "cv_both",
-    "contact_offset_sd_mm",
-    "crosshead_rounding_s",
-    "force_filter_s",
-)
+    "sigma_N", "ar1_sigma_N", "sigma_mm", "cv_specimen", "cv_static", "cv_both", "contact_offset_sd_mm",
+    "crosshead_rounding_s", "force_filter_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from math import exp, expm1
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from tissueid.arrays import FloatArray
 from tissueid.synth.recipe import Branch, Log, Move, Rupture
 
 CHORDS = 200
+_Place = TypeVar("_Place", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +92,7 @@ OVERSAMPLING = 16
 
 def static_force(static: tuple[float, ...], depth_mm: FloatArray) -> FloatArray:
     """F_s = a1 x + a2 x^2 + ... [N] at depths of any shape [mm]."""
-    total = np.zeros_like(depth_mm)
-    for coefficient in reversed(static):
-        total = (total + coefficient) * depth_mm
-    return total
-
-
-def _stiffness(coefficients: tuple[float, ...], depth_mm: FloatArray) -> FloatArray:
-    total = np.zeros_like(depth_mm)
-    for coefficient in reversed(coefficients):
-        total = total * depth_mm + coefficient
-    return total
+    return _at((0.0, *static), depth_mm)
 
 
 def branch_extension(depth: Path, tau_s: float, time_s: FloatArray) -> FloatArray:
@@ -131,7 +123,7 @@ def tissue_force(
     x = depth.at(time_s)
     force = static_force(static, x)
     for branch in branches:
-        force += _stiffness(branch.stiffness, x) * branch_extension(depth, branch.tau_s, time_s)
+        force += _at(branch.stiffness, x) * branch_extension(depth, branch.tau_s, time_s)
     # rounding error of a sum of terms of the size of the largest force
     if force.size and force.min() < -1e-9 * np.abs(force).max():
         return _with_contact_loss(travel, time_s, offset_mm, static, branches)
@@ -184,9 +176,9 @@ def _with_contact_loss(
     return force_at[np.searchsorted(fine, time_s)]
 
 
-def _at(coefficients: tuple[float, ...], x: float) -> float:
-    """Polynomial at one point, lowest power first."""
-    total = 0.0
+def _at(coefficients: tuple[float, ...], x: _Place) -> _Place:
+    """Polynomial at one point or many, lowest power first."""
+    total = 0.0 * x
     for coefficient in reversed(coefficients):
         total = total * x + coefficient
     return total
@@ -255,7 +247,7 @@ def rupture_of(
     elastic = static_force(static, x)
     extensions = [branch_extension(depth, branch.tau_s, time_s) for branch in branches]
     pairs = list(zip(branches, extensions, strict=True))
-    dynamic = sum((_stiffness(branch.stiffness, x) * s for branch, s in pairs), 0.0 * x)
+    dynamic = sum((_at(branch.stiffness, x) * s for branch, s in pairs), 0.0 * x)
     force = np.maximum(elastic + dynamic, 0.0)
     work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(x))])
     stored = static_force(tuple(a / (k + 2) for k, a in enumerate(static)), x) * x
