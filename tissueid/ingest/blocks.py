@@ -508,12 +508,10 @@ def _alone(text: Text, layout: Layout, specimen: SpecimenColumns, place: Place) 
             lines.append("")
             continue
         if ended:
-            place.refuse(
-                "empty_cell",
-                f"the cells of the specimen are empty in line {ended}, filled below; fill or remove the row",
-                line=ended,
-                column=1,
+            message = (
+                f"the cells of the specimen are empty in line {ended}, filled below; fill or remove the row"
             )
+            place.refuse("empty_cell", message, line=ended, column=1)
         lines.append(_joined(cells, layout.delimiter))
     # without a last line end the last row may be cut, as in the file
     rows = "\n".join(lines) + ("\n" if text.data.endswith(b"\n") else "")

@@ -294,12 +294,11 @@ def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) ->
     if row is not None:
         columns = [np.append(column, value) for column, value in zip(columns, row, strict=True)]
     if columns[0].size < 2:
-        place.refuse(
-            "no_rows",
+        message = (
             f"the table has {columns[0].size} rows of numbers, a recording needs two; export the raw data"
-            " again",
-            line=layout.first_line,
+            " again"
         )
+        place.refuse("no_rows", message, line=layout.first_line)
     falls = np.flatnonzero(np.diff(columns[0]) < 0)
     if falls.size:
         raise _backwards(reader, columns[0], int(falls[0]) + 1)

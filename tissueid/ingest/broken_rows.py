@@ -147,11 +147,8 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
         return None
     when = float(time_s[at])
-    return Flag(
-        "jump",
-        f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?",
-        {"leap_mm": leap, "at_s": when},
-    )
+    message = f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?"
+    return Flag("jump", message, {"leap_mm": leap, "at_s": when})
 
 
 #: Rows from which a column of whole numbers is worth a remark.

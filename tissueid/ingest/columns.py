@@ -235,14 +235,12 @@ def _none_found(
     wanted = options.quantity(channel)
     for column in columns:
         if column.unit and _may_be(column, channel, options):
-            return place.refusal(
-                "wrong_unit",
+            message = (
                 f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"
-                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}",
-                line=line,
-                column=column.index + 1,
+                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}"
             )
+            return place.refusal("wrong_unit", message, line=line, column=column.index + 1)
     named = [column for column in columns if column.name]
     way_out = _WAY_OUT if channel != "time" or len(named or columns) > 2 else _ADD_TIME
     if not named and way_out == _WAY_OUT:
@@ -304,19 +302,15 @@ def _factor(
         factors = [factor_to(unit, quantity) for unit in column.units]
     except ValueError as error:
         known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
-        place.refuse(
-            "wrong_unit" if known else "unknown_unit",
+        message = (
             f"column {column.name!r}: {error}; or state it with --units {channel}={internal}"
-            f"{_declare(column, channel)}",
-            line=line,
-            column=column.index + 1,
+            f"{_declare(column, channel)}"
         )
+        place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
     if len(set(factors)) > 1:
-        place.refuse(
-            "unit_conflict",
+        message = (
             f"column {column.name!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
-            f" by its name; state the right one with --units {channel}={column.units[0]}",
-            line=line,
-            column=column.index + 1,
+            f" by its name; state the right one with --units {channel}={column.units[0]}"
         )
+        place.refuse("unit_conflict", message, line=line, column=column.index + 1)
     return factors[0]

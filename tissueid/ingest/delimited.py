@@ -115,22 +115,18 @@ def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -
         "Export with another delimiter, or name the columns by --columns time=#1,displacement=#2,force=#3"
     )
     if unnamed and (printed <= unnamed[-1] or len(unnamed) >= named):
-        place.refuse(
-            "ragged_rows",
+        message = (
             f"the names row has {named} names, the rows {layout.n_columns} cells with numbers: a decimal"
-            f" comma that is also the delimiter? {way_out}",
-            line=layout.first_line,
-            column=unnamed[0] + 1,
+            f" comma that is also the delimiter? {way_out}"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=unnamed[0] + 1)
     asked = [i for i in numbers if i in comments or (comments and not layout.names[i].strip())]
     if asked:
         what = f"under {layout.names[asked[0]]!r}" if asked[0] in comments else "without a name"
-        place.refuse(
-            "ragged_rows",
-            f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}",
-            line=layout.first_line,
-            column=asked[0] + 1,
+        message = (
+            f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=asked[0] + 1)
 
 
 def read_table(
@@ -138,13 +134,10 @@ def read_table(
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
     if len(layout.names) > layout.n_columns:
-        place.refuse(
-            "ragged_rows",
-            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file"
-            f" again",
-            line=layout.first_line,
-            column=layout.n_columns + 1,
+        message = (
+            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file again"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
     choice = choose_columns(
         layout.names,
         layout.units,

@@ -81,10 +81,8 @@ class _Segment:
 
 
 def _lacking(place: Place, folder: str, what: str) -> NoReturn:
-    place.refuse(
-        "unreadable_archive",
-        f"{folder or 'the archive'} holds no {what}: give the file as the microscope saved it",
-    )
+    message = f"{folder or 'the archive'} holds no {what}: give the file as the microscope saved it"
+    place.refuse("unreadable_archive", message)
 
 
 def read_jpk(file: InputFile) -> Iterator[Table | InputError]:

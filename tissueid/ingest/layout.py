@@ -162,11 +162,8 @@ def announced_results(rows: Sequence[Cells]) -> list[range]:
 
 def results_flag(first: int, last: int) -> Flag:
     """Flag of a table of results in the lines ``first`` to ``last``, counted from 1."""
-    return Flag(
-        "rows_skipped",
-        f"lines {first} to {last} are a table of results, not samples: left out",
-        {"count": last - first + 1, "lines": [first, last]},
-    )
+    message = f"lines {first} to {last} are a table of results, not samples: left out"
+    return Flag("rows_skipped", message, {"count": last - first + 1, "lines": [first, last]})
 
 
 def _opens_results(rows: Sequence[Cells], index: int) -> bool:
@@ -337,11 +334,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     below = rows[found.first :] if results is None else rows[found.first : found.first + results]
     sample = [row for row in below if _numeric_share(row) >= 0.5]
     if not sample:
-        place.refuse(
-            "no_rows",
-            "under the names stand results or another table, but no row of numbers; export the raw data",
-            line=found.first + 1,
-        )
+        message = "under the names stand results or another table, but no row of numbers; export the raw data"
+        place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
     layout = Layout(
@@ -370,12 +364,11 @@ def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None
         # an entry of a header begins with its key, whatever numbers follow it
         rows_alone = [index for index in run if looks_numeric(next(filter(str.strip, above[index])))]
         if len(rows_alone) > 1 and run.start not in inside:
-            place.refuse(
-                "mixed_tables",
+            message = (
                 f"{len(rows_alone)} rows of numbers stand above the names in line {len(above) + 1}, which are"
-                " no results: is this two files in one, or were rows moved? Export the file again",
-                line=run.start + 1,
+                " no results: is this two files in one, or were rows moved? Export the file again"
             )
+            place.refuse("mixed_tables", message, line=run.start + 1)
 
 
 def _without_results(header: Sequence[Row]) -> tuple[Row, ...]:
@@ -415,20 +408,16 @@ def _find_delimiter(lines: Sequence[str]) -> str:
 def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place: Place) -> Exception:
     for index, row in enumerate(rows):
         if max(map(len, row)) <= _LONGEST_NAME and has_channels(row, (), options):
-            return place.refusal(
-                "no_rows",
-                "there is no row of numbers under the names; export the raw data again",
-                line=index + 1,
-            )
+            message = "there is no row of numbers under the names; export the raw data again"
+            return place.refusal("no_rows", message, line=index + 1)
     filled = [index for index, row in enumerate(rows) if _filled(row)]
     line = filled[0] + 1 if filled else 1
     start = delimiter.join(rows[line - 1])[:60].strip() if rows else ""
-    return place.refusal(
-        "not_an_export",
+    message = (
         f"no line holds a row of numbers (the text begins {start!r}); give the raw data export of the"
-        f" test machine",
-        line=line,
+        f" test machine"
     )
+    return place.refusal("not_an_export", message, line=line)
 
 
 def find_decimal(
@@ -455,11 +444,9 @@ def find_decimal(
                 continue
             if marks > 1:
                 return "."  # damaged: the reader of rows will name it
-            place.refuse(
-                "ambiguous_decimal",
+            message = (
                 f"{cell!r} may be a decimal number or a thousand and more, and no other cell decides;"
-                " state the decimal mark with --decimal",
-                line=index + 1,
-                column=column + 1,
+                " state the decimal mark with --decimal"
             )
+            place.refuse("ambiguous_decimal", message, line=index + 1, column=column + 1)
     return "."

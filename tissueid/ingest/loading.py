@@ -138,10 +138,8 @@ def _refuse_unreadable(reason: str, place: Place) -> NoReturn:
 def _read(handle: int, place: Place) -> bytes:
     before = os.fstat(handle)
     if not stat.S_ISREG(before.st_mode):
-        place.refuse(
-            "unreadable_file",
-            f"this is {_kind(before.st_mode)}, not a file; save the recording to a file first",
-        )
+        message = f"this is {_kind(before.st_mode)}, not a file; save the recording to a file first"
+        place.refuse("unreadable_file", message)
     _refuse_large(before.st_size, place)
     pieces = [os.read(handle, HEAD_BYTES)]
     _refuse_foreign(pieces[0], before.st_size, place)

@@ -115,8 +115,7 @@ def _fault(text: str, stripped: str, decimal: str) -> CellFault:
     return CellFault(
         "damaged_number",
         f"{shown} is no number with decimal mark {decimal!r}: its marks were lost or doubled, as by a"
-        f" spreadsheet"
-        " of another language; go back to the original export",
+        " spreadsheet of another language; go back to the original export",
     )
 
 

@@ -220,10 +220,8 @@ def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[
         for item in _read_each(path, options or ReadOptions()):
             yield _without_frames(item) if isinstance(item, InputError) else item
     except MemoryError:
-        yield Place(str(path)).refusal(
-            "unreadable_file",
-            "what the file holds is larger than the memory that is free; export fewer tests",
-        )
+        message = "what the file holds is larger than the memory that is free; export fewer tests"
+        yield Place(str(path)).refusal("unreadable_file", message)
 
 
 def _without_frames(error: InputError) -> InputError:

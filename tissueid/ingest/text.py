@@ -322,10 +322,8 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     try:
         decoded = data.decode(codec)
     except UnicodeDecodeError as error:
-        place.refuse(
-            "not_an_export",
-            f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again",
-        )
+        message = f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again"
+        place.refuse("not_an_export", message)
     unified = _line_ends(decoded.encode())
     head = unified[:HEAD_BYTES]
     if len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):

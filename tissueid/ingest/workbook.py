@@ -49,10 +49,8 @@ def _open(data: bytes, place: Place) -> Any:
     try:
         reason = too_much(data) if data.startswith(b"PK") else None
         if reason is not None:
-            place.refuse(
-                "unreadable_workbook",
-                f"the workbook is unreasonably large inside: {reason}; or export the tests as text",
-            )
+            message = f"the workbook is unreasonably large inside: {reason}; or export the tests as text"
+            place.refuse("unreadable_workbook", message)
         return _guarded(lambda: python_calamine.CalamineWorkbook.from_filelike(io.BytesIO(data)))
     except (python_calamine.CalamineError, *BROKEN_ARCHIVE) as error:
         place.refuse(
@@ -245,13 +243,11 @@ def _refuse_other_heads(cells: Cells, flags: Sequence[Flag], names: Row, units: 
     for flag in flags:
         for number in flag.values["lines"] if flag.code == "rows_skipped" else ():
             if begins_a_table(tuple(map(_shown, cells[number - 1])), names, units):
-                place.refuse(
-                    "mixed_tables",
+                message = (
                     f"row {number} gives other names or units than the head of the sheet: two recordings in"
-                    " one sheet; split it, one recording each",
-                    line=number,
-                    column=1,
+                    " one sheet; split it, one recording each"
                 )
+                place.refuse("mixed_tables", message, line=number, column=1)
 
 
 def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadOptions) -> int | None:
@@ -320,13 +316,11 @@ def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: 
             return place.refusal(
                 "empty_cell", "the cell is empty; fill or remove the row", line=number, column=index + 1
             )
-        return place.refusal(
-            "text_in_numbers",
+        message = (
             f"{_shown(value)[:40]!r} is stored as text or date, not as a number; go back to the original"
-            f" export",
-            line=number,
-            column=index + 1,
+            f" export"
         )
+        return place.refusal("text_in_numbers", message, line=number, column=index + 1)
     raise AssertionError  # called only where one value is no number
 
 
@@ -342,14 +336,11 @@ def _check(table: FloatArray, lines: Sequence[int], wanted: Sequence[int], place
     falls = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if falls.size:
         row = int(falls[0]) + 1
-        place.refuse(
-            "time_backwards",
-            f"the time falls from {table[row - 1, 0]:.10g} to {table[row, 0]:.10g}; split the sheet, or"
-            f" name another"
-            " time column with --columns time=NAME",
-            line=lines[row],
-            column=wanted[0] + 1,
+        message = (
+            f"the time falls from {table[row - 1, 0]:.10g} to {table[row, 0]:.10g}; split the sheet, or name"
+            " another time column with --columns time=NAME"
         )
+        place.refuse("time_backwards", message, line=lines[row], column=wanted[0] + 1)
 
 
 TESTXPERT_WORKBOOK = Recipe(

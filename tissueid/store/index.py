@@ -206,9 +206,8 @@ class Index:
         """
         rows = self._do(
             # path and sheet are those of the row with the least place
-            "SELECT specimen, path, sheet, MIN((kind = 'excluded') * 1000000000000000000"
-            " + position * 10000000 + number) AS place"
-            " FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')"
+            "SELECT specimen, path, sheet, MIN((kind = 'excluded') * 1000000000000000000 + position *"
+            " 10000000 + number) AS place FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')"
             " GROUP BY specimen ORDER BY place",
             (self._run,),
         )
