@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from tissueid.errors import InputError, UsageError
-from tissueid.ingest.manifest import read_study, unmatched_files
-from tissueid.ingest.toml_lines import line_of, lines_of_toml
+from tissueid.ingest.manifest import line_of, lines_of_toml, read_study, unmatched_files
 from tissueid.trial import Protocol
 
 HEAD = 'schema = "tissueid/study/1"\n'

@@ -19,6 +19,7 @@ from tissueid.ingest.loading import LARGEST_BYTES, remote_bytes, remote_files, u
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, decode_text
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 
 #: Suffixes taken from a directory.
 SUFFIXES = (
@@ -186,7 +187,7 @@ def _holds_unpacked_nowhere(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = [PurePosixPath(member.filename).name for member in recordings_in(archive)]
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+    except BROKEN_ARCHIVE:
         return True  # read later, and refused by name
     beside = (path.parent, path.with_suffix(""))
     return bool(names) and not all(any((folder / name).exists() for folder in beside) for name in names)

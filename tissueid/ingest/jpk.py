@@ -106,12 +106,8 @@ def read_jpk(file: InputFile) -> Iterator[Table | InputError]:
                     yield _curve(archive, folders, Place(file.path, curve or None))
                 except InputError as error:
                     yield error
-    except InputError as error:
-        yield error
     except BROKEN_ARCHIVE as error:
-        yield place.refusal(
-            "unreadable_archive", f"the archive is damaged ({str(error)[:120]}); copy it again"
-        )
+        place.refuse("unreadable_archive", f"the archive is damaged ({str(error)[:120]}); copy it again")
 
 
 def _segments(archive: zipfile.ZipFile, folders: list[str]) -> list[_Segment]:

@@ -48,9 +48,14 @@ def _filled(row: Cells) -> list[str]:
     return [cell.strip() for cell in row if cell.strip()]
 
 
+def _opening(row: Cells) -> str:
+    """The first filled cell of a row, empty where there is none."""
+    return next((cell for cell in row if cell.strip()), "")
+
+
 def is_statistics(row: Cells) -> bool:
     """True where a row is a mean, a standard deviation and the like: its first filled cell says so."""
-    opening = next((cell for cell in row if cell.strip()), "")
+    opening = _opening(row)
     # nearly all rows are samples, and done with here
     if not opening or looks_numeric(opening):
         return False
@@ -81,7 +86,7 @@ def is_units_row(row: Cells) -> bool:
 
 def _is_text(row: Cells) -> bool:
     """A line that holds something, but no number."""
-    opening = next((cell for cell in row if cell.strip()), "")
+    opening = _opening(row)
     return bool(opening) and not looks_numeric(opening) and not any(map(looks_numeric, _filled(row)))
 
 
@@ -168,8 +173,8 @@ def results_flag(first: int, last: int) -> Flag:
 
 def _opens_results(rows: Sequence[Cells], index: int) -> bool:
     row = rows[index]
-    opening = next((cell for cell in row if cell.strip()), None)
-    if opening is None or looks_numeric(opening):
+    opening = _opening(row)
+    if not opening or looks_numeric(opening):
         # titles, statistics and heads begin with a word: nearly all lines are samples, and done with here
         return False
     if is_title(row) or is_statistics(row):
@@ -198,6 +203,11 @@ class Anchor:
     names: int | None
     units: int | None
     first: int
+
+    def head(self, rows: Sequence[Row]) -> tuple[Row, Row]:
+        """Names and units among the rows in which they were found; empty where there are none."""
+        names = () if self.names is None else rows[self.names]
+        return names, () if self.units is None else rows[self.units]
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,8 +335,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
-    names: Row = rows[found.names] if found.names is not None else ()
-    units: Row = rows[found.units] if found.units is not None else ()
+    names, units = found.head(rows)
     below_names = b"".join(raw[found.first : len(rows)])
     results = None
     if not _ONLY_NUMBERS.fullmatch(below_names):
@@ -349,11 +358,19 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         found.first + 1,
         sum(map(len, raw[: found.first])),
         n_columns,
-        tuple(all(i < len(row) and looks_numeric(row[i]) for row in sample[:50]) for i in range(n_columns)),
+        numeric_columns(sample, n_columns),
     )
     if results is not None:
         return replace(layout, stop=sum(map(len, raw[: found.first + results])))
     return replace(layout, stop=_stop_in_tail(text, layout, options))
+
+
+def numeric_columns(sample: Sequence[Row], n_columns: int) -> tuple[bool, ...]:
+    """Tell which columns hold numbers in the first rows; none where there are no rows."""
+    first = sample[:50]
+    return tuple(
+        bool(first) and all(i < len(row) and looks_numeric(row[i]) for row in first) for i in range(n_columns)
+    )
 
 
 def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None:

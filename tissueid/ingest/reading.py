@@ -95,8 +95,8 @@ def _guarded(recipe: Recipe) -> Recipe:
         try:
             for item in recipe.read(file):
                 yield _table(item)
-        except InputError as error:
-            yield error
+        except InputError:
+            raise
         except Exception as error:  # noqa: BLE001 - a bug of theirs is a refusal of this file
             report_fault(recipe.key, f"broke on {file.path}", error)
             yield Place(file.path).refusal(
@@ -239,7 +239,7 @@ def _read_each(path: str | Path, options: ReadOptions) -> Iterator[Trial | Input
         return
     passed: list[str | None] = []
     found = False
-    for table in match.recipe.read(file):
+    for table in match.recipe.tables(file):
         if isinstance(table, InputError) and table.sheet is None:
             found = True
         elif not file.options.picks(table.sheet):

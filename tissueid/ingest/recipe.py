@@ -22,6 +22,7 @@ from tissueid.ingest.loading import load_bytes
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text, decode_text
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import Protocol
 
@@ -38,29 +39,30 @@ Detection = tuple[float, str]
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A file in memory, with what every recipe needs to know of it.
+    """A file in memory, with what every recipe needs to know of it."""
 
-    Attributes
-    ----------
-    path : str
-        As the user named it.
-    data : bytes
-    options : ReadOptions
-    text : Text or None
-        The decoded file; ``None`` for a workbook and for what is no text.
-    layout : Layout or None
-        Where the table stands in the text.
-    fault : InputError or None
-        Why there is no layout.
-    """
-
-    path: str
+    path: str  # as the user named it
     data: bytes
     options: ReadOptions
     digest: Future[str] | str
-    text: Text | None = None
-    layout: Layout | None = None
-    fault: InputError | None = None
+    text: Text | None = None  # the decoded file; ``None`` for a workbook and for what is no text
+    layout: Layout | None = None  # where the table stands in the text
+    fault: InputError | None = None  # why there is no layout
+
+    def decoded(self) -> Text:
+        """The text; refused where the file is none."""
+        if self.text is None:
+            message = "this is no text; give the raw data export of the test machine"
+            Place(self.path).refuse("not_an_export", message)
+        return self.text
+
+    def laid_out(self) -> tuple[Text, Layout]:
+        """The text and its layout; refused where there is none."""
+        if self.fault is not None:
+            raise self.fault
+        text = self.decoded()
+        assert self.layout is not None  # noqa: S101 -- a text without a layout has its fault
+        return text, self.layout
 
     @property
     def sha256(self) -> str:
@@ -75,62 +77,40 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One recording as read: channels in s, mm, N and what stood around them.
-
-    Attributes
-    ----------
-    time_s, displacement_mm, force_N : ndarray, shape (n,)
-    columns : mapping
-        Channel -> name as printed.
-    sheet, encoding, delimiter, decimal : str or None
-    metadata : mapping
-        Header entries.
-    specimen : str or None
-        What the file itself calls the specimen.
-    flags : tuple of Flag
-    protocol : Protocol or None
-        Where the recipe knows more of it than the header entries say.
-    match : Match or None
-        How the table itself was recognised, where the file is an archive of others.
-    axes : mapping
-        ``{"displacement": "strain"}`` and the like, where a column is normalised.
-    """
+    """One recording as read: channels of shape (n,) in s, mm, N, and what stood around them."""
 
     time_s: FloatArray
     displacement_mm: FloatArray
     force_N: FloatArray
-    columns: Mapping[Channel, str]
+    columns: Mapping[Channel, str]  # channel -> name as printed
     sheet: str | None = None
     encoding: str | None = None
     delimiter: str | None = None
     decimal: str | None = None
-    metadata: Mapping[str, str] = field(default_factory=dict)
-    specimen: str | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)  # header entries
+    specimen: str | None = None  # what the file itself calls the specimen
     flags: tuple[Flag, ...] = ()
-    protocol: Protocol | None = None
-    match: Match | None = None
-    axes: Mapping[str, str] = field(default_factory=dict)
+    protocol: Protocol | None = None  # where the recipe knows more of it than the header entries say
+    match: Match | None = None  # how the table was recognised, where the file is an archive of others
+    axes: Mapping[str, str] = field(default_factory=dict)  # ``{"displacement": "strain"}`` and the like
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A reader.
+    """A reader."""
 
-    Attributes
-    ----------
-    key : str
-        Stable name, as in ``Source.recipe``.
-    description : str
-    detect : callable
-        ``detect(file) -> (confidence, reason)``.
-    read : callable
-        ``read(file) -> iterator`` of a :class:`Table`, or the ``InputError`` in its place, for each trial.
-    """
-
-    key: str
+    key: str  # stable name, as in ``Source.recipe``
     description: str
-    detect: Callable[[InputFile], Detection]
+    detect: Callable[[InputFile], Detection]  # confidence and reason
+    #: A table, or the refusal in its place, for each trial; a refusal that is raised is the last.
     read: Callable[[InputFile], Iterator[Table | InputError]]
+
+    def tables(self, file: InputFile) -> Iterator[Table | InputError]:
+        """Every table of a file, or the refusal in its place."""
+        try:
+            yield from self.read(file)
+        except InputError as error:
+            yield error
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +154,7 @@ def _members(data: bytes) -> list[str] | None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+    except BROKEN_ARCHIVE:
         return None
 
 

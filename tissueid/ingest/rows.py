@@ -33,7 +33,7 @@ from tissueid.ingest.layout import (
     results_spans,
     split_line,
 )
-from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number
+from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number, quoted
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
@@ -48,6 +48,8 @@ _MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1
 _GUID = re.compile(r"[0-9A-Fa-f]{8}-(?:[0-9A-Fa-f]{4}-){3}[0-9A-Fa-f]{12}")
 #: Time, displacement and force.
 _LEAST_NUMBERS = 3
+#: Characters of a line that a refusal shows.
+_SHOWN = 60
 #: So many rows above the names are a table of their own, fewer may be results.
 _TABLE_ROWS = 3
 
@@ -256,7 +258,7 @@ class RowReader:
 
     def _refuse_if_no_remark(self, cells: Sequence[str], line: str, number: int) -> None:
         """A line without numbers that is a damaged row, or heads another table."""
-        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        shown = quoted(line, _SHOWN)
         if row_like(line):
             message = (
                 f"{shown} is made of digits but is no row of this table; correct or remove it, or export the"
@@ -272,7 +274,7 @@ class RowReader:
 
     def row(self, cells: list[str] | None, line: str, number: int) -> list[float]:
         """The three values of a row; refuses anything else."""
-        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        shown = quoted(line, _SHOWN)
         if cells is None:
             self.place.refuse(
                 "damaged_number", f"a quote is torn in {shown}; export the file again", line=number, column=1

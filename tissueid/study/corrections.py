@@ -17,8 +17,7 @@ from typing import Any
 from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.errors import UsageError
 from tissueid.ingest import ReadOptions
-from tissueid.ingest.manifest import MANIFEST, SCHEMA, study_of
-from tissueid.ingest.toml_lines import lines_of_toml
+from tissueid.ingest.manifest import MANIFEST, SCHEMA, lines_of_toml, study_of
 from tissueid.manifest import Entry, Study, TomlTable
 from tissueid.report.inspect_decisions import toml_value
 from tissueid.report.inspect_page import InspectedRecording
