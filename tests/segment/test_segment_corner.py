@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.segment import segment
-from tissueid.segment.motion import corner_near
+from tissueid.segment.motion import Path, corner_near
 from tissueid.segment.stop import corners_of
 from tissueid.trial import Corner, Phase, Segmentation, Trial
 
@@ -95,6 +95,12 @@ def test_every_ramp_that_goes_on_has_its_corner() -> None:
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
 
 
+def stops(
+    time: np.ndarray, depth: np.ndarray, phases: tuple[Phase, ...], tolerance_mm: float
+) -> tuple[Corner, ...]:
+    return corners_of(Path(time, depth, depth, 0.0, tolerance_mm, tolerance_mm), phases)
+
+
 def phases_between(time: np.ndarray, edges: list[int], kinds: list[str]) -> tuple[Phase, ...]:
     return tuple(
         Phase(kind, first, last + 1, float(time[first]), float(time[last]), 1.0)
@@ -106,7 +112,7 @@ def test_a_slow_ramp_into_a_faster_one_is_no_stop() -> None:
     time = np.arange(0.0, 40.0, 0.1)
     depth = np.interp(time, [0, 10, 30, 40], [0, 0.1, 2.1, 0.0])
     phases = phases_between(time, [0, 100, 300, 399], ["ramp", "ramp", "retract"])
-    corners = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    corners = stops(time, depth, phases, 1e-3)
     assert [corner.phase for corner in corners] == [1]
     assert corners[0].time_s == pytest.approx(30.0, abs=0.1)
 
@@ -118,7 +124,7 @@ def test_no_stop_lasts_longer_than_its_ramp_or_what_follows(bend: float) -> None
     u, v = np.clip(time / 20.0, 0.0, 1.0), np.clip((time - 20.0) / 10.0, 0.0, 1.0)
     depth = (1.0 - bend) * u + bend * u**3 - 1e-3 * v - bend * 0.2 * v**3
     phases = phases_between(time, [0, 200, 299], ["ramp", "retract"])
-    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-4)
+    (corner,) = stops(time, depth, phases, 1e-4)
     assert 0.0 <= corner.duration_s <= 10.0
 
 
@@ -127,7 +133,7 @@ def test_a_stop_between_two_samples_takes_no_time() -> None:
     time = np.arange(0.0, 6.0, 0.01)
     depth = np.clip(2.0 * time, 0.0, 4.0 + 2e-5)
     phases = phases_between(time, [0, 200, 599], ["ramp", "hold"])
-    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    (corner,) = stops(time, depth, phases, 1e-3)
     assert corner.duration_s == 0.0
 
 
@@ -138,5 +144,6 @@ def test_two_samples_of_one_ramp_place_no_corner_far_along_it():
     for k in range(200):
         time_s = 0.01 * np.arange(k, k + 100)
         depth = time_s * 25.0 / 6.0
-        found.append(corner_near(time_s, depth, 0, (0, 99), stands=(False, False), tolerance=1e-3))
+        path = Path(time_s, depth, depth, 0.0, 1e-3, 1e-3)
+        found.append(corner_near(path, 0, (0, 99), stands=(False, False)))
     assert max(found) <= 1

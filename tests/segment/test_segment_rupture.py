@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.segment import SegmentOptions, segment
-from tissueid.segment import segmentation as segmentation_module
+from tissueid.segment import SegmentOptions, segment, segmentation
 from tissueid.trial import Event, Segmentation, Trial
 
 RATE_HZ = 100.0
@@ -125,7 +124,7 @@ def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
 ) -> None:
     trial = ramp(lambda x: 10.0 * np.maximum(x - 1.0, 0.0))
     dropped = Event("rupture", 8, float(trial.time_s[8]), values={"drop_fraction": 0.4})
-    monkeypatch.setattr(segmentation_module._Path, "ruptures", lambda *_: [dropped])
+    monkeypatch.setattr(segmentation, "ruptures", lambda *_: [dropped])
 
     found = segment(trial, options=SegmentOptions(rupture=False))
 
