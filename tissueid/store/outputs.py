@@ -69,10 +69,10 @@ def _try_lock(stream: IO[bytes]) -> bool:
 
 
 class FolderLock:
-    """A context in which this process alone writes into a folder.
+    """A context in which this process alone writes into a folder that exists.
 
-    ``folder``: must exist; ``wait_s``: how long to wait for another writer [s]; 0 refuses at once.  Raises
-    BundleError: on entering, where another process holds the lock or the file system knows no locks.
+    ``wait_s``: how long to wait for another writer [s].  Raises BundleError: on entering, where another
+    process holds the lock or the file system knows no locks.
     """
 
     def __init__(self, folder: Path, *, wait_s: float = 0.0) -> None:
@@ -146,10 +146,7 @@ class CommittedRun:
 
 
 def current_run(out: Path | str) -> CommittedRun | None:
-    """Find the committed run of an output folder, or ``None`` where there is none.
-
-    Raises BundleError: if the folder names a run that is not there or whose manifest is damaged.
-    """
+    """Find the committed run of an output folder, if any; BundleError if it is missing or damaged."""
     out = Path(out)
     run_id = _run_id(out)
     if run_id is None:
@@ -184,11 +181,7 @@ def _is_refreshed(out: Path) -> bool:
 
 
 def complete_refresh(out: Path | str) -> None:
-    """Finish a refresh that a kill interrupted; cheap where there is nothing to do.
-
-    Raises BundleError: if another process is writing, a public file is held open elsewhere, or the run is
-    damaged.
-    """
+    """Finish a refresh that a kill interrupted, cheap where there is none; BundleError where it can not."""
     out = Path(out)
     if _is_refreshed(out):
         return

@@ -97,10 +97,7 @@ def _thinned(chain: FloatArray) -> FloatArray:
 
 
 def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
-    """Write posteriors, whole or not at all; equal posteriors give equal bytes.
-
-    ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen;
-    """
+    """Write posteriors one after the other, whole or not at all; equal posteriors give equal bytes."""
     with hdf5.new_file(Path(path)) as file:
         put_posteriors(file, posteriors)
 
@@ -141,10 +138,7 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
 
 
 def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
-    """Read what :func:`write_posteriors` wrote.
-
-    Raises BundleError: if the file is missing, damaged or another kind of file.
-    """
+    """Read what :func:`write_posteriors` wrote; BundleError if it is missing, damaged or of another kind."""
     path = Path(path)
     if not path.is_file():
         msg = f"{path}: there is no such file; `tissueid fit` writes it where a posterior was sampled"
