@@ -81,9 +81,13 @@ def remote_files(url: str) -> Iterator[Path] | None:
     return _below(system, path)
 
 
+#: What only a directory written by tissueid holds.
+OWN_OUTPUT = {".current", "identification.json"}
+
+
 def _below(system: Any, top: str) -> Iterator[Path]:
     for _, folders, files in system.walk(top, detail=True, topdown=True):
-        if files.keys() & {".current", "identification.json"}:
+        if files.keys() & OWN_OUTPUT:
             folders.clear()
             continue
         for name in [name for name in folders if name.startswith(".")]:

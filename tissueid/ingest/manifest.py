@@ -202,6 +202,10 @@ _PLAIN = (
 )
 
 
+def _refusal(path: str, message: str, line: int | None, column: int | None = None) -> InputError:
+    return InputError(code="invalid_study", message=message, path=path, line=line, column=column)
+
+
 class _Refuser:
     """Refuses a part of one manifest, with its line."""
 
@@ -211,8 +215,7 @@ class _Refuser:
 
     def refuse(self, where: TomlPath, message: str) -> NoReturn:
         """Raise the refusal of the value at ``where``."""
-        line = line_of(self.lines, where)
-        raise InputError(code="invalid_study", message=message, path=self.path, line=line)
+        raise _refusal(self.path, message, line_of(self.lines, where))
 
     def line(self, where: TomlPath) -> int:
         """Line of a table."""
@@ -301,7 +304,7 @@ def _check_windows(study: Study) -> None:
                 start = said.get(key)
                 if start is not None and end is not None and not start < end:
                     message = f"{entry.values['file']}: {key} = {start:g} is not before end_s = {end:g}"
-                    raise InputError(code="invalid_study", message=message, path=study.path, line=entry.line)
+                    raise _refusal(study.path, message, entry.line)
 
 
 def unmatched_files(study: Study) -> list[Refusal]:
@@ -320,17 +323,14 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
         return tomllib.loads(text), _Refuser(path, lines_of_toml(text.replace("\r\n", "\n")))
     except UnicodeDecodeError as error:
         first = content.count(b"\n", 0, error.start) + 1
-        message = "the file is not UTF-8: save it as UTF-8"
-        raise InputError(code="invalid_study", message=message, path=path, line=first) from error
+        raise _refusal(path, "the file is not UTF-8: save it as UTF-8", first) from error
     except tomllib.TOMLDecodeError as error:
         place = _SYNTAX_PLACE.search(str(error))
         line, column = (int(place[1]), int(place[2])) if place and place[1] else (None, None)
         said = _SYNTAX_PLACE.sub("", str(error))
         shown = "" if line is None else f": {text.splitlines()[line - 1].strip()[:60]!r}"
         message = f"this is not TOML ({said}){shown}; text stands in quotes, a table name in [brackets]"
-        raise InputError(
-            code="invalid_study", message=message, path=path, line=line, column=column
-        ) from error
+        raise _refusal(path, message, line, column) from error
 
 
 def _properties(*where: str | int) -> TomlTable:

@@ -39,11 +39,14 @@ def new_file(target: Path | IO[bytes]) -> Iterator[Any]:
 
 
 @contextmanager
-def open_file(path: Path | IO[bytes], kind: str, way_out: str) -> Iterator[Any]:
+def open_file(path: Path | IO[bytes], kind: str, way_out: str, missing: str | None = None) -> Iterator[Any]:
     """A file to be read; whatever is said of a damaged one becomes a BundleError.
 
-    ``kind``: what it should be; ``way_out``: what to do where it is none.
+    ``kind``: what it should be; ``way_out``: what to do where it is none; ``missing``: which fits leave it.
     """
+    if missing is not None and isinstance(path, Path) and not path.is_file():
+        msg = f"{path}: there is no such file; `tissueid fit` writes {missing}"
+        raise BundleError(msg)
     try:
         with h5py.File(path, "r") as file:
             yield file

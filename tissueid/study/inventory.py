@@ -276,12 +276,11 @@ class Inventory:
 
     def put_down(self, file: NamedFile, found: Sequence[Found]) -> None:
         """Say what a file holds."""
-        self._put_down(file.position, (file.path, *_key(file)), found)
+        self._put_down(file.position, file.path, _key(file), found)
 
-    def _put_down(self, position: int, named: tuple[str, str, str], found: Sequence[Found]) -> None:
-        path, stored, key = named
+    def _put_down(self, position: int, path: str, key: tuple[str, str], found: Sequence[Found]) -> None:
         rows = list(recording_rows(path, found, self.parts))
-        self.index.add_file(position, stored, key, rows)
+        self.index.add_file(position, *key, rows)
         self._missing.discard(position)
         for row in rows:
             if row.refusal is None:
@@ -292,8 +291,8 @@ class Inventory:
         with self.index.batch():
             for position, one in enumerate(self.request.found):
                 if isinstance(one, Refusal):
-                    named = one.path, one.path, f"refused before it was read, {position}"
-                    self._put_down(position, named, [Found(one.sheet, "", "", 0, one)])
+                    key = one.path, f"refused before it was read, {position}"
+                    self._put_down(position, one.path, key, [Found(one.sheet, "", "", 0, one)])
 
     def complete(self, workplace: Workplace, recent: RecentTrials, progress: Progress) -> None:
         """Look into every file that was not looked into yet."""

@@ -139,12 +139,7 @@ def fit_here(
     return result_of(identification, shown=job.shown, options=job.options)
 
 
-def result_of(
-    identification: Identification,
-    *,
-    shown: str,
-    options: IdentifyOptions,
-) -> SpecimenResult:
+def result_of(identification: Identification, *, shown: str, options: IdentifyOptions) -> SpecimenResult:
     """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
     document = plain_json(identification.as_json())
     check(document, "identification", where=shown)
