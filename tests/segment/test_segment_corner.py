@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import codes, flag_of, kinds
 
 from tissueid.segment import segment
 from tissueid.segment.motion import Path, corner_near
@@ -48,7 +49,7 @@ def test_a_sharp_stop_takes_no_time(noise_mm: float) -> None:
     # the tolerance, 5.5 sd of the noise, is passed within 0.006 mm / 2 mm/s on either side
     assert corner.duration_s <= 2.0 / RATE_HZ + 12.0 * noise_mm / SPEED
     assert (corner.overshoot_mm, corner.ringing_swings, corner.ringing_period_s) == (0.0, 0, None)
-    assert not {flag.code for flag in found.flags} & {"corner_slow", "corner_overshoot"}
+    assert not codes(found) & {"corner_slow", "corner_overshoot"}
 
 
 @pytest.mark.parametrize("rounding_s", [0.05, 0.15, 0.3])
@@ -64,9 +65,7 @@ def test_a_rounded_stop_takes_its_time(rounding_s: float) -> None:
 
 def test_a_slow_stop_is_said_with_its_time() -> None:
     found = divided(*path(rounding_s=0.8))
-    said = [flag for flag in found.flags if flag.code == "corner_slow"]
-    assert len(said) == 1
-    assert said[0].values["duration_s"] == only(found).duration_s
+    assert flag_of(found, "corner_slow").values["duration_s"] == only(found).duration_s
     assert 0.54 <= only(found).duration_s <= 0.81
 
 
@@ -81,15 +80,15 @@ def test_ringing_is_measured() -> None:
     # it falls to the tolerance of 2 um within d ln(0.08 / 0.002) = 0.37 s: seven half periods
     assert corner.ringing_swings == pytest.approx(7, abs=1)
     assert corner.duration_s == pytest.approx(decay * np.log(ring / 0.002), abs=period)
-    assert "corner_overshoot" in {flag.code for flag in found.flags}
-    assert "corner_slow" not in {flag.code for flag in found.flags}
+    assert "corner_overshoot" in codes(found)
+    assert "corner_slow" not in codes(found)
 
 
 def test_every_ramp_that_goes_on_has_its_corner() -> None:
     time = np.arange(0.0, 30.0, 0.01)
     depth = np.interp(time, [0, 2, 7, 9, 15, 19, 25], [0, 2, 2, 4, 4, 0, 0])
     found = divided(time, depth)
-    assert [phase.kind for phase in found.phases] == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
+    assert kinds(found) == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
     assert [corner.phase for corner in found.corners] == [0, 2]
     assert [corner.time_s for corner in found.corners] == pytest.approx([2.0, 9.0], abs=0.01)
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
