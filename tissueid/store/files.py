@@ -19,7 +19,8 @@ import json
 import os
 import shutil
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Self
@@ -59,14 +60,21 @@ def replace_file(temporary: Path, target: Path) -> None:
     sync_folder(target.parent)
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file or nothing."""
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name to write to beside a file, moved over it where the context ends well; else nothing stays."""
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     try:
-        temporary.write_bytes(content)
+        yield temporary
         replace_file(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a whole file or nothing."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def plain_json(value: Any) -> Any:

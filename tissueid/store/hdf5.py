@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
-from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.files import replacing
 
 #: Fixed bounds of the format: the bytes must not depend on which HDF5 was installed.
 _FORMAT = ("v110", "v110")
@@ -29,13 +29,8 @@ def new_file(target: Path | IO[bytes]) -> Iterator[Any]:
         with h5py.File(target, "w", libver=_FORMAT) as file:
             yield file
         return
-    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
-    try:
-        with h5py.File(temporary, "w", libver=_FORMAT) as file:
-            yield file
-        replace_file(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(target) as temporary, h5py.File(temporary, "w", libver=_FORMAT) as file:
+        yield file
 
 
 @contextmanager

@@ -21,7 +21,6 @@ process numbers, which systems use again.  The file's text names the holder for 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import platform
@@ -281,11 +280,11 @@ class OutputSet:
             raise ValueError(msg)
         return folder / name
 
-    def sampling(self, specimen: str) -> Path:
-        """Place of a specimen's chain while it is sampled; a killed run finds it again."""
+    def sampling(self) -> Path:
+        """Folder of chains while they are sampled; a killed run finds them again."""
         folder = self.out / _SAMPLING
         folder.mkdir(exist_ok=True)
-        return folder / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
+        return folder
 
     def write(self, name: str, content: bytes) -> None:
         """Write one file of the set."""

@@ -35,10 +35,9 @@ from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
 from tissueid.result import Exit, Identification, Refusal
 from tissueid.store.files import (
     IDENTIFICATION,
-    TEMPORARY_PREFIX,
     JsonList,
     plain_json,
-    replace_file,
+    replacing,
     sha256_of,
     write_file,
     write_json,
@@ -174,10 +173,8 @@ def assemble(
         kept, taken_out = _refusals_of_readers(index, study)
         for refusal in kept:
             parts.refuse(refusal)
-        temporary = run.path(LISTED).with_name(TEMPORARY_PREFIX + LISTED)
-        with temporary.open("w", encoding="utf-8", newline="") as stream:
+        with replacing(run.path(LISTED)) as listed, listed.open("w", encoding="utf-8", newline="") as stream:
             list_specimens(parts.gather(), stream)
-        replace_file(temporary, run.path(LISTED))
         for job in index.jobs("failed"):
             parts.refuse(Refusal(**json.loads(job.reason or "{}")))
         for refusal in _unmatched(index, study):
@@ -197,10 +194,8 @@ def assemble(
             "exit": found.exit.as_json(),
         }
         _check_frame(document)
-        temporary = found.document.with_name(TEMPORARY_PREFIX + IDENTIFICATION)
-        with temporary.open("wb") as file:
+        with replacing(found.document) as whole, whole.open("wb") as file:
             write_json(file, document)
-        replace_file(temporary, found.document)
     if parts.files:
         merge_files(run, parts.files, parts.inputs_of, run_provenance(options, [], record, provenance))
     return found
@@ -312,7 +307,7 @@ class _Cohort:
         inventory.put_down_refusals()
         with Workplace(self.request.workers, self.request.scheduler) as workplace:
             if workplace.shared_disk:
-                self.chains = self.run.sampling("").parent
+                self.chains = self.run.sampling()
             at_once = self._while_read(inventory) if new and self.chains is not None else None
             if at_once is None:
                 inventory.complete(workplace, self.recent, self.progress)
@@ -391,24 +386,20 @@ class _Cohort:
         study = None
         if self.parts is not None:
             study = self.parts.of_specimen(shown, [(path, sheet) for path, sheet, _ in recordings])
+        options, order = self.request.options, self.orders.get(position)
+        if order is not None:
+            options = replace(options, fit=order.taken_by(options.fit))
         return SpecimenJob(
             specimen=specimen,
             shown=shown,
             recordings=recordings,
             study=study,
             reading=self.request.reading,
-            options=self._options(position),
+            options=options,
             provenance=self.request.provenance,
             chains=None if self.chains is None else str(self.chains),
-            order=None if position not in self.orders else str(self.orders[position]),
+            order=None if order is None else str(order),
         )
-
-    def _options(self, position: int) -> IdentifyOptions:
-        """Options of the fit of the specimen at a position."""
-        options = self.request.options
-        if position not in self.orders:
-            return options
-        return replace(options, fit=self.orders[position].taken_by(options.fit))
 
     def _agree(self) -> bool:
         """Give specimens of a study one law and order; true where one of them has to be fitted again."""
@@ -424,10 +415,7 @@ class _Cohort:
         order = agreed(tables) if len(tables) > 1 else None
         self.orders = {k: order for k, one in own.items() if order is not None and one != order}
         for position in self.orders:
-            key = self._job(position).key()
-            state = "done" if self._is_whole(key) else "waiting"
-            name = self.names[self.specimens[position][0]]
-            self.index.replan(JobRow(position, key, name, state, None), self._spare(position))
+            self.index.replan(self._row(position), self._spare(position))
         return bool(self.orders)
 
     def _spare(self, position: int) -> int:
@@ -446,17 +434,17 @@ class _Cohort:
         sources = [(name, Source(path=path, sheet=sheet)) for name, path, sheet in self.specimens]
         self.names = display_names(sources)
         with self.index.batch():
-            for position, (specimen, _, _) in enumerate(self.specimens):
-                key = self._job(position).key()
-                state = "done" if self._is_whole(key) else "waiting"
-                self.index.plan(JobRow(position, key, self.names[specimen], state, None))
+            for position in range(len(self.specimens)):
+                self.index.plan(self._row(position))
 
-    def _is_whole(self, key: str) -> bool:
-        known = self.index.result(key)
+    def _row(self, position: int) -> JobRow:
+        """The job of a specimen as the index has it: done where its result is there, whole."""
+        key = self._job(position).key()
+        digest, size = self.index.result(key) or ("", -1)
         path = specimen_path(self.run.out, key)
-        if known is None or not path.is_file():
-            return False
-        return path.stat().st_size == known[1] and sha256_of(path) == known[0]
+        whole = path.is_file() and path.stat().st_size == size and sha256_of(path) == digest
+        name = self.names[self.specimens[position][0]]
+        return JobRow(position, key, name, "done" if whole else "waiting", None)
 
     def _keep_at_once(self, identification: Identification) -> None:
         """Put down the specimen that was fitted while it was read."""
