@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 
 from tissueid.errors import InputError
 from tissueid.ingest.header import protocol_of
-from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
+from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, lay_out, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_BYTES, UNPACKED_BYTES
 
@@ -43,7 +43,8 @@ def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
 
 def detect_archive(file: InputFile) -> Detection:
     """A zip archive that is no workbook."""
-    return (1.0, "a zip archive of files") if is_archive(file.data) else (0.0, "no zip archive")
+    found = packed_kind(file.data) == "archive"
+    return (1.0, "a zip archive of files") if found else (0.0, "no zip archive")
 
 
 def archive_recipe(match: Callable[[InputFile], Match]) -> Recipe:
@@ -110,7 +111,7 @@ def _member(
 ) -> Iterator[Table | InputError]:
     """The trials of one member, under its name."""
     place = Place(file.path, name)
-    if is_archive(data):
+    if packed_kind(data) == "archive":
         yield place.refusal("unreadable_archive", "an archive in an archive is not opened; unpack it")
         return
     inner = lay_out(name, data, file.options, file.digest)

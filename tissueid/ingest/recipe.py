@@ -9,10 +9,11 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
@@ -28,8 +29,9 @@ from tissueid.trial import Protocol
 
 _ZIP_MAGIC = b"PK\x03\x04"
 _WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
-#: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
+#: A member of every archive that a force microscope saves ends so.
 _SEGMENT_HEADER = "/segment-header.properties"
+#: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
 _WORKBOOK_PARTS = ("xl/", "[Content_Types]", "mimetype", "content.xml")
 #: Below this a hash is faster than a thread.
 _THREAD_FROM_BYTES = 1 << 24
@@ -122,40 +124,18 @@ class Match:
     reason: str
 
 
-def is_workbook(data: bytes) -> bool:
-    """True where the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
-    return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data) and not is_force_archive(data)
-
-
-def is_archive(data: bytes) -> bool:
-    """True where the bytes are a zip archive of files, not of parts of a workbook or of force curves."""
-    names = _members(data)
-    return (
-        names is not None
-        and not _is_force_archive(names)
-        and not any(name.startswith(_WORKBOOK_PARTS) for name in names)
-    )
-
-
-def is_force_archive(data: bytes) -> bool:
-    """True where the bytes are the zip archive that a force microscope saves."""
-    names = _members(data)
-    return names is not None and _is_force_archive(names)
-
-
-def _is_force_archive(names: Sequence[str]) -> bool:
-    return "header.properties" in names and any(name.endswith(_SEGMENT_HEADER) for name in names)
-
-
-def _members(data: bytes) -> list[str] | None:
-    """Names in a zip archive, ``None`` where it is none."""
+def packed_kind(data: bytes) -> Literal["workbook", "archive", "force curves"] | None:
+    """Kind of what is packed: a workbook, an archive of files, or one of force curves; else ``None``."""
     if not data.startswith(_ZIP_MAGIC):
-        return None
+        return "workbook" if data.startswith(_WORKBOOK_MAGIC) else None
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return archive.namelist()
+            names = archive.namelist()
     except BROKEN_ARCHIVE:
-        return None
+        return "workbook"  # refused by the reader of workbooks
+    if "header.properties" in names and any(name.endswith(_SEGMENT_HEADER) for name in names):
+        return "force curves"
+    return "workbook" if any(name.startswith(_WORKBOOK_PARTS) for name in names) else "archive"
 
 
 def open_input(path: str | Path, options: ReadOptions) -> InputFile:

@@ -24,7 +24,7 @@ from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import begins_a_table, flag_head
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
@@ -113,7 +113,7 @@ def _test_name(cells: Cells, found: Anchor) -> str | None:
 
 def detect_testxpert_workbook(file: InputFile) -> Detection:
     """One test name repeated over the columns of the first trial."""
-    if not is_workbook(file.data):
+    if packed_kind(file.data) != "workbook":
         return 0.0, "no workbook"
     try:
         workbook = _open(file.data, Place(file.path))
@@ -132,7 +132,7 @@ def detect_testxpert_workbook(file: InputFile) -> Detection:
 
 def detect_workbook(file: InputFile) -> Detection:
     """Any workbook."""
-    return (0.6, "a workbook") if is_workbook(file.data) else (0.0, "no workbook")
+    return (0.6, "a workbook") if packed_kind(file.data) == "workbook" else (0.0, "no workbook")
 
 
 def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
