@@ -12,31 +12,6 @@ from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
 from tissueid.trial import Trial, contact_frame
 
-SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
-
-
-@pytest.mark.parametrize("sigma_N", [0.02, 0.3, 3.0])
-@pytest.mark.parametrize("rate_Hz", [100.0, 1000.0])
-def test_contact_in_the_record_is_covered_by_its_interval(rate_Hz, sigma_N):
-    rng = np.random.default_rng(21)
-    scores = []
-    for speed in SPEEDS_MM_MIN:
-        for _ in range(6):
-            offset = float(rng.uniform(0.6, 1.6))
-            log = Log("ramp", (Move(8.0, speed),))
-            settings = Recipe("c", (log,), rate_Hz=rate_Hz, sigma_N=sigma_N, contact_offset_mm=offset)
-            trial = as_trials(simulate(settings, rng=rng))[0]
-            shifted = Trial("air", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + 5.0)
-            contact = segment(shifted).contact
-            assert contact.in_record
-            assert contact.baseline_N == pytest.approx(5.0, abs=5.0 * sigma_N)
-            scores.append((contact.displacement_mm + 2.0 - offset) / contact.sd_mm)
-    scores = np.array(scores)
-    # 36 draws: 95 % coverage gives 30 or more inside with probability 0.99
-    assert (np.abs(scores) < 1.96).sum() >= 30
-    # a mean of 36 unit scores has sd 0.17
-    assert abs(scores.mean()) < 0.3 + 3.0 * 0.17
-
 
 @pytest.mark.parametrize("rate_Hz", [10.0, 100.0, 1000.0])
 def test_logs_that_start_at_contact_are_consistent_with_it(rate_Hz):
@@ -74,7 +49,11 @@ def test_contact_frame_is_zero_at_contact():
         "f", (Log("ramp", (Move(8.0, 250.0),)),), sigma_N=0.05, contact_offset_mm=1.0, compression_sign=-1
     )
     trial = as_trials(simulate(settings, rng=np.random.default_rng(5)))[0]
+    # a load cell that is off by 5 N
+    trial = replace(trial, force_N=trial.force_N + 5.0)
     found = segment(trial)
+    assert found.contact.in_record
+    assert found.contact.baseline_N == pytest.approx(5.0, abs=5.0 * 0.05)
     depth, force = contact_frame(trial, found)
     assert [phase.kind for phase in found.phases] == ["approach", "ramp"]
     assert found.phases[1].start == found.contact.index
