@@ -24,7 +24,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -75,7 +75,7 @@ class RecordingRow:
     #: ``refused_excluded`` (the study does not want it either).
     kind: str
     specimen: str
-    refusal: Mapping[str, Any] | None = None  # fields of :class:`tissueid.result.Refusal`
+    refusal: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +195,7 @@ class Index:
             self._do(
                 "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 *(path, reading, number, row.sha256, row.sheet, row.raw, row.samples),
-                None if row.refusal is None else json.dumps(dict(row.refusal)),
+                None if row.refusal is None else json.dumps(asdict(row.refusal)),
                 *(self._run, position, row.specimen, row.kind),
             )
         self._do("UPDATE runs SET surveyed = surveyed + 1 WHERE id = ?", self._run)
@@ -294,7 +294,7 @@ class Index:
 
 
 def _recording(row: sqlite3.Row) -> RecordingRow:
-    refusal = None if row["refusal"] is None else json.loads(row["refusal"])
+    refusal = None if row["refusal"] is None else Refusal(**json.loads(row["refusal"]))
     names = ("path", "sheet", "sha256", "raw", "samples", "kind", "specimen")
     return RecordingRow(**{name: row[name] for name in names}, refusal=refusal)
 

@@ -203,7 +203,7 @@ def assemble(
 
 def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusal], list[Mapping[str, Any]]]:
     """Refusals of what could not be read, and rows for those of them that the user had taken out anyway."""
-    refused = [Refusal(**row.refusal) for row in index.refused() if row.refusal is not None]
+    refused = [row.refusal for row in index.refused() if row.refusal is not None]
     collected = Collected()
     kept = without_excluded(refused, collected, study)
 
