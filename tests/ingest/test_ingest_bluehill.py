@@ -70,26 +70,15 @@ def assert_reads(path: Path, rows, options: ReadOptions | None = None) -> Trial:
     return trial
 
 
+#: Those that the table of exports has not.
 DIALECTS = {
-    "comma bare": {},
     "comma quoted": {"quoted": True},
-    "comma quoted thousands": {"quoted": True, "thousands": ","},
-    "semicolon bare decimal comma": {"delimiter": ";", "decimal": ","},
     "semicolon quoted decimal comma": {"delimiter": ";", "decimal": ",", "quoted": True},
-    "semicolon quoted point thousands": {"delimiter": ";", "decimal": ",", "quoted": True, "thousands": "."},
     "semicolon bare point thousands": {"delimiter": ";", "decimal": ",", "thousands": "."},
-    "semicolon quoted apostrophe": {"delimiter": ";", "quoted": True, "thousands": "'"},
-    "tab": {"delimiter": "\t"},
     "tab decimal comma": {"delimiter": "\t", "decimal": ","},
     "comma quoted decimal comma": {"decimal": ",", "quoted": True},
-    "LF": {"newline": "\n"},
-    "final CRCRLF": {"end": "\r\r\n"},
     "leading empty line": {"lead": "\r\n"},
-    "no header": {"header": ()},
     "no header, leading empty line": {"header": (), "lead": "\r\n"},
-    "48 header lines": {"header": tuple((f"Group : Key {i}...", f"{i}.5", "mm") for i in range(48))},
-    "no units row": {"units": (), "names": ("Time (s)", "Displacement (mm)", "Force (N)")},
-    "CR only with names": {"newline": "\r"},
 }
 
 

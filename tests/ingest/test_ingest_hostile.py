@@ -62,6 +62,8 @@ def test_hostile_archives_are_refused_or_read_in_bounded_time_and_memory(tmp_pat
     for name, verdict in verdicts.items():
         assert "read" not in verdict.codes, name
     assert set(verdicts["bomb.zip"].codes) == {"unreadable_archive"}
+    assert "a.csv" in verdicts["bomb.zip"].messages[0]
+    assert "MiB" in verdicts["bomb.zip"].messages[0]
 
 
 @linux_only

@@ -1,13 +1,23 @@
-"""Names as laboratories print them: glued units, French crossheads, letters, strain and stress, comments."""
+"""Names as laboratories print them: glued units, French crossheads, letters, strain and stress, comments.
+
+Mean curves, summaries and searches for contact are told by their names and left out of a fit; units that are
+known without pint are what pint makes of them.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pint
 import pytest
 from ingest_files import codes, put, read, refusal
 
+from tissueid.collection import TrialCache, collect
 from tissueid.ingest import ReadOptions, read_each, read_trials
+from tissueid.ingest.columns import split_name
+from tissueid.ingest.reading import no_specimen
+from tissueid.segment import SegmentOptions
+from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, factor_to, quantity_of
 
 ROWS = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
 
@@ -215,3 +225,76 @@ def test_a_mach1_force_negative_in_compression_keeps_its_sign_and_the_search_is_
 def test_a_stated_load_limit_is_read(tmp_path: Path, line: str, limit_N: float | None) -> None:
     trial = read(written(tmp_path / "limit.csv", f"{line}\n\nTime,Extension,Load\n(s),(mm),(N)"))
     assert trial.protocol.load_limit_N == (None if limit_N is None else pytest.approx(limit_N))
+
+
+@pytest.mark.parametrize(
+    ("sheet", "kind"),
+    [
+        ("Eprouvette moyenne", "mean"), ("Courbe type", "mean"), ("Mittelwert", "mean"),
+        ("Mittelwertkurve", "mean"),
+        ("Mean", "mean"), ("Typical", "mean"), ("Average curve", "mean"), ("Probeta media", "mean"),
+        ("Curva tipica", "mean"), ("Provino medio", "mean"), ("Media", "mean"), ("平均曲线", "mean"),
+        ("Statistik", "summary"), ("Statistiques", "summary"), ("Estadísticas", "summary"),
+        ("Riepilogo", "summary"),
+        ("Results 1", "summary"), ("1: Find Contact", "search"), ("archive/a.txt::2: Find Contact", "search"),
+    ],
+)  # fmt: skip
+def test_names_of_no_specimens_in_the_exporters_language(sheet: str, kind: str) -> None:
+    flag = no_specimen("lab/meat.xlsx", sheet)
+    assert flag.values["kind"] == kind
+
+
+@pytest.mark.parametrize(
+    "sheet", ["230403-FF1A", "2: Stress Relaxation", "Mean cow 3", "Typ A", "Probe 1", "Resultant", None]
+)
+def test_other_names_are_specimens(sheet: str | None) -> None:
+    assert no_specimen("lab/meat.xlsx", sheet) is None
+
+
+def test_files_are_named_so_too_but_not_by_words_of_anything() -> None:
+    assert no_specimen("lab/Mean.csv", None) is not None
+    assert no_specimen("lab/media.csv", None) is None
+
+
+def test_a_mean_sheet_is_read_and_left_out_of_the_fit_unless_listed(shared_data: Path) -> None:
+    book = shared_data / "zwick-meat-gpl3" / "230407_C_Indentation_relaxation_500N_force.xlsx"
+    if not book.exists():
+        pytest.skip(f"no {book}")
+    trials = [
+        trial for trial in read_trials(book) if trial.source.sheet in {"Eprouvette moyenne", "230407_FF1A"}
+    ]
+    mean = next(trial for trial in trials if trial.source.sheet == "Eprouvette moyenne")
+    assert "not_a_specimen" in codes(mean)
+    found = collect(trials, SegmentOptions(), TrialCache(None), lambda *_: None)
+    assert [one.sheet for one in found.excluded] == ["Eprouvette moyenne"]
+    assert found.excluded[0].no_specimen
+    assert sum(len(logs) for logs in found.groups.values()) == 1
+
+
+REGISTRY = pint.UnitRegistry()
+
+
+@pytest.mark.parametrize("unit", sorted(KNOWN_UNITS))
+def test_known_factors_are_those_of_pint(unit):
+    quantity, factor = KNOWN_UNITS[unit]
+    assert factor == REGISTRY.Quantity(1, unit).to(INTERNAL_UNITS[quantity]).magnitude
+    assert factor_to(f"({unit})", quantity) == factor
+    assert quantity_of(unit) == quantity
+
+
+def test_a_known_unit_of_something_else_is_refused():
+    with pytest.raises(ValueError, match="does not measure force"):
+        factor_to("mm/min", "force")
+
+
+@pytest.mark.parametrize("word", sorted(KNOWN_WORDS))
+def test_words_over_columns_are_no_units_of_pint(word):
+    with pytest.raises(pint.UndefinedUnitError):
+        REGISTRY.parse_units(word)
+    assert quantity_of(word) is None
+
+
+@pytest.mark.parametrize("letter", sorted(REPEATS))
+def test_letters_that_number_repeats_are_no_units(letter):
+    assert quantity_of(letter) is None
+    assert split_name(f"Load-{letter}") == (f"Load-{letter}", None)

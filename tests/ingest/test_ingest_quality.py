@@ -207,13 +207,6 @@ def test_a_ramp_without_noise_is_not_coarse() -> None:
     assert "below_resolution" not in flags_of(Recording(np.arange(480) * 0.1, x, force, 10.0))
 
 
-def test_whole_numbers_everywhere_are_said_and_no_others() -> None:
-    time = np.arange(200.0)
-    whole = Recording(time, np.round(time * 37.3), np.round(time * 911.7), 1.0)
-    assert "no_decimals" in flags_of(whole)
-    assert "no_decimals" not in flags_of(replace(whole, force_N=whole.force_N + 0.5 * (time == 150)))
-
-
 # --- single samples ---------------------------------------------------------------------------------------
 
 

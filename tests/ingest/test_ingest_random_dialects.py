@@ -94,7 +94,7 @@ def fault(path: Path, dialect: Dialect, log: SyntheticLog) -> str | None:
     return None
 
 
-@pytest.mark.parametrize(("seed", "count"), [(11, 120), pytest.param(12, 4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seed", "count"), [(11, 300), pytest.param(12, 4000, marks=pytest.mark.slow)])
 def test_random_dialects_read_back_exactly(tmp_path: Path, seed: int, count: int) -> None:
     draw = random.Random(seed)
     path = tmp_path / "synthetic.csv"

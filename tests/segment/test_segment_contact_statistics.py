@@ -90,9 +90,10 @@ def row(condition: Condition, found: NDArray[np.float64]) -> str:
     )
 
 
-@pytest.mark.parametrize("sigma_N", [0.3, 3.0])
-def test_the_interval_of_a_contact_in_the_record_covers_at_100_hz(sigma_N: float) -> None:
-    found = scores(Condition(100.0, sigma_N), runs=72, seed=31)
+@pytest.mark.parametrize("sigma_N", [0.02, 0.3, 3.0])
+@pytest.mark.parametrize("rate_Hz", [100.0, 1000.0])
+def test_the_interval_of_a_contact_in_the_record_covers_it(rate_Hz: float, sigma_N: float) -> None:
+    found = scores(Condition(rate_Hz, sigma_N), runs=72, seed=31)
     # 72 scores of sd 1: the mean has sd 0.12, and 63 or more are inside with probability 0.99
     assert abs(np.median(found[..., 0] / found[..., 1])) <= BIAS + 2.6 * 0.12
     assert round(72 * coverage(found)) >= 63

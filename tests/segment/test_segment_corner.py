@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import codes, flag_of, kinds
 
 from tissueid.segment import segment
-from tissueid.segment.motion import corner_near
+from tissueid.segment.motion import Path, corner_near
 from tissueid.segment.stop import corners_of
 from tissueid.trial import Corner, Phase, Segmentation, Trial
 
@@ -48,7 +49,7 @@ def test_a_sharp_stop_takes_no_time(noise_mm: float) -> None:
     # the tolerance, 5.5 sd of the noise, is passed within 0.006 mm / 2 mm/s on either side
     assert corner.duration_s <= 2.0 / RATE_HZ + 12.0 * noise_mm / SPEED
     assert (corner.overshoot_mm, corner.ringing_swings, corner.ringing_period_s) == (0.0, 0, None)
-    assert not {flag.code for flag in found.flags} & {"corner_slow", "corner_overshoot"}
+    assert not codes(found) & {"corner_slow", "corner_overshoot"}
 
 
 @pytest.mark.parametrize("rounding_s", [0.05, 0.15, 0.3])
@@ -64,9 +65,7 @@ def test_a_rounded_stop_takes_its_time(rounding_s: float) -> None:
 
 def test_a_slow_stop_is_said_with_its_time() -> None:
     found = divided(*path(rounding_s=0.8))
-    said = [flag for flag in found.flags if flag.code == "corner_slow"]
-    assert len(said) == 1
-    assert said[0].values["duration_s"] == only(found).duration_s
+    assert flag_of(found, "corner_slow").values["duration_s"] == only(found).duration_s
     assert 0.54 <= only(found).duration_s <= 0.81
 
 
@@ -81,18 +80,24 @@ def test_ringing_is_measured() -> None:
     # it falls to the tolerance of 2 um within d ln(0.08 / 0.002) = 0.37 s: seven half periods
     assert corner.ringing_swings == pytest.approx(7, abs=1)
     assert corner.duration_s == pytest.approx(decay * np.log(ring / 0.002), abs=period)
-    assert "corner_overshoot" in {flag.code for flag in found.flags}
-    assert "corner_slow" not in {flag.code for flag in found.flags}
+    assert "corner_overshoot" in codes(found)
+    assert "corner_slow" not in codes(found)
 
 
 def test_every_ramp_that_goes_on_has_its_corner() -> None:
     time = np.arange(0.0, 30.0, 0.01)
     depth = np.interp(time, [0, 2, 7, 9, 15, 19, 25], [0, 2, 2, 4, 4, 0, 0])
     found = divided(time, depth)
-    assert [phase.kind for phase in found.phases] == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
+    assert kinds(found) == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
     assert [corner.phase for corner in found.corners] == [0, 2]
     assert [corner.time_s for corner in found.corners] == pytest.approx([2.0, 9.0], abs=0.01)
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
+
+
+def stops(
+    time: np.ndarray, depth: np.ndarray, phases: tuple[Phase, ...], tolerance_mm: float
+) -> tuple[Corner, ...]:
+    return corners_of(Path(time, depth, depth, 0.0, tolerance_mm, tolerance_mm), phases)
 
 
 def phases_between(time: np.ndarray, edges: list[int], kinds: list[str]) -> tuple[Phase, ...]:
@@ -106,7 +111,7 @@ def test_a_slow_ramp_into_a_faster_one_is_no_stop() -> None:
     time = np.arange(0.0, 40.0, 0.1)
     depth = np.interp(time, [0, 10, 30, 40], [0, 0.1, 2.1, 0.0])
     phases = phases_between(time, [0, 100, 300, 399], ["ramp", "ramp", "retract"])
-    corners = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    corners = stops(time, depth, phases, 1e-3)
     assert [corner.phase for corner in corners] == [1]
     assert corners[0].time_s == pytest.approx(30.0, abs=0.1)
 
@@ -118,7 +123,7 @@ def test_no_stop_lasts_longer_than_its_ramp_or_what_follows(bend: float) -> None
     u, v = np.clip(time / 20.0, 0.0, 1.0), np.clip((time - 20.0) / 10.0, 0.0, 1.0)
     depth = (1.0 - bend) * u + bend * u**3 - 1e-3 * v - bend * 0.2 * v**3
     phases = phases_between(time, [0, 200, 299], ["ramp", "retract"])
-    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-4)
+    (corner,) = stops(time, depth, phases, 1e-4)
     assert 0.0 <= corner.duration_s <= 10.0
 
 
@@ -127,7 +132,7 @@ def test_a_stop_between_two_samples_takes_no_time() -> None:
     time = np.arange(0.0, 6.0, 0.01)
     depth = np.clip(2.0 * time, 0.0, 4.0 + 2e-5)
     phases = phases_between(time, [0, 200, 599], ["ramp", "hold"])
-    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    (corner,) = stops(time, depth, phases, 1e-3)
     assert corner.duration_s == 0.0
 
 
@@ -138,5 +143,6 @@ def test_two_samples_of_one_ramp_place_no_corner_far_along_it():
     for k in range(200):
         time_s = 0.01 * np.arange(k, k + 100)
         depth = time_s * 25.0 / 6.0
-        found.append(corner_near(time_s, depth, 0, (0, 99), stands=(False, False), tolerance=1e-3))
+        path = Path(time_s, depth, depth, 0.0, 1e-3, 1e-3)
+        found.append(corner_near(path, 0, (0, 99), stands=(False, False)))
     assert max(found) <= 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import codes, kinds
 
 from tissueid.segment import segment
 from tissueid.trial import Segmentation, Trial
@@ -34,7 +35,7 @@ def verdict(found: Segmentation):
 
 def test_a_cycle_has_its_turn_and_its_loading_speed() -> None:
     found = segment(loops([34.0] * 3))
-    assert [phase.kind for phase in found.phases] == ["cycle"] * 3
+    assert kinds(found) == ["cycle"] * 3
     for k, phase in enumerate(found.phases):
         assert phase.peak is not None
         assert phase.start_s + (phase.peak - phase.start) * 0.01 == pytest.approx(1.5 + 3.0 * k, abs=0.03)
@@ -85,14 +86,13 @@ def test_coarse_sampling_of_the_turn_is_no_change() -> None:
 
 def test_one_loop_is_no_cyclic_test() -> None:
     found = segment(loops([34.0]))
-    assert [phase.kind for phase in found.phases] == ["ramp", "retract"]
-    assert not {flag.code for flag in found.flags} & {"cyclic", "preconditioned", "not_preconditioned"}
+    assert kinds(found) == ["ramp", "retract"]
+    assert not codes(found) & {"cyclic", "preconditioned", "not_preconditioned"}
 
 
 def test_loops_before_a_hold_come_before_the_test() -> None:
     found = segment(loops([34.0] * 3, then_hold=True))
-    kinds = [phase.kind for phase in found.phases]
-    assert kinds[:3] == ["cycle"] * 3
-    assert kinds[-2:] == ["ramp", "hold"]
+    assert kinds(found)[:3] == ["cycle"] * 3
+    assert kinds(found)[-2:] == ["ramp", "hold"]
     assert found.test == 3
     assert segment(loops([34.0] * 3)).test == 0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import codes, events, flag_of, kinds
 
 from tissueid.segment import segment
-from tissueid.trial import Event, Protocol, Segmentation, Trial
+from tissueid.trial import Protocol, Trial
 
 
 def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Trial:
@@ -15,14 +16,6 @@ def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Tr
     depth = np.interp(time, knots_s, depths_mm)
     noise = 0.02 * np.random.default_rng(4).standard_normal(time.size)
     return Trial("drawn", time, depth, 10.0 * depth + noise, Protocol(**protocol))
-
-
-def events(found: Segmentation, kind: str) -> list[Event]:
-    return [event for event in found.events if event.kind == kind]
-
-
-def codes(found: Segmentation) -> set[str]:
-    return {flag.code for flag in found.flags}
 
 
 def test_a_ramp_short_of_its_stated_depth_was_aborted() -> None:
@@ -82,7 +75,7 @@ def creeping(creep_mm: float) -> Trial:
 @pytest.mark.parametrize("creep_mm", [0.15, 0.5])
 def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None:
     found = segment(creeping(creep_mm))
-    assert [phase.kind for phase in found.phases] == ["ramp", "creep"]
+    assert kinds(found) == ["ramp", "creep"]
     assert found.phases[1].start_s == pytest.approx(4.0, abs=0.03)
     (event,) = events(found, "load_limit")
     assert event.values["force_N"] == pytest.approx(40.0, abs=0.1)
@@ -93,7 +86,7 @@ def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None
 
 def test_an_elastic_tissue_at_a_held_depth_is_a_hold() -> None:
     found = segment(drawn([0, 4, 30], [0, 4, 4]))
-    assert [phase.kind for phase in found.phases] == ["ramp", "hold"]
+    assert kinds(found) == ["ramp", "hold"]
     assert events(found, "load_limit") == []
 
 
@@ -150,8 +143,7 @@ def retracted(pull_N: float, end_N: float = 0.0) -> Trial:
 
 
 def test_tissue_that_pulls_as_the_tool_leaves_adheres() -> None:
-    found = segment(retracted(2.0))
-    (flag,) = [one for one in found.flags if one.code == "adhesion"]
+    flag = flag_of(segment(retracted(2.0)), "adhesion")
     # what the tissue itself pushes with is not part of it
     assert flag.values["pull_N"] == pytest.approx(2.0, abs=0.1)
 

@@ -1,29 +1,25 @@
-"""Phases of known programs: every one found, at its corner, and none invented."""
+"""Phases of known programs, decisions of the user, and recordings that are no test at all.
+
+Every phase of a program is found, at its corner, and none is invented; stairs, noise, jumps, equal times and
+nothing in the force are divided without an error.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from told import codes, flag_of, kinds
 
+from tissueid.inference.window import fitted_log
 from tissueid.segment import SegmentOptions, segment
 from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
-from tissueid.trial import Trial
-
-EDGE_SAMPLES = 3
+from tissueid.trial import Protocol, Source, Trial
 
 
 def trial_of(log: Log, seed: int = 0, **changes) -> Trial:
     settings = Recipe("test", (log,), **{"rate_Hz": 100.0, "sigma_N": 0.5, **changes})
     return as_trials(simulate(settings, rng=np.random.default_rng(seed)))[0]
-
-
-def kinds(segmentation) -> list[str]:
-    return [phase.kind for phase in segmentation.phases]
-
-
-def codes(segmentation) -> set[str]:
-    return {flag.code for flag in segmentation.flags}
 
 
 @pytest.mark.parametrize("rate_Hz", [10.0, 100.0, 1000.0])
@@ -50,75 +46,6 @@ def test_phases_share_their_corner_sample_and_cover_the_record():
     assert found.phases[0].start == 0
     assert all(a.stop - 1 == b.start for a, b in pairwise(found.phases))
     assert found.phases[-1].speed_mm_s < 0.0
-
-
-def random_program(rng: np.random.Generator) -> tuple[list[Move | Hold], list[str]]:
-    """Moves of 15-100 % of the depth with holds between, and the phases they must give."""
-    scale = 10.0 ** rng.uniform(-3.0, 1.0)
-    slow = 10.0 ** rng.uniform(-2.0, 2.0)
-    moves: list[Move | Hold] = []
-    expected: list[str] = []
-    depth, direction = 0.0, 1
-    for _ in range(rng.integers(1, 6)):
-        step = rng.uniform(0.15, 1.0)
-        step = min(step, depth) if direction < 0 else step
-        depth += direction * step
-        duration = slow * rng.uniform(0.3, 1.0)
-        moves.append(Move(depth * scale, 60.0 * step * scale / duration))
-        expected.append("ramp" if direction > 0 else "retract")
-        if rng.random() < 0.6:
-            moves.append(Hold(slow * rng.uniform(0.5, 3.0)))
-            # back at the surface nothing is held
-            expected.append("hold" if depth > 0.0 else "rest")
-            direction = -1 if depth > 0.4 and rng.random() < 0.3 else 1
-        else:
-            direction = -direction
-    return moves, expected
-
-
-def test_random_programs_give_their_phases_at_their_corners():
-    rng = np.random.default_rng(11)
-    failures = []
-    for case in range(100):  # two thousand with all that machines do: test_segment_programs
-        moves, expected = random_program(rng)
-        total = sum(m.hold_s if isinstance(m, Hold) else 0.0 for m in moves)
-        moved = [m for m in moves if isinstance(m, Move)]
-        travels = np.diff([0.0, *(m.to_mm for m in moved)])
-        times = [abs(d) / m.speed_mm_s for d, m in zip(travels, moved, strict=True)]
-        rate = rng.uniform(400, 4000) / (total + sum(times))
-        span = max(m.to_mm for m in moved)
-        noise = span * rng.choice([0.0, 1e-5, 1e-4])
-        sign = int(rng.choice([-1, 1]))
-        settings = Recipe(
-            "random",
-            (Log("r", tuple(moves)),),
-            rate_Hz=rate,
-            static=(100.0 / span,),
-            branches=(),
-            sigma_N=0.3,
-            sigma_mm=noise,
-            compression_sign=sign,
-        )
-        trial = as_trials(simulate(settings, rng=rng))[0]
-        if rng.random() < 0.3:  # quantised displacement
-            quantised = np.round(trial.displacement_mm / (span * 5e-4)) * span * 5e-4
-            trial = Trial("q", trial.time_s, quantised, trial.force_N)
-        found = segment(trial)
-        loops = sum(a == "ramp" and b == "retract" for a, b in pairwise(expected))
-        if loops >= 2:
-            continue  # may be cyclic: tested on its own
-        corners = np.cumsum([m.hold_s if isinstance(m, Hold) else times.pop(0) for m in moves])[:-1]
-        starts = [phase.start_s for phase in found.phases[1:]]
-        good = kinds(found) == expected and found.compression_sign == sign
-        if good:
-            good = bool(np.abs(np.array(starts) - corners).max(initial=0.0) <= EDGE_SAMPLES / rate)
-        if not good:
-            edges = np.round(rate * np.array(starts), 1), np.round(rate * corners, 1)
-            failures.append((case, expected, kinds(found), *edges, noise / span))
-        assert sum(kind == "hold" for kind in kinds(found)) <= expected.count("hold"), (
-            f"hold invented in {case}"
-        )
-    assert len(failures) <= 1, failures
 
 
 @pytest.mark.parametrize("dwell_s", [0.0, 0.1])
@@ -155,17 +82,6 @@ def test_programs_have_their_phases(moves, expected, said):
     assert codes(found) & {"several_steps", "no_hold"} == said
 
 
-def test_creep_under_load_control_is_not_a_hold():
-    time_s = np.arange(0.0, 30.0, 0.01)
-    depth = np.where(time_s < 2.0, 2.0 * time_s, 4.0 + 0.3 * (1.0 - np.exp(-(time_s - 2.0) / 10.0)))
-    force = np.where(time_s < 2.0, 40.0 * time_s, 80.0) + 0.1 * np.random.default_rng(1).standard_normal(
-        time_s.size
-    )
-    found = segment(Trial("creep", time_s, depth, force))
-    assert "hold" not in kinds(found)
-    assert "no_hold" in codes(found)
-
-
 def test_user_may_ask_for_short_holds():
     trial = trial_of(Log("d", (Move(8.0, 10.0), Hold(0.3))))
     assert kinds(segment(trial, options=SegmentOptions(minimum_hold_s=0.2))) == ["ramp", "hold"]
@@ -178,8 +94,9 @@ def test_overshoot_and_ringing_belong_to_the_ramp_and_are_said():
     force = 20.0 * depth + 0.1 * np.random.default_rng(2).standard_normal(time_s.size)
     found = segment(Trial("ring", time_s, depth, force))
     assert kinds(found) == ["ramp", "hold"]
-    said = next(flag for flag in found.flags if flag.code == "corner_overshoot")
-    assert said.values["overshoot_mm"] == pytest.approx(depth.max() - 4.0, rel=0.1)
+    assert flag_of(found, "corner_overshoot").values["overshoot_mm"] == pytest.approx(
+        depth.max() - 4.0, rel=0.1
+    )
     # the ringing has decayed below the tolerance (0.05 % of 4 mm) within 5 time constants
     assert 1.0 <= found.phases[1].start_s <= 1.3
 
@@ -212,15 +129,6 @@ def test_different_sampling_in_ramp_and_hold():
     found = segment(Trial("m", trial.time_s[order], trial.displacement_mm[order], trial.force_N[order]))
     assert kinds(found) == ["ramp", "hold"]
     assert found.phases[1].start_s == pytest.approx(0.96, abs=0.003)
-
-
-def test_aborted_ramp_is_told_from_its_stated_depth():
-    trial = trial_of(Log("a", (Move(3.0, 100.0),)))
-    stopped = Trial(
-        "a", trial.time_s, trial.displacement_mm, trial.force_N, replace(trial.protocol, depth_mm=8.0)
-    )
-    assert "aborted_ramp" in codes(segment(stopped))
-    assert "aborted_ramp" not in codes(segment(trial))
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -268,3 +176,92 @@ def test_a_long_slow_noisy_recording_keeps_its_phases():
     starts = [phase.start_s for phase in found.phases[1:]]
     # lines through 200 samples meet within 1.5e-3 mm sqrt(8/200) / 0.05 mm/s: 6 samples, 2 sd
     assert starts == pytest.approx(corners[1:-1].tolist(), abs=0.015)
+
+
+def log(*, specimen: str = "knee", path: str = "knee.csv") -> Trial:
+    """A ramp of 1 mm/s to 4 mm at 50 Hz, and 10 s of hold whose force decays."""
+    time = np.arange(0.0, 14.0, 0.02)
+    depth = np.minimum(time, 4.0)
+    force = 2.0 * depth + 3.0 * np.where(time < 4.0, depth, 4.0 * np.exp(-(time - 4.0) / 2.0))
+    return Trial(specimen, time, depth, force, source=Source(path=path))
+
+
+def test_a_hold_begins_and_ends_where_it_is_said() -> None:
+    found = segment(log(), options=SegmentOptions(hold_from_s=4.5, end_s=9.0))
+    ramp, hold = found.phases[-2:]
+    assert (ramp.kind, hold.kind) == ("ramp", "hold")
+    assert ramp.end_s == hold.start_s == pytest.approx(4.5)
+    assert hold.end_s == pytest.approx(9.0)
+    flag = flag_of(found, "decision_overridden")
+    assert flag.values["keys"] == ["end_s", "hold_from_s"]
+    assert "4.5" in flag.message
+    assert "9.0" in flag.message
+
+
+def test_a_hold_is_made_in_a_ramp_where_there_is_none() -> None:
+    time = np.arange(0.0, 20.0, 0.02)
+    depth = time.copy()
+    trial = Trial("slow", time, depth, 2.0 * depth)
+    assert "hold" not in kinds(segment(trial))
+    phases = segment(trial, options=SegmentOptions(hold_from_s=12.0)).phases
+    assert [(phase.kind, phase.start_s) for phase in phases][-1] == ("hold", pytest.approx(12.0))
+
+
+@pytest.mark.parametrize("pattern", ["knee*", "*/knee.csv", "knee.csv", "patient-7"])
+def test_patterns_fit_path_file_or_specimen(pattern: str) -> None:
+    options = SegmentOptions(exclude=(pattern,))
+    assert options.excludes(log(specimen="patient-7", path="lab/knee.csv")) == pattern
+    assert options.excludes(log(specimen="other", path="lab/hip.csv")) is None
+
+
+def test_a_hold_that_ends_before_it_begins_is_refused() -> None:
+    with pytest.raises(ValueError, match="must end after it starts"):
+        SegmentOptions(hold_from_s=5.0, end_s=4.0)
+
+
+def odd(rng: np.random.Generator) -> tuple[Trial, SegmentOptions]:
+    """Any path with any force, few samples or many, some at one time."""
+    n = int(rng.integers(2, 60)) if rng.random() < 0.5 else int(rng.integers(60, 400))
+    steps = rng.choice([0.0, 0.01, 0.02, 1.0], n) * rng.random(n)
+    time = np.arange(n) * 0.01 if rng.random() < 0.3 else np.cumsum(steps)
+    depth = [
+        lambda: rng.normal(0.0, 1.0, n),
+        lambda: np.zeros(n),
+        lambda: np.cumsum(rng.normal(0.0, 1.0, n)),
+        lambda: np.repeat(rng.normal(0.0, 1.0, n // 5 + 1), 5)[:n],
+        lambda: np.interp(np.arange(n), np.sort(rng.integers(0, n, 5)), rng.normal(0.0, 3.0, 5)),
+        lambda: np.sin(np.arange(n) * rng.uniform(0.01, 1.0)),
+        lambda: np.round(np.cumsum(rng.normal(0.1, 1.0, n))),
+    ][int(rng.integers(7))]()
+    force = [
+        rng.normal(0.0, 1.0, n),
+        10.0 * depth,
+        np.zeros(n),
+        np.maximum(depth, 0.0) ** 2,
+        1e-9 * depth,
+        1e6 * depth,
+    ][int(rng.integers(6))]
+    middle = float(time[n // 3])
+    cut = rng.random() < 0.1 and middle < time[-1]
+    options = SegmentOptions(
+        contact_displacement_mm=float(rng.normal()) if rng.random() < 0.2 else None,
+        minimum_hold_s=0.01 if rng.random() < 0.2 else None,
+        start_s=middle if cut else None,
+        end_s=float(time[-1]) if cut else None,
+    )
+    stated = Protocol(depth_mm=5.0, hold_s=1.0, load_limit_N=3.0) if rng.random() < 0.5 else Protocol()
+    return Trial("odd", time, depth, force, stated), options
+
+
+def test_anything_is_divided_without_an_error() -> None:
+    rng = np.random.default_rng(99)
+    for case in range(250):
+        trial, options = odd(rng)
+        with np.errstate(all="ignore"):
+            found = segment(trial, options=options)
+            fitted_log(trial, found)
+        assert all(a.stop - 1 == b.start for a, b in pairwise(found.phases)), case
+        assert all(phase.start <= phase.stop - 1 < trial.time_s.size for phase in found.phases), case
+        numbers = [corner.duration_s for corner in found.corners]
+        numbers += [value for event in found.events for value in event.values.values()]
+        assert np.isfinite(numbers).all(), case

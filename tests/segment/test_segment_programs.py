@@ -9,13 +9,15 @@ between approach and ramp is the contact point, which has tests of its own.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from random_programs import Truth, draw
+from told import kinds
 
 from tissueid.segment import segment
-from tissueid.trial import Segmentation, Trial
+from tissueid.trial import Protocol, Segmentation, Trial
 
 #: First seeds; none of them was looked at while rules and thresholds were chosen.
 FIRST_SEED, SLOW_SEED = 500_000, 600_000
@@ -100,6 +102,20 @@ def test_random_programs_are_divided_as_they_were_made() -> None:
     # at a true rate of 99 % two or more failures in 60 have probability 0.12, three 0.02
     assert len(seeds) <= 2, seeds
     assert {"cycles", "rupture", "abort", "rounded corners", "ringing", "event rows", "gap"} <= set(seen)
+
+
+def test_other_units_of_time_depth_and_force_give_the_same_phases() -> None:
+    rng = np.random.default_rng(11)
+    for seed in range(FIRST_SEED, FIRST_SEED + 20):
+        trial = replace(draw(seed)[0], protocol=Protocol())
+        seconds, millimetres, newtons = 10.0 ** rng.uniform([-2.0, -3.0, -3.0], [2.0, 1.0, 3.0])
+        other = Trial(
+            "other", trial.time_s * seconds, trial.displacement_mm * millimetres, trial.force_N * newtons
+        )
+        here, there = segment(trial), segment(other)
+        assert kinds(there) == kinds(here), seed
+        moved = [a.start - b.start for a, b in zip(here.phases, there.phases, strict=True)]
+        assert np.abs(moved).max() <= EDGE_SAMPLES, seed
 
 
 @pytest.mark.slow

@@ -4,19 +4,12 @@ import csv
 
 import numpy as np
 import pytest
+from told import codes, events, kinds
 
 from tissueid.segment import segment
 from tissueid.trial import Trial
 
 calamine = pytest.importorskip("python_calamine")
-
-
-def kinds(segmentation) -> list[str]:
-    return [phase.kind for phase in segmentation.phases]
-
-
-def codes(segmentation) -> set[str]:
-    return {flag.code for flag in segmentation.flags}
 
 
 def numbers(path, skip: int) -> np.ndarray:
@@ -47,15 +40,18 @@ def test_every_meat_sheet_has_a_ramp_and_a_hold(shared_data):
     assert seen == 29
 
 
-def test_cyclic_bluehill_file_is_cyclic_without_a_hold(shared_data):
+def test_cyclic_bluehill_file_is_cyclic_without_a_hold_and_not_preconditioned(shared_data):
     data = numbers(shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv", 5)
     found = segment(Trial("cyclic", *data.T))
     assert (found.compression_sign, found.force_sign) == (-1, -1)
     assert kinds(found) == ["cycle"] * 3
-    assert {"cyclic", "no_hold", "preload"} <= codes(found)
+    assert {"cyclic", "no_hold", "preload", "not_preconditioned"} <= codes(found)
     # -4.3 N of preload at some 5-8 N/mm: contact 0.5-0.9 mm before the start at -2.047 mm
     assert abs(found.contact.displacement_mm + 1.35) < 2.5 * found.contact.sd_mm
     assert found.contact.sd_mm < 1.0
+    # 10 mm/min as its header says
+    assert [phase.speed_mm_s for phase in found.phases] == pytest.approx([10.0 / 60.0] * 3, rel=0.01)
+    assert [data[phase.peak, 0] for phase in found.phases] == pytest.approx([60.0, 180.0, 300.0], abs=0.2)
 
 
 @pytest.mark.parametrize("state", ["Relaxed", "pCa4.4"])
@@ -77,15 +73,6 @@ def test_oocyte_dwell_is_found_between_approach_and_retract(shared_data):
     assert hold.end_s - hold.start_s == pytest.approx(30.0, abs=0.2)
 
 
-def test_cyclic_bluehill_file_is_not_preconditioned_and_its_cycles_have_speeds(shared_data):
-    data = numbers(shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv", 5)
-    found = segment(Trial("cyclic", *data.T))
-    # 10 mm/min as its header says
-    assert [phase.speed_mm_s for phase in found.phases] == pytest.approx([10.0 / 60.0] * 3, rel=0.01)
-    assert [data[phase.peak, 0] for phase in found.phases] == pytest.approx([60.0, 180.0, 300.0], abs=0.2)
-    assert "not_preconditioned" in codes(found)
-
-
 def test_an_invar_bar_pulled_to_failure_ruptures_after_its_peak(shared_data):
     lines = (shared_data / "zwick-tra-mit" / "Invar_LT_05_01.TRA").read_text("latin-1").splitlines()
     rows = [row for row in csv.reader(lines) if len(row) > 3]
@@ -94,7 +81,7 @@ def test_an_invar_bar_pulled_to_failure_ruptures_after_its_peak(shared_data):
     table = rows[rows.index(names) + 2 :]
     data = np.array([[float(row[k]) for k in columns] for row in table])
     found = segment(Trial("invar", *data.T))
-    (event,) = [event for event in found.events if event.kind == "rupture"]
+    (event,) = events(found, "rupture")
     # necking from the peak of 7.4 kN at 0.9 mm on; hardly anything is carried at the end
     assert 0.9 < event.values["depth_mm"] < 1.3
     assert event.values["drop_fraction"] > 0.9

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import codes, events, flag_of, kinds
 
-from tissueid.segment import SegmentOptions, segment
-from tissueid.segment import segmentation as segmentation_module
+from tissueid.segment import SegmentOptions, segment, segmentation
 from tissueid.trial import Event, Segmentation, Trial
 
 RATE_HZ = 100.0
 
 
 def ruptures(found: Segmentation) -> list[Event]:
-    return [event for event in found.events if event.kind == "rupture"]
+    return events(found, "rupture")
 
 
 def ramp(force_of_depth, *, hold_s: float = 0.0, sigma_N: float = 0.05, seed: int = 2) -> Trial:
@@ -45,16 +45,16 @@ def test_a_rupture_has_its_force_drop_depth_and_work() -> None:
     assert values["depth_mm"] == pytest.approx(4.0, abs=0.03)
     # half of 4 mm times 40 N
     assert values["work_N_mm"] == pytest.approx(80.0, rel=0.01)
-    said = next(flag for flag in found.flags if flag.code == "rupture")
+    said = flag_of(found, "rupture")
     assert said.values["time_s"] == event.time_s
     assert said.values["count"] == 1
 
 
 def test_every_layer_that_breaks_is_found() -> None:
     trial = ramp(lambda x: 15.0 * x * np.where(x > 2.0, 0.5, 1.0) * np.where(x > 4.0, 0.4, 1.0))
-    events = ruptures(segment(trial))
-    assert [event.values["depth_mm"] for event in events] == pytest.approx([2.0, 4.0], abs=0.03)
-    assert [event.values["drop_fraction"] for event in events] == pytest.approx([0.5, 0.6], abs=0.03)
+    broke = ruptures(segment(trial))
+    assert [event.values["depth_mm"] for event in broke] == pytest.approx([2.0, 4.0], abs=0.03)
+    assert [event.values["drop_fraction"] for event in broke] == pytest.approx([0.5, 0.6], abs=0.03)
 
 
 @pytest.mark.parametrize("samples", [1, 3, 10])
@@ -97,7 +97,7 @@ def test_relaxation_at_a_stop_is_no_rupture(rounding_s: float) -> None:
 def test_a_slower_second_ramp_is_no_rupture() -> None:
     time = np.arange(0.0, 20.0, 0.01)
     found = segment(relaxing(time, np.interp(time, [0, 2, 20], [0, 4, 6]), 0.2, 20.0))
-    assert [phase.kind for phase in found.phases] == ["ramp", "ramp"]
+    assert kinds(found) == ["ramp", "ramp"]
     assert ruptures(found) == []
 
 
@@ -117,7 +117,7 @@ def test_the_user_may_say_it_is_none() -> None:
     trial = ramp(lambda x: np.where(x <= 4.0, 10.0 * x, 4.0 * x))
     found = segment(trial, options=SegmentOptions(rupture=False))
     assert found.events == ()
-    assert "rupture" not in {flag.code for flag in found.flags}
+    assert "rupture" not in codes(found)
 
 
 def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
@@ -125,7 +125,7 @@ def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
 ) -> None:
     trial = ramp(lambda x: 10.0 * np.maximum(x - 1.0, 0.0))
     dropped = Event("rupture", 8, float(trial.time_s[8]), values={"drop_fraction": 0.4})
-    monkeypatch.setattr(segmentation_module._Path, "ruptures", lambda *_: [dropped])
+    monkeypatch.setattr(segmentation, "ruptures", lambda *_: [dropped])
 
     found = segment(trial, options=SegmentOptions(rupture=False))
 

@@ -1,4 +1,7 @@
-"""An output folder shows the old set or the new one, whatever happens while it is written."""
+"""An output folder shows the old set or the new one, whatever happens while it is written.
+
+Names of specimens become file names that every system takes.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
+from set_writer import commit
 
 from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store import outputs as outputs_module
 from tissueid.store.bundle import load_bundle
-from tissueid.store.files import REPORT
+from tissueid.store.files import REPORT, bundle_names, safe_name
 from tissueid.store.outputs import OutputSet, complete_refresh, current_run
 from tissueid.store.results import output_problems, read_results, validate_outputs, write_results
 
@@ -28,11 +33,7 @@ ALWAYS = ("identification.json", "curves.h5", "report.html")
 
 def write(out: Path, *specimens: str, report: str = "<p>report</p>") -> Identification:
     run = identification([specimen_fit(name, trials=1, samples=40) for name in specimens])
-    with OutputSet(out) as outputs:
-        write_results(outputs, run)
-        outputs.write(REPORT, report.encode())
-        outputs.commit()
-    return run
+    return commit(out, run, **{REPORT: report.encode()})
 
 
 def public(out: Path) -> set[str]:
@@ -59,7 +60,9 @@ def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write(tmp_path / name, "x", "y")
+        fits = [sampled(specimen_fit("x", trials=1, samples=40)), specimen_fit("y", trials=1, samples=40)]
+        commit(tmp_path / name, identification(fits))
+    assert len(public(tmp_path / "a")) == 5
     for path in (tmp_path / "a").glob("[!.]*"):
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
@@ -142,10 +145,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
 def test_a_mixed_set_is_refused(tmp_path: Path, name: str) -> None:
     write(tmp_path / "one", "a")
     run = identification([specimen_fit("a", trials=2, samples=50, identified=False, seed=9)])
-    with OutputSet(tmp_path / "two") as outputs:
-        write_results(outputs, run)
-        outputs.write(REPORT, b"<p>other</p>")
-        outputs.commit()
+    commit(tmp_path / "two", run, **{REPORT: b"<p>other</p>"})
     (tmp_path / "one" / name).write_bytes((tmp_path / "two" / name).read_bytes())
     with pytest.raises(BundleError, match=f"{name} is not the one this run wrote"):
         validate_outputs(tmp_path / "one")
@@ -226,7 +226,7 @@ def test_a_kill_at_any_moment_leaves_a_whole_set(tmp_path: Path, kills: int) -> 
 def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stop before each rename of a commit in turn: the systematic form of the kill test."""
     real = outputs_module.replace_file
-    for stop in range(12):
+    for stop in range(16):
         out = tmp_path / str(stop)
         write(out, "old")
         done: list[Path] = []
@@ -260,3 +260,36 @@ def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path: Path) ->
         caught.value.message
         == f"{tmp_path}: holds no finished run; `tissueid fit ... -o {tmp_path}` makes one"
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("kidney 3", "kidney_3"),
+        ("a/b\\c:d*e", "a_b_c_d_e"),
+        ("../../etc", "etc"),
+        ("CON", "CON_"),
+        ("aux.csv", "aux.csv_"),
+        ("com1", "com1_"),
+        ("", "specimen"),
+        ("...", "specimen"),
+        ("肾脏", "肾脏"),
+        ("end. ", "end"),
+    ],
+)
+def test_a_name_is_made_safe(name: str, expected: str) -> None:
+    assert safe_name(name) == expected
+
+
+def test_a_long_name_fits_in_eighty_bytes_and_stays_whole_characters() -> None:
+    assert safe_name("é" * 300) == "é" * 40
+
+
+def test_names_that_meet_without_case_are_kept_apart() -> None:
+    names = bundle_names(["Liver", "liver", "a/b", "a_b", "spleen"])
+    assert names["spleen"] == "bundle-spleen.h5"
+    assert len({name.casefold() for name in names.values()}) == 5
+
+
+def test_a_name_does_not_depend_on_the_order() -> None:
+    assert bundle_names(["a b", "a_b"]) == bundle_names(["a_b", "a b"])

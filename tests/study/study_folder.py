@@ -12,6 +12,8 @@ from tissueid.cli.main import main
 QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
 #: As quick as a fit with posteriors can be.
 SAMPLED = ("--branches", "1", "--stiffness-degree", "0", "--draws", "400")
+#: First line of a study file.
+HEAD = 'schema = "tissueid/study/1"\n'
 REPOSITORY = Path(__file__).resolve().parents[2]
 LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
 HEADER_LINES = 6
@@ -29,12 +31,19 @@ def recording(
     return "\n".join([*([header, ""] if header else []), names, "(sec),(mm),(N)", *rows, ""])
 
 
+def manifest_in(folder: Path, text: str, *, head: str = HEAD) -> Path:
+    """The study file of a folder."""
+    path = folder / "study.toml"
+    path.write_text(head + text, encoding="utf-8")
+    return path
+
+
 def lab(folder: Path, manifest: str, **times: float) -> Path:
     """A folder with ``<name>.csv`` for each name, force ``times`` as large, and its study file."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, factor in times.items():
         (folder / f"{name}.csv").write_text(recording(times=factor), encoding="ascii")
-    (folder / "study.toml").write_text('schema = "tissueid/study/1"\n' + manifest, encoding="utf-8")
+    manifest_in(folder, manifest)
     return folder
 
 

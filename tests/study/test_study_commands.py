@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from study_folder import fit, lab, recording, value
 from tissueid.cli.main import main
 from tissueid.ingest import read_trials
 from tissueid.ingest.manifest import read_study
-from tissueid.manifest import Calibration, Study
+from tissueid.manifest import Calibration, Entry, Study
 from tissueid.store.schema import first_problem
 from tissueid.study.completeness import ITEMS, completeness
 from tissueid.study.crate import Anonymiser
@@ -73,8 +74,6 @@ def full_study() -> Study:
     tables: dict[str, dict[str, Any]] = {}
     for item in ITEMS:
         tables.setdefault(item.table, {})[item.keys[-1]] = "said"
-    from tissueid.manifest import Entry
-
     return Study(
         "study.toml",
         about=tables["study"],
@@ -94,8 +93,6 @@ def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_wo
 
 
 def test_one_essential_item_less_costs_the_grade_and_names_the_specimen() -> None:
-    from dataclasses import replace
-
     study = full_study()
     less = {key: text for key, text in study.specimens["b"].items() if key != "thickness_mm"}
     found = completeness(replace(study, specimens={"a": study.specimens["a"], "b": less}))

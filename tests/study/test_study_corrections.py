@@ -83,11 +83,6 @@ def test_a_layout_that_takes_no_table_is_refused() -> None:
         corrected_text(inline, contact(1.0))
 
 
-def test_a_reason_is_needed() -> None:
-    with pytest.raises(UsageError, match="reason"):
-        contact(1.0, because="  ")
-
-
 @given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40), st.floats(-1e4, 1e4))
 def test_any_reason_and_number_come_back_as_they_were(because: str, value: float) -> None:
     if not because.strip():

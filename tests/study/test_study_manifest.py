@@ -5,24 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from study_folder import HEAD, manifest_in
 
 from tissueid.errors import InputError, UsageError
-from tissueid.ingest.manifest import read_study, unmatched_files
-from tissueid.ingest.toml_lines import line_of, lines_of_toml
+from tissueid.ingest.manifest import line_of, lines_of_toml, read_study, unmatched_files
 from tissueid.trial import Protocol
-
-HEAD = 'schema = "tissueid/study/1"\n'
-
-
-def written(folder: Path, text: str, *, head: str = HEAD) -> Path:
-    path = folder / "study.toml"
-    path.write_text(head + text, encoding="utf-8")
-    return path
 
 
 def refused(folder: Path, text: str, *, head: str = HEAD) -> InputError:
     with pytest.raises(InputError) as caught:
-        read_study(written(folder, text, head=head))
+        read_study(manifest_in(folder, text, head=head))
     assert caught.value.code == "invalid_study"
     assert caught.value.path == str(folder / "study.toml")
     return caught.value
@@ -50,7 +42,7 @@ def refused(folder: Path, text: str, *, head: str = HEAD) -> InputError:
 def test_one_quantity_has_one_key_and_one_unit_inside(
     tmp_path: Path, table: str, line: str, key: str, value: object
 ) -> None:
-    study = read_study(written(tmp_path, table + line + "\n"))
+    study = read_study(manifest_in(tmp_path, table + line + "\n"))
     tables = [study.about, study.tip, study.calibration.values, *study.specimens.values()]
     (found,) = [one for one in [*tables, *study.protocols.values()] if key in one]
     # a conversion through base units is good to a few units in the last place
@@ -143,7 +135,7 @@ def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path: Path) ->
     for name in ("a1.csv", "a2.csv", "b [1].csv"):
         (tmp_path / name).write_text("x")
     study = read_study(
-        written(
+        manifest_in(
             tmp_path,
             "[[trial]]\nfile = '*.csv'\nsite = 'A'\nrun = 1\n[[trial]]\nfile = 'a2.csv'\nrun = 2\n"
             "[[trial]]\nfile = 'b [1].csv'\nsheet = 'S'\nsite = 'B'\n"
@@ -180,7 +172,7 @@ def test_paths_are_compared_wherever_they_are_seen_from(
 ) -> None:
     (tmp_path / "día 1").mkdir()
     (tmp_path / "día 1" / "a b.csv").write_text("x")
-    study = read_study(written(tmp_path, "[[trial]]\nfile = 'día 1\\a b.csv'\nsite = 'A'\n"))
+    study = read_study(manifest_in(tmp_path, "[[trial]]\nfile = 'día 1\\a b.csv'\nsite = 'A'\n"))
     monkeypatch.chdir(tmp_path / "día 1")
     assert study.decision("a b.csv", None).trial["site"] == "A"
     assert study.decision("../día 1/a b.csv", None).trial["site"] == "A"
@@ -188,7 +180,7 @@ def test_paths_are_compared_wherever_they_are_seen_from(
 
 def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path: Path) -> None:
     study = read_study(
-        written(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
+        manifest_in(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
     )
     found = unmatched_files(study)
     assert [(one.line, one.code) for one in found] == [(2, "study_unmatched"), (4, "study_unmatched")]
@@ -198,7 +190,7 @@ def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path: Path) -> None:
 def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x")
     study = read_study(
-        written(
+        manifest_in(
             tmp_path,
             "[tip]\nradius_mm = 2.0\n"
             "[[protocol]]\nname = 'p'\nspeed_mm_s = 4.0\ndepth_mm = 8.0\nhold_s = 30.0\n"
@@ -211,7 +203,7 @@ def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path: Path) -> Non
 
 
 def test_a_stated_frame_stiffness_has_a_standard_deviation_even_where_none_was_stated(tmp_path: Path) -> None:
-    study = read_study(written(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
+    study = read_study(manifest_in(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame
     assert frame is not None

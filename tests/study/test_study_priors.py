@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from study_folder import fit, lab, specimen
+from study_folder import fit, lab, manifest_in, specimen
 
 from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.cli.main import main
@@ -20,13 +20,9 @@ from tissueid.model.laws.power import Power
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.store.schema import first_problem
 
-HEAD = 'schema = "tissueid/study/1"\n'
-
 
 def study_in(folder: Path, text: str) -> Study:
-    path = folder / "study.toml"
-    path.write_text(HEAD + text, encoding="utf-8")
-    return read_study(path)
+    return read_study(manifest_in(folder, text))
 
 
 def priors_in(folder: Path, text: str) -> Priors:
@@ -240,9 +236,7 @@ def test_a_prior_of_the_wrong_kind_is_refused(tmp_path: Path, text, words) -> No
 
 
 def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "study.toml"
-    path.write_text('schema = "tissueid/study/1"\n[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n')
-    study = read_study(path)
+    study = study_in(tmp_path, "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n")
     with pytest.raises(UsageError, match=r"static_exponent\] is of no parameter of kelvin-voigt"):
         identify([], study=study)
     options = IdentifyOptions(fit=FitOptions(model="power * prony:2"))

@@ -128,7 +128,7 @@ class SettingsFile:
 
     def at(self, key: tuple[str, ...]) -> str:
         """File and line of a key."""
-        from tissueid.ingest.toml_lines import line_of, lines_of_toml
+        from tissueid.ingest.manifest import line_of, lines_of_toml
 
         line = line_of(lines_of_toml(self.text), (*self.inside, *key))
         return str(self.path) if line is None else f"{self.path}, line {line}"

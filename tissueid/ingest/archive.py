@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 
 from tissueid.errors import InputError
 from tissueid.ingest.header import protocol_of
-from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
+from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, lay_out, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_BYTES, UNPACKED_BYTES
 
@@ -43,9 +43,8 @@ def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
 
 def detect_archive(file: InputFile) -> Detection:
     """A zip archive that is no workbook."""
-    if is_archive(file.data):
-        return 1.0, "a zip archive of files"
-    return 0.0, "no zip archive"
+    found = packed_kind(file.data) == "archive"
+    return (1.0, "a zip archive of files") if found else (0.0, "no zip archive")
 
 
 def archive_recipe(match: Callable[[InputFile], Match]) -> Recipe:
@@ -58,21 +57,17 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
     place = Place(file.path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(file.data))
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        yield place.refusal(
-            "unreadable_archive", f"the archive can't be opened ({str(error)[:120]}); pack it again"
-        )
-        return
+    except BROKEN_ARCHIVE as error:
+        message = f"the archive can't be opened ({str(error)[:120]}); pack it again"
+        place.refuse("unreadable_archive", message)
     with archive:
         members = recordings_in(archive)
         if len(members) > MOST_MEMBERS:
             message = f"the archive has {len(members)} files, more than {MOST_MEMBERS}; unpack it"
-            yield place.refusal("unreadable_archive", message)
-            return
+            place.refuse("unreadable_archive", message)
         if len({member.header_offset for member in members}) < len(members):
             message = "files of the archive overlap, as in one made to fill the memory; pack it again"
-            yield place.refusal("unreadable_archive", message)
-            return
+            place.refuse("unreadable_archive", message)
         left, count = ARCHIVE_BYTES, 0
         for member in members:
             try:
@@ -87,7 +82,7 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
                 yield item
     if count == 0:
         names = ", ".join(repr(member.filename) for member in members[:10]) or "none"
-        yield place.refusal("no_recording", f"the archive holds no recording; its files are {names}")
+        place.refuse("no_recording", f"the archive holds no recording; its files are {names}")
 
 
 def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, left: int, place: Place) -> bytes:
@@ -116,7 +111,7 @@ def _member(
 ) -> Iterator[Table | InputError]:
     """The trials of one member, under its name."""
     place = Place(file.path, name)
-    if is_archive(data):
+    if packed_kind(data) == "archive":
         yield place.refusal("unreadable_archive", "an archive in an archive is not opened; unpack it")
         return
     inner = lay_out(name, data, file.options, file.digest)
@@ -127,15 +122,14 @@ def _member(
         if not prose:
             yield _named(error, file.path, name)
         return
-    for item in found.recipe.read(inner):
+    for item in found.recipe.tables(inner):
         if isinstance(item, InputError):
             yield _named(item, file.path, name)
         else:
             sheet = name if item.sheet is None else f"{name}::{item.sheet}"
             # the member's folder may say what kind of test it was
-            protocol = item.protocol or protocol_of(
-                item.metadata, f"{file.path}/{name}", decimal=item.decimal
-            )
+            path = f"{file.path}/{name}"
+            protocol = item.protocol or protocol_of(item.metadata, path, decimal=item.decimal)
             yield replace(item, sheet=sheet, match=item.match or found, protocol=protocol)
 
 

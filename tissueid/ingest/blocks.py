@@ -18,7 +18,7 @@ from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries, protocol_of
-from tissueid.ingest.layout import Layout, Row, find_decimal, is_units_row, split_line
+from tissueid.ingest.layout import Layout, Row, find_decimal, is_units_row, numeric_columns, split_line
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
@@ -28,7 +28,6 @@ from tissueid.ingest.vocabulary import Channel, plain_words, rank_of
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
-_NO_TEXT = ("not_an_export", "this is no text")
 
 
 class _Head(NamedTuple):
@@ -41,23 +40,24 @@ class _Head(NamedTuple):
 
 
 def _read_block(
+    file: InputFile,
+    sheet: str | None,
     text: Text,
     head: _Head,
     *,
     delimiter: str,
-    options: ReadOptions,
-    place: Place,
     metadata: Mapping[str, str],
     decimal: str | None = None,
 ) -> Table:
     """The table of a text with nothing but its rows in it, at their lines."""
     names, units, names_line, first_line = head
+    place = Place(file.path, sheet)
     first = first_line - 1
     text = replace(text, data=b"\n" * first + text.data)
     opening = text.data[first : first + _SAMPLED_BYTES].splitlines()
     rows = [split_line(text.decode(line), delimiter) for line in opening]
     sample = [row for row in rows if sum(map(looks_numeric, row)) >= 2]
-    mark = options.decimal or decimal
+    mark = file.options.decimal or decimal
     if mark is None:
         padded: list[Row] = [()] * first
         mark = find_decimal(text, sample, delimiter, place, first=first, rows=padded + rows)
@@ -76,12 +76,9 @@ def _read_block(
         first_line=first_line,
         offset=first,
         n_columns=n_columns,
-        numeric=tuple(
-            bool(sample) and all(i < len(row) and looks_numeric(row[i]) for row in sample[:50])
-            for i in range(n_columns)
-        ),
+        numeric=numeric_columns(sample, n_columns),
     )
-    return read_table(text, layout, options, place, metadata=metadata)
+    return read_table(text, layout, file.options, place, metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,17 +213,13 @@ def _commands(text: Text) -> Iterator[_Command]:
 
 def detect_mach1(file: InputFile) -> Detection:
     """The mark in the first line."""
-    if file.text is not None and file.text.data.lstrip(b" \t\r\n").startswith(_MACH1_FIRST):
-        return 1.0, "the first line is <Mach-1 File>"
-    return 0.0, "no <Mach-1 File> in the first line"
+    begins = file.text is not None and file.text.data.lstrip(b" \t\r\n").startswith(_MACH1_FIRST)
+    return (1.0, "the first line is <Mach-1 File>") if begins else (0.0, "no <Mach-1 File> in the first line")
 
 
 def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
     """Every table with time, position and force."""
-    text, place = file.text, Place(file.path)
-    if text is None:
-        yield place.refusal(*_NO_TEXT)
-        return
+    text = file.decoded()
     seen: list[str] = []
     found = False
     for block in _commands(text):
@@ -242,7 +235,7 @@ def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
     if not found:
         blocks = "; the blocks are " + "; ".join(seen[:10]) if seen else "; it has no <DATA> block"
         message = f"no block holds time, position and force{blocks}; name them with --columns"
-        yield place.refusal("no_columns", message)
+        Place(file.path).refuse("no_columns", message)
 
 
 def _read_steps(
@@ -255,14 +248,8 @@ def _read_steps(
         alone = replace(text, data=_DIVIDER.sub(b"", part))
         end = line + part.count(b"\n")
         try:
-            table = _read_block(
-                alone,
-                head._replace(first_line=line),
-                delimiter="\t",
-                options=file.options,
-                place=Place(file.path, sheet),
-                metadata=block.header,
-            )
+            lines = head._replace(first_line=line)
+            table = _read_block(file, sheet, alone, lines, delimiter="\t", metadata=block.header)
             protocol = protocol_of(_as_keys(block), file.path, decimal=table.decimal)
             flags = table.flags
             if part is parts[-1] and not block.ended:
@@ -336,9 +323,8 @@ class _Block(NamedTuple):
 
 def detect_mts793(file: InputFile) -> Detection:
     """The signs in the first line."""
-    if file.text is not None and _MTS793_FIRST.match(file.text.data):
-        return 1.0, "the first line begins MTS793|"
-    return 0.0, "no MTS793| in the first line"
+    begins = file.text is not None and _MTS793_FIRST.match(file.text.data)
+    return (1.0, "the first line begins MTS793|") if begins else (0.0, "no MTS793| in the first line")
 
 
 def _stated_decimal(text: Text) -> str | None:
@@ -403,27 +389,24 @@ def _pairs(lines: str, delimiter: str) -> dict[str, str]:
 
 def read_mts793(file: InputFile) -> Iterator[Table | InputError]:
     """Every block of data with time, displacement and force."""
-    text, whole = file.text, Place(file.path)
-    if text is None:
-        yield whole.refusal(*_NO_TEXT)
-        return
+    text = file.decoded()
     blocks, metadata = _parse(file, text)
     if not blocks:
-        yield whole.refusal(
-            "no_columns",
+        message = (
             "no block of data holds time, displacement and force; log them together, or name the columns"
-            " with --columns time=NAME,displacement=NAME,force=NAME",
+            " with --columns time=NAME,displacement=NAME,force=NAME"
         )
+        Place(file.path).refuse("no_columns", message)
     for count, block in enumerate(blocks, 1):
         name = next((cell for cell in block.title if cell), "")
         sheet = None if len(blocks) == 1 else f"{count}: {name.rstrip(':')}" if name else str(count)
         try:
             yield _read_block(
+                file,
+                sheet,
                 replace(text, data=block.rows),
                 block.head,
                 delimiter=_delimiter(file, text.data),
-                options=file.options,
-                place=Place(file.path, sheet),
                 metadata=metadata,
                 decimal=_stated_decimal(text),
             )
@@ -466,29 +449,22 @@ def detect_shimadzu(file: InputFile) -> Detection:
 
 def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
     """Every specimen."""
-    text, layout, place = file.text, file.layout, Place(file.path)
-    if text is None or layout is None:
-        yield file.fault or place.refusal(*_NO_TEXT)
-        return
+    text, layout = file.laid_out()
     specimens = _specimens(file)
     named = bool(specimens) and specimens[0].is_named
     metadata = header_entries(layout.header[:-1] if named else layout.header)
     names = [specimen.name for specimen in specimens]
     for count, specimen in enumerate(specimens, 1):
         sheet = specimen.name if names.count(specimen.name) == 1 else f"{count}: {specimen.name}"
-        own = Place(file.path, sheet)
+        own = slice(specimen.start, specimen.stop)
+        names_line = layout.names_line or layout.first_line
         try:
             yield _read_block(
-                _alone(text, layout, specimen, own),
-                _Head(
-                    layout.names[specimen.start : specimen.stop],
-                    layout.units[specimen.start : specimen.stop],
-                    layout.names_line or layout.first_line,
-                    layout.first_line,
-                ),
+                file,
+                sheet,
+                _alone(text, layout, specimen, Place(file.path, sheet)),
+                _Head(layout.names[own], layout.units[own], names_line, layout.first_line),
                 delimiter=layout.delimiter,
-                options=file.options,
-                place=own,
                 metadata=metadata,
                 decimal=layout.decimal,
             )
@@ -508,12 +484,10 @@ def _alone(text: Text, layout: Layout, specimen: SpecimenColumns, place: Place) 
             lines.append("")
             continue
         if ended:
-            place.refuse(
-                "empty_cell",
-                f"the cells of the specimen are empty in line {ended}, filled below; fill or remove the row",
-                line=ended,
-                column=1,
+            message = (
+                f"the cells of the specimen are empty in line {ended}, filled below; fill or remove the row"
             )
+            place.refuse("empty_cell", message, line=ended, column=1)
         lines.append(_joined(cells, layout.delimiter))
     # without a last line end the last row may be cut, as in the file
     rows = "\n".join(lines) + ("\n" if text.data.endswith(b"\n") else "")

@@ -11,15 +11,15 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.ingest.broken_rows import broken_row, lost_marks
-from tissueid.ingest.columns import ColumnChoice
+from tissueid.ingest.broken_rows import lost_marks, refuse_broken
+from tissueid.ingest.columns import Channels, ColumnChoice
 from tissueid.ingest.layout import Layout
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import RowReader
@@ -153,15 +153,6 @@ _SAMPLED_BYTES = 1 << 12
 _FIXED_SHARE = 0.95
 
 
-class Body(NamedTuple):
-    """The three channels in s, mm and N, and what the reader noticed."""
-
-    time_s: FloatArray
-    displacement_mm: FloatArray
-    force_N: FloatArray
-    flags: tuple[Flag, ...]
-
-
 class _Piece:
     """The least file that pandas reads from: one string of bytes, given once."""
 
@@ -282,8 +273,8 @@ def _read_fast(reader: RowReader) -> list[FloatArray] | None:
     return columns if all(np.isfinite(column).all() for column in columns) else None
 
 
-def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) -> Body:
-    """Read all rows of a laid-out text."""
+def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) -> tuple[Channels, list[Flag]]:
+    """All rows of a laid-out text: the three channels in s, mm and N, and what the reader noticed."""
     reader = RowReader(text, layout, tuple(choice.index[channel] for channel in CHANNELS), place)
     flags: list[Flag] = []
     columns = _read_fast(reader)
@@ -294,33 +285,15 @@ def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) ->
     if row is not None:
         columns = [np.append(column, value) for column, value in zip(columns, row, strict=True)]
     if columns[0].size < 2:
-        place.refuse(
-            "no_rows",
+        message = (
             f"the table has {columns[0].size} rows of numbers, a recording needs two; export the raw data"
-            " again",
-            line=layout.first_line,
+            " again"
         )
-    falls = np.flatnonzero(np.diff(columns[0]) < 0)
-    if falls.size:
-        raise _backwards(reader, columns[0], int(falls[0]) + 1)
+        place.refuse("no_rows", message, line=layout.first_line)
     fractional = [column != np.floor(column) for column in columns]
-    broken = broken_row(columns, fractional)
-    if broken is not None:
-        broken.refuse(place, reader.line_of_row(broken.row), reader.wanted[broken.channel] + 1)
+    refuse_broken(
+        columns, fractional, "file", place, lambda row, k: (reader.line_of_row(row), reader.wanted[k] + 1)
+    )
     doubt = lost_marks(columns, fractional, choice.factors, reader.first_row())
     flags += [] if doubt is None else [doubt]
-    scaled = [
-        column if choice.factors[channel] == 1.0 else column * choice.factors[channel]
-        for channel, column in zip(CHANNELS, columns, strict=True)
-    ]
-    return Body(scaled[0], scaled[1], scaled[2], tuple(flags))
-
-
-def _backwards(reader: RowReader, time: FloatArray, row: int) -> Exception:
-    return reader.place.refusal(
-        "time_backwards",
-        f"the time falls from {time[row - 1]:.10g} to {time[row]:.10g}: two recordings in one file, or a"
-        " damaged row; split the file, or name another time column with --columns time=NAME",
-        line=reader.line_of_row(row),
-        column=reader.wanted[0] + 1,
-    )
+    return choice.scaled(columns), flags

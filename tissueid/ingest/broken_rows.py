@@ -6,8 +6,8 @@ Each number by itself is sound there; only the step to it gives it away.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,23 +35,45 @@ BESIDE_TIMES, JUMP_SHARE, BESIDE = 20.0, 0.05, 5
 GAP_TIMES = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class BrokenRow:
-    """Break of a table: place and kind."""
+class BrokenRow(NamedTuple):
+    """Break of a table: row and channel, counted from 0, code and message of its refusal."""
 
-    row: int  # counted from 0
-    channel: int  # of time, displacement, force
-    #: Of the refusal.
+    row: int
+    channel: int
     code: str
     message: str
 
-    def refuse(self, place: Place, line: int, column: int) -> None:
-        """Refuse the table at a line and column, counted from 1."""
-        place.refuse(self.code, self.message, line=line, column=column)
+
+def refuse_broken(
+    columns: Sequence[FloatArray],
+    fractional: Sequence[NDArray[np.bool_]],
+    what: str,
+    place: Place,
+    cell: Callable[[int, int], tuple[int, int]],
+) -> None:
+    """Refuse a table of time, displacement and force that does not hold together, at its first sign.
+
+    ``what``: what the table is in; ``cell``: line and column, from 1, of a row and a channel.
+    """
+    broken = _falling_time(columns[0], what) or _broken_row(columns, fractional)
+    if broken is not None:
+        line, column = cell(broken.row, broken.channel)
+        place.refuse(broken.code, broken.message, line=line, column=column)
 
 
-def broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
-    """The first sign that a table of time, displacement and force does not hold together."""
+def _falling_time(time: FloatArray, what: str) -> BrokenRow | None:
+    falls = np.flatnonzero(np.diff(time) < 0)
+    if not falls.size:
+        return None
+    row = int(falls[0]) + 1
+    message = (
+        f"the time falls from {time[row - 1]:.10g} to {time[row]:.10g}: two recordings in one {what}, or a"
+        f" damaged row; split the {what}, or name another time column with --columns time=NAME"
+    )
+    return BrokenRow(row, 0, "time_backwards", message)
+
+
+def _broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
     if columns[0].size < FEWEST_ROWS:
         return None
     travel, force = columns[1], columns[2]
@@ -147,11 +169,8 @@ def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
     if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
         return None
     when = float(time_s[at])
-    return Flag(
-        "jump",
-        f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?",
-        {"leap_mm": leap, "at_s": when},
-    )
+    message = f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?"
+    return Flag("jump", message, {"leap_mm": leap, "at_s": when})
 
 
 #: Rows from which a column of whole numbers is worth a remark.

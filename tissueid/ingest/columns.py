@@ -11,12 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
+
+Channels = tuple[FloatArray, FloatArray, FloatArray]
 
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
@@ -55,6 +58,15 @@ class ColumnChoice:
     flags: tuple[Flag, ...]
     axes: Mapping[str, str]  # channels that hold a strain or stress, as declared or as their columns say
 
+    def scaled(self, columns: Sequence[FloatArray]) -> Channels:
+        """Printed columns of time, displacement and force as channels in s, mm and N."""
+        factors = [self.factors[channel] for channel in CHANNELS]
+        time_s, displacement_mm, force_N = (
+            column if factor == 1.0 else column * factor
+            for column, factor in zip(columns, factors, strict=True)
+        )
+        return time_s, displacement_mm, force_N
+
 
 @dataclass(frozen=True, slots=True)
 class _Column:
@@ -83,44 +95,80 @@ def split_name(name: str) -> tuple[str, str | None]:
     return name, None
 
 
-def _describe(names: Sequence[str], units: Sequence[str]) -> list[_Column]:
-    columns = []
-    for index, name in enumerate(names):
-        base, inside = split_name(name.strip())
-        row_unit = bare_unit(units[index]) if index < len(units) else ""
-        columns.append(_Column(index, name.strip(), base, tuple(u for u in (row_unit, inside) if u)))
-    return columns
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """The columns under a head, and the options by which channels are sought among them."""
 
+    columns: Sequence[_Column]
+    options: ReadOptions
 
-def _candidates(
-    columns: Sequence[_Column], channel: Channel, options: ReadOptions
-) -> list[tuple[int, _Column]]:
-    """Columns that may be this channel, best first; a known unit of something else rules one out."""
-    found = []
-    wanted = options.quantity(channel)
-    for column in columns:
-        measured = quantity_of(column.unit) if column.unit and _may_be(column, channel, options) else None
-        if measured is not None and measured != wanted:
-            continue
-        rank = _rank(column, channel, options, loose=measured == wanted)
-        if rank is not None:
-            found.append((rank, column))
-    found.sort(key=lambda item: (item[0], item[1].index))
-    # of two letters either may be meant
-    return [] if len(found) > 1 and found[0][0] == SYMBOL_RANK else found
+    @classmethod
+    def of(cls, names: Sequence[str], units: Sequence[str], options: ReadOptions) -> _Head:
+        """The head of these names; a strain or stress is declared where one is there and no other channel."""
+        columns = []
+        for index, name in enumerate(names):
+            base, inside = split_name(name.strip())
+            row_unit = bare_unit(units[index]) if index < len(units) else ""
+            columns.append(_Column(index, name.strip(), base, tuple(u for u in (row_unit, inside) if u)))
+        head = cls(columns, options)
+        axes = dict(options.axes)
+        for channel, (_, axis) in AXES.items():
+            if channel in options.columns or channel in options.units or channel in axes:
+                continue
+            if not head.candidates(cast("Channel", channel)) and any(
+                _is_normalised(column, cast("Quantity", axis)) for column in columns
+            ):
+                axes[channel] = axis
+        return head if axes == dict(options.axes) else cls(columns, replace(options, axes=axes))
 
+    def rank(self, column: _Column, channel: Channel, *, loose: bool) -> int | None:
+        """Rank among a channel's names; a declared strain or stress is sought under its own name first."""
+        words = _NORMALISED.get(self.options.quantity(channel))
+        if words is not None and words.search(plain_words(column.base)):
+            return 0
+        return rank_of(column.base, channel, loose=loose)
 
-def _normalised(columns: Sequence[_Column], options: ReadOptions) -> ReadOptions:
-    """The options, with a strain or stress declared where a column is one and no other is the channel."""
-    axes = dict(options.axes)
-    for channel, (_, axis) in AXES.items():
-        if channel in options.columns or channel in options.units or channel in axes:
-            continue
-        if not _candidates(columns, cast("Channel", channel), options) and any(
-            _is_normalised(column, cast("Quantity", axis)) for column in columns
-        ):
-            axes[channel] = axis
-    return options if axes == dict(options.axes) else replace(options, axes=axes)
+    def may_be(self, column: _Column, channel: Channel) -> bool:
+        """True where a column's name is one of a channel's, at least loosely."""
+        return self.rank(column, channel, loose=True) is not None
+
+    def candidates(self, channel: Channel) -> list[tuple[int, _Column]]:
+        """Columns that may be this channel, best first; a known unit of something else rules one out."""
+        found = []
+        wanted = self.options.quantity(channel)
+        for column in self.columns:
+            measured = quantity_of(column.unit) if column.unit and self.may_be(column, channel) else None
+            if measured is not None and measured != wanted:
+                continue
+            rank = self.rank(column, channel, loose=measured == wanted)
+            if rank is not None:
+                found.append((rank, column))
+        found.sort(key=lambda item: (item[0], item[1].index))
+        # of two letters either may be meant
+        return [] if len(found) > 1 and found[0][0] == SYMBOL_RANK else found
+
+    def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
+        """Columns whose name fits as well as the best or better, but whose unit is of something else."""
+        others = [one for one in self.columns if all(one is not candidate for _, candidate in found)]
+        named = ((column, self.rank(column, channel, loose=False)) for column in others)
+        return [column.name for column, rank in named if rank is not None and rank <= found[0][0]]
+
+    def named(self, wanted: str) -> list[_Column]:
+        """The columns a user's name means: by number, as printed, or but for case, accents and unit."""
+        if number := re.fullmatch(r"#(\d+)", wanted.strip()):
+            return [column for column in self.columns if column.index == int(number[1]) - 1]
+        if exact := [column for column in self.columns if column.name == wanted.strip()]:
+            return exact
+        plain = plain_words(wanted)
+        return [one for one in self.columns if plain and plain in map(plain_words, (one.name, one.base))]
+
+    def seen(self) -> str:
+        """The names of the columns, in words."""
+        names = [column.name for column in self.columns if column.name]
+        if not names:
+            return f"the {len(self.columns)} columns have no names"
+        shown = ", ".join(repr(name[:40]) for name in names[:20])
+        return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
 
 
 def _is_normalised(column: _Column, axis: Quantity) -> bool:
@@ -132,122 +180,74 @@ def _is_normalised(column: _Column, axis: Quantity) -> bool:
     return quantity_of(column.unit) == axis
 
 
-def _ruled_out(
-    columns: Sequence[_Column], channel: Channel, found: Sequence[tuple[int, _Column]], options: ReadOptions
-) -> list[str]:
-    """Columns whose name fits as well as that of the best or better, but whose unit is of something else."""
-    named = (
-        (column, _rank(column, channel, options, loose=False))
-        for column in columns
-        if all(column is not candidate for _, candidate in found)
-    )
-    return [column.name for column, rank in named if rank is not None and rank <= found[0][0]]
-
-
-def _rank(column: _Column, channel: Channel, options: ReadOptions, *, loose: bool) -> int | None:
-    """Rank among the names of a channel; a declared strain or stress is sought under its own name first."""
-    words = _NORMALISED.get(options.quantity(channel))
-    if words is not None and words.search(plain_words(column.base)):
-        return 0
-    return rank_of(column.base, channel, loose=loose)
-
-
-def _may_be(column: _Column, channel: Channel, options: ReadOptions) -> bool:
-    return _rank(column, channel, options, loose=True) is not None
-
-
 def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
     """True where time, displacement and force can all be found (their units may still be wrong)."""
-    columns = _describe(names, units)
-    options = _normalised(columns, options)
+    head = _Head.of(names, units, options)
     return all(
-        _named(columns, options.columns[channel]) if channel in options.columns
-        else any(_may_be(column, channel, options) for column in columns)
+        head.named(options.columns[channel]) if channel in options.columns
+        else any(head.may_be(column, channel) for column in head.columns)
         for channel in CHANNELS
     )  # fmt: skip
-
-
-def _named(columns: Sequence[_Column], wanted: str) -> list[_Column]:
-    """The columns a user's name means: by number, as printed, or but for case, accents and unit."""
-    if number := re.fullmatch(r"#(\d+)", wanted.strip()):
-        return [column for column in columns if column.index == int(number[1]) - 1]
-    if exact := [column for column in columns if column.name == wanted.strip()]:
-        return exact
-    plain = plain_words(wanted)
-    return [one for one in columns if plain and plain in (plain_words(one.name), plain_words(one.base))]
 
 
 def choose_columns(
     names: Sequence[str], units: Sequence[str], *, options: ReadOptions, place: Place, line: int | None
 ) -> ColumnChoice:
     """Find the three channels among the printed names."""
-    columns = _describe(names, units)
-    options = _normalised(columns, options)
+    head = _Head.of(names, units, options)
     taken: dict[Channel, _Column] = {}
     flags: list[Flag] = []
     for channel in CHANNELS:
         if channel in options.columns:
-            taken[channel] = _user_column(columns, channel, options=options, place=place, line=line)
+            taken[channel] = _user_column(head, channel, place, line)
             continue
-        found = _candidates(columns, channel, options)
+        found = head.candidates(channel)
         if not found:
-            raise _none_found(columns, channel, options=options, place=place, line=line)
+            raise _none_found(head, channel, place, line)
         taken[channel] = found[0][1]
-        others = [column.name for _, column in found[1:]]
-        others += _ruled_out(columns, channel, found, options)
+        others = [column.name for _, column in found[1:]] + head.ruled_out(channel, found)
         if others:
             name, more = taken[channel].name, f" or {len(others) - 1} more" if others[1:] else ""
             message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"
             values = {"quantity": channel, "taken": name, "alternatives": others}
             flags.append(Flag("column_choice", message, values))
-    factors = {
-        channel: _factor(column, channel, options=options, place=place, line=line, flags=flags)
-        for channel, column in taken.items()
-    }
     return ColumnChoice(
         {channel: column.index for channel, column in taken.items()},
         {channel: column.name for channel, column in taken.items()},
-        factors,
+        {channel: _factor(head, column, channel, place, line, flags) for channel, column in taken.items()},
         tuple(flags),
-        options.axes,
+        head.options.axes,
     )
 
 
-def _user_column(
-    columns: Sequence[_Column], channel: Channel, *, options: ReadOptions, place: Place, line: int | None
-) -> _Column:
-    wanted = options.columns[channel]
-    found = _named(columns, wanted)
-    if len(found) == 1:
-        return found[0]
+def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) -> _Column:
+    wanted = head.options.columns[channel]
+    found = head.named(wanted)
     if not found:
-        message = f"there is no column {wanted!r} for the {channel}; {_seen(columns)}"
-    else:
+        message = f"there is no column {wanted!r} for the {channel}; {head.seen()}"
+        place.refuse("column_not_found", message, line=line)
+    if len(found) > 1:
         numbers = ", ".join(f"#{column.index + 1}" for column in found)
         message = f"{len(found)} columns are named {wanted!r}: name one of them by its number, {numbers}"
-    refusal = place.refusal("column_not_found", message, line=line)
-    raise refusal
+        place.refuse("column_not_found", message, line=line)
+    return found[0]
 
 
-def _none_found(
-    columns: Sequence[_Column], channel: Channel, *, options: ReadOptions, place: Place, line: int | None
-) -> InputError:
-    wanted = options.quantity(channel)
-    for column in columns:
-        if column.unit and _may_be(column, channel, options):
-            return place.refusal(
-                "wrong_unit",
+def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -> InputError:
+    wanted = head.options.quantity(channel)
+    for column in head.columns:
+        if column.unit and head.may_be(column, channel):
+            message = (
                 f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"
-                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}",
-                line=line,
-                column=column.index + 1,
+                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}"
             )
-    named = [column for column in columns if column.name]
-    way_out = _WAY_OUT if channel != "time" or len(named or columns) > 2 else _ADD_TIME
+            return place.refusal("wrong_unit", message, line=line, column=column.index + 1)
+    named = [column for column in head.columns if column.name]
+    way_out = _WAY_OUT if channel != "time" or len(named or head.columns) > 2 else _ADD_TIME
     if not named and way_out == _WAY_OUT:
         way_out = "name them by their numbers, as in --columns time=#1,displacement=#2,force=#3"
-    return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {way_out}", line=line)
+    return place.refusal("no_columns", f"no column is the {channel}; {head.seen()}; {way_out}", line=line)
 
 
 def _declare(column: _Column, channel: Channel) -> str:
@@ -258,14 +258,6 @@ def _declare(column: _Column, channel: Channel) -> str:
     return ""
 
 
-def _seen(columns: Sequence[_Column]) -> str:
-    names = [column.name for column in columns if column.name]
-    if not names:
-        return f"the {len(columns)} columns have no names"
-    shown = ", ".join(repr(name[:40]) for name in names[:20])
-    return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
-
-
 def _agrees(unit: str, quantity: Quantity, factor: float) -> bool:
     try:
         return factor_to(unit, quantity) == factor
@@ -274,15 +266,10 @@ def _agrees(unit: str, quantity: Quantity, factor: float) -> bool:
 
 
 def _factor(
-    column: _Column,
-    channel: Channel,
-    *,
-    options: ReadOptions,
-    place: Place,
-    line: int | None,
-    flags: list[Flag],
+    head: _Head, column: _Column, channel: Channel, place: Place, line: int | None, flags: list[Flag]
 ) -> float:
     """Factor that turns the column into s, mm or N (or a strain, or MPa, where that was declared)."""
+    options = head.options
     quantity = options.quantity(channel)
     if channel in options.units:
         factor = factor_to(options.units[channel], quantity)
@@ -304,19 +291,15 @@ def _factor(
         factors = [factor_to(unit, quantity) for unit in column.units]
     except ValueError as error:
         known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
-        place.refuse(
-            "wrong_unit" if known else "unknown_unit",
+        message = (
             f"column {column.name!r}: {error}; or state it with --units {channel}={internal}"
-            f"{_declare(column, channel)}",
-            line=line,
-            column=column.index + 1,
+            f"{_declare(column, channel)}"
         )
+        place.refuse("wrong_unit" if known else "unknown_unit", message, line=line, column=column.index + 1)
     if len(set(factors)) > 1:
-        place.refuse(
-            "unit_conflict",
+        message = (
             f"column {column.name!r} is in {column.units[0]!r} by its units row and in {column.units[1]!r}"
-            f" by its name; state the right one with --units {channel}={column.units[0]}",
-            line=line,
-            column=column.index + 1,
+            f" by its name; state the right one with --units {channel}={column.units[0]}"
         )
+        place.refuse("unit_conflict", message, line=line, column=column.index + 1)
     return factors[0]

@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from tissueid.errors import InputError
 from tissueid.ingest.body import read_body
 from tissueid.ingest.columns import choose_columns, has_channels, split_name
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
@@ -80,25 +79,14 @@ def detect_columns(file: InputFile) -> Detection:
     return 0.5, f"a table of numbers in {file.layout.n_columns} columns"
 
 
-def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
+def read_delimited(file: InputFile) -> Iterator[Table]:
     """The one table of a text file."""
-    try:
-        yield _read_table(file)
-    except InputError as error:
-        yield error
-
-
-def _read_table(file: InputFile) -> Table:
     place = Place(file.path)
-    if file.fault is not None:
-        raise file.fault
-    text, layout = file.text, file.layout
-    if text is None or layout is None:
-        place.refuse("not_an_export", "this is no text; give the raw data export of the test machine")
+    text, layout = file.laid_out()
     _refuse_unnamed(text, layout, file, place)
     above = flag_rows_above(text, layout, place)
     table = read_table(text, layout, file.options, place, metadata=header_entries(layout.header))
-    return replace(table, flags=(*table.flags, *above))
+    yield replace(table, flags=(*table.flags, *above))
 
 
 def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -> None:
@@ -115,22 +103,18 @@ def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -
         "Export with another delimiter, or name the columns by --columns time=#1,displacement=#2,force=#3"
     )
     if unnamed and (printed <= unnamed[-1] or len(unnamed) >= named):
-        place.refuse(
-            "ragged_rows",
+        message = (
             f"the names row has {named} names, the rows {layout.n_columns} cells with numbers: a decimal"
-            f" comma that is also the delimiter? {way_out}",
-            line=layout.first_line,
-            column=unnamed[0] + 1,
+            f" comma that is also the delimiter? {way_out}"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=unnamed[0] + 1)
     asked = [i for i in numbers if i in comments or (comments and not layout.names[i].strip())]
     if asked:
         what = f"under {layout.names[asked[0]]!r}" if asked[0] in comments else "without a name"
-        place.refuse(
-            "ragged_rows",
-            f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}",
-            line=layout.first_line,
-            column=asked[0] + 1,
+        message = (
+            f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=asked[0] + 1)
 
 
 def read_table(
@@ -138,13 +122,10 @@ def read_table(
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
     if len(layout.names) > layout.n_columns:
-        place.refuse(
-            "ragged_rows",
-            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file"
-            f" again",
-            line=layout.first_line,
-            column=layout.n_columns + 1,
+        message = (
+            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file again"
         )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
     choice = choose_columns(
         layout.names,
         layout.units,
@@ -152,11 +133,9 @@ def read_table(
         place=place,
         line=layout.names_line or layout.first_line,
     )
-    body = read_body(text, layout, choice, place)
+    columns, flags = read_body(text, layout, choice, place)
     return Table(
-        body.time_s,
-        body.displacement_mm,
-        body.force_N,
+        *columns,
         choice.names,
         sheet=place.sheet,
         encoding=text.encoding,
@@ -164,7 +143,7 @@ def read_table(
         decimal=layout.decimal,
         metadata=metadata,
         specimen=specimen_in(metadata),
-        flags=(*text.flags, *choice.flags, *body.flags),
+        flags=(*text.flags, *choice.flags, *flags),
         axes=choice.axes,
     )
 
@@ -196,12 +175,9 @@ def detect_chiaro(file: InputFile) -> Detection:
     return 0.0, "no columns of cantilever and piezo"
 
 
-def read_chiaro(file: InputFile) -> Iterator[Table | InputError]:
+def read_chiaro(file: InputFile) -> Iterator[Table]:
     """The one table, with the tip and the sweep of the header as its protocol."""
     for item in read_delimited(file):
-        if isinstance(item, InputError):
-            yield item
-            continue
         stated = protocol_of(item.metadata, file.path, decimal=item.decimal)
         steps = _sweep(item.metadata)
         if stated.speed_mm_s is None and steps and steps[0][0] != 0.0:

@@ -15,10 +15,11 @@ from typing import Literal
 from tissueid.errors import InputError, UsageError, printable
 from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
-from tissueid.ingest.loading import LARGEST_BYTES, remote_bytes, remote_files, url_of
+from tissueid.ingest.loading import LARGEST_BYTES, OWN_OUTPUT, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, decode_text
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 
 #: Suffixes taken from a directory.
 SUFFIXES = (
@@ -31,8 +32,6 @@ _PROSE_SUFFIXES = (".asc", ".txt", ".dat")
 _SIGNED = (b"<Mach-1 File>", b"MTS793|")
 #: Refusals of what is no recording at all.
 _NO_TABLE = ("not_an_export", "empty_file")
-#: What only a directory written by tissueid holds.
-_OWN_OUTPUT = (".current", "identification.json")
 
 
 def natural_key(name: str) -> str:
@@ -120,7 +119,7 @@ def _recordings(directory: Path) -> Iterator[Path | InputError]:
                 )
             yield path
             continue
-        if (status.st_dev, status.st_ino) in seen or any(entry.name in _OWN_OUTPUT for entry in entries):
+        if (status.st_dev, status.st_ino) in seen or any(entry.name in OWN_OUTPUT for entry in entries):
             continue
         seen.add((status.st_dev, status.st_ino))
         # of a deep folder the system would look at every part of the path
@@ -186,7 +185,7 @@ def _holds_unpacked_nowhere(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = [PurePosixPath(member.filename).name for member in recordings_in(archive)]
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+    except BROKEN_ARCHIVE:
         return True  # read later, and refused by name
     beside = (path.parent, path.with_suffix(""))
     return bool(names) and not all(any((folder / name).exists() for folder in beside) for name in names)

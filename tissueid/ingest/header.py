@@ -1,25 +1,79 @@
-"""Contents of a header: entries, the specimen's name, the protocol."""
+"""Contents of a header: keys in nine languages, entries, the specimen's name, the protocol."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 
-from tissueid.ingest.layout import Row
 from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
-from tissueid.ingest.text import (
-    DEPTH,
-    HOLD,
-    LOAD_LIMIT,
-    RATE,
-    TIP_DIAMETER,
-    TIP_RADIUS,
-    is_protocol_key,
-    last_part,
-)
-from tissueid.ingest.vocabulary import specimen_key_rank
+from tissueid.ingest.vocabulary import plain_words, specimen_key_rank
 from tissueid.trial import Protocol
 from tissueid.units import Quantity, factor_to, quantity_of
+
+_FIRST = r"(?: 1)?"
+RATE = re.compile(
+    r"(?:test |crosshead |ramp |loading |indentation |piezo |displacement |machine )?(?:rate|speed|velocity)"
+    rf"{_FIRST}|v1|test ?geschwindigkeit{_FIRST}|rate{_FIRST}"
+    rf"|(?:pruf|eindring|verfahr|traversen)?geschwindigkeit{_FIRST}"
+    rf"|vitesse(?: d essai| de (?:la )?traverse| d indentation)?{_FIRST}|taux{_FIRST}"
+    rf"|velocidad(?: de(?:l)? (?:ensayo|la cruceta|indentacion))?{_FIRST}|tasa{_FIRST}"
+    rf"|velocidade(?: d[eo] (?:ensaio|teste|indentacao))?{_FIRST}|taxa{_FIRST}"
+    rf"|velocita(?: di prova| della traversa| di indentazione)?{_FIRST}"
+    rf"|predkosc(?: (?:badania|testu|trawersy))?{_FIRST}"
+    rf"|(?:试验|测试|加载|压入)?(?:速度|速率){_FIRST}|試験速度{_FIRST}"
+)
+DEPTH = re.compile(
+    r"(?:indentation|penetration|target|maximum|max) (?:depth|displacement|indentation|extension)|depth"
+    r"|ramp amplitude|eindring(?:tiefe|weg)|zieltiefe"
+    r"|profondeur(?: d indentation| maximale| de penetration)?|enfoncement(?: maximal)?"
+    r"|profundidad(?: de (?:indentacion|penetracion)| maxima)?"
+    r"|profundidade(?: de (?:indentacao|penetracao)| maxima)?"
+    r"|profondita(?: di (?:indentazione|penetrazione)| massima)?"
+    r"|glebokosc(?: (?:wglebienia|indentacji|zaglebienia))?|压入深度|压痕深度|最大深度|押込み深さ"
+)
+HOLD = re.compile(
+    rf"(?:hold|dwell|relaxation|wait)(?:ing)?(?: time| duration)?{_FIRST}|fixed relaxation time"
+    rf"|(?:halte|relaxations|verweil)(?:zeit|dauer){_FIRST}"
+    rf"|(?:temps|duree) (?:de )?(?:maintien|relaxation|pause){_FIRST}"
+    rf"|(?:tiempo|duracion) de (?:retencion|mantenimiento|espera|relajacion){_FIRST}"
+    rf"|(?:tempo|duracao) de (?:retencao|espera|manutencao|relaxamento|relaxacao){_FIRST}"
+    rf"|(?:tempo|durata) di (?:mantenimento|attesa|rilassamento|tenuta){_FIRST}"
+    rf"|czas (?:przetrzymania|utrzymania|relaksacji|wytrzymania){_FIRST}"
+    rf"|(?:保持|保载|松弛)时间{_FIRST}|保持時間{_FIRST}"
+)
+LOAD_LIMIT = re.compile(
+    r"(?:maximum |max |upper )?(?:load|force) (?:limit|threshold|trigger)|trigger (?:load|force)"
+    r"|kraft(?:grenze|grenzwert|schwelle)|limite (?:de|di) (?:force|charge|carga|fuerza|forca|forza|carico)"
+    r"|granica (?:sily|obciazenia)|(?:载荷|力)(?:上限|限值)|荷重上限"
+)
+TIP_RADIUS = re.compile(
+    r"(?:tip|tool|indenter|probe|sphere) radius|(?:spitzen|kugel|indenter|eindringkorper)radius"
+    r"|rayon (?:de (?:la )?(?:pointe|bille)|de l indenteur)|radio (?:de la (?:punta|bola)|del indentador)"
+    r"|raio (?:da ponta|do indentador)|raggio (?:della punta|dell indentatore|del penetratore)"
+    r"|promien (?:koncowki|wglebnika)|压头半径|探头半径"
+)
+TIP_DIAMETER = re.compile(
+    r"(?:tip|tool|indenter|probe|sphere) diameter|(?:spitzen|kugel|indenter|stempel)durchmesser"
+    r"|diametre (?:de (?:la )?(?:pointe|bille)|de l indenteur|du poincon)"
+    r"|diametro (?:de la (?:punta|bola)|del indentador|da ponta|do indentador|della punta|del penetratore)"
+    r"|srednica (?:koncowki|wglebnika)|压头直径|探头直径"
+)
+_ALL = (RATE, DEPTH, HOLD, LOAD_LIMIT, TIP_RADIUS, TIP_DIAMETER)
+_UNIT_AT_END = re.compile(r" (?:(?:m|\u03bc|u|n)?m(?: (?:s|sec|min))?|s|sec|n)$")
+
+
+@cache
+def last_part(key: str) -> str:
+    """A key without group, unit and final colon: ``"Test : Rate 1 (mm/min)"`` gives ``"rate 1"``."""
+    return _UNIT_AT_END.sub("", plain_words(key.rsplit(" : ", 1)[-1]))
+
+
+def is_protocol_key(key: str) -> bool:
+    """True where a header key states rate, depth, hold, load limit or tip."""
+    words = last_part(key)
+    return any(pattern.fullmatch(words) for pattern in _ALL)
+
 
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
 #: Hours, minutes and seconds.
@@ -28,7 +82,7 @@ _UNIT_OF_KEY = re.compile(r".*(?:[(\[]([^()\[\]]+)[)\]]|,\s*(\S+))", re.DOTALL)
 _FOLDER_KIND = re.compile(r"\.is_([a-z]+)(?:_RawData|_Exports)?(?:[/\\.]|$)", re.IGNORECASE)
 
 
-def header_entries(header: Sequence[Row]) -> dict[str, str]:
+def header_entries(header: Sequence[Sequence[str]]) -> dict[str, str]:
     """Header lines as ``key -> text``; a value keeps its unit, a repeated key gets a number.
 
     Where keys, values and units stand below each other, each on its line, they are put together.
@@ -52,7 +106,7 @@ def header_entries(header: Sequence[Row]) -> dict[str, str]:
     return entries
 
 
-def _lying(header: Sequence[Row]) -> list[Row]:
+def _lying(header: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     """A header whose cells stand below each other, laid down; any other as it is."""
     lines = [row[0].strip() for row in header if row[0].strip() and not any(map(str.strip, row[1:]))]
     if len(lines) < 2 or len(lines) < len(header) or not any(map(_is_key, lines)):

@@ -25,7 +25,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_force_archive
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, UNPACKED_BYTES
 from tissueid.trial import Protocol
@@ -48,7 +48,7 @@ Properties = Mapping[str, str]
 
 def detect_jpk(file: InputFile) -> Detection:
     """A zip archive with the header and segments of force curves."""
-    if is_force_archive(file.data):
+    if packed_kind(file.data) == "force curves":
         return 1.0, "a zip archive with header.properties and segments of force curves"
     return 0.0, "no archive of force curves"
 
@@ -81,10 +81,8 @@ class _Segment:
 
 
 def _lacking(place: Place, folder: str, what: str) -> NoReturn:
-    place.refuse(
-        "unreadable_archive",
-        f"{folder or 'the archive'} holds no {what}: give the file as the microscope saved it",
-    )
+    message = f"{folder or 'the archive'} holds no {what}: give the file as the microscope saved it"
+    place.refuse("unreadable_archive", message)
 
 
 def read_jpk(file: InputFile) -> Iterator[Table | InputError]:
@@ -108,12 +106,8 @@ def read_jpk(file: InputFile) -> Iterator[Table | InputError]:
                     yield _curve(archive, folders, Place(file.path, curve or None))
                 except InputError as error:
                     yield error
-    except InputError as error:
-        yield error
     except BROKEN_ARCHIVE as error:
-        yield place.refusal(
-            "unreadable_archive", f"the archive is damaged ({str(error)[:120]}); copy it again"
-        )
+        place.refuse("unreadable_archive", f"the archive is damaged ({str(error)[:120]}); copy it again")
 
 
 def _segments(archive: zipfile.ZipFile, folders: list[str]) -> list[_Segment]:

@@ -48,9 +48,14 @@ def _filled(row: Cells) -> list[str]:
     return [cell.strip() for cell in row if cell.strip()]
 
 
+def _opening(row: Cells) -> str:
+    """The first filled cell of a row, empty where there is none."""
+    return next((cell for cell in row if cell.strip()), "")
+
+
 def is_statistics(row: Cells) -> bool:
     """True where a row is a mean, a standard deviation and the like: its first filled cell says so."""
-    opening = next((cell for cell in row if cell.strip()), "")
+    opening = _opening(row)
     # nearly all rows are samples, and done with here
     if not opening or looks_numeric(opening):
         return False
@@ -81,7 +86,7 @@ def is_units_row(row: Cells) -> bool:
 
 def _is_text(row: Cells) -> bool:
     """A line that holds something, but no number."""
-    opening = next((cell for cell in row if cell.strip()), "")
+    opening = _opening(row)
     return bool(opening) and not looks_numeric(opening) and not any(map(looks_numeric, _filled(row)))
 
 
@@ -162,17 +167,14 @@ def announced_results(rows: Sequence[Cells]) -> list[range]:
 
 def results_flag(first: int, last: int) -> Flag:
     """Flag of a table of results in the lines ``first`` to ``last``, counted from 1."""
-    return Flag(
-        "rows_skipped",
-        f"lines {first} to {last} are a table of results, not samples: left out",
-        {"count": last - first + 1, "lines": [first, last]},
-    )
+    message = f"lines {first} to {last} are a table of results, not samples: left out"
+    return Flag("rows_skipped", message, {"count": last - first + 1, "lines": [first, last]})
 
 
 def _opens_results(rows: Sequence[Cells], index: int) -> bool:
     row = rows[index]
-    opening = next((cell for cell in row if cell.strip()), None)
-    if opening is None or looks_numeric(opening):
+    opening = _opening(row)
+    if not opening or looks_numeric(opening):
         # titles, statistics and heads begin with a word: nearly all lines are samples, and done with here
         return False
     if is_title(row) or is_statistics(row):
@@ -201,6 +203,11 @@ class Anchor:
     names: int | None
     units: int | None
     first: int
+
+    def head(self, rows: Sequence[Row]) -> tuple[Row, Row]:
+        """Names and units among the rows in which they were found; empty where there are none."""
+        names = () if self.names is None else rows[self.names]
+        return names, () if self.units is None else rows[self.units]
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,8 +335,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
-    names: Row = rows[found.names] if found.names is not None else ()
-    units: Row = rows[found.units] if found.units is not None else ()
+    names, units = found.head(rows)
     below_names = b"".join(raw[found.first : len(rows)])
     results = None
     if not _ONLY_NUMBERS.fullmatch(below_names):
@@ -337,11 +343,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     below = rows[found.first :] if results is None else rows[found.first : found.first + results]
     sample = [row for row in below if _numeric_share(row) >= 0.5]
     if not sample:
-        place.refuse(
-            "no_rows",
-            "under the names stand results or another table, but no row of numbers; export the raw data",
-            line=found.first + 1,
-        )
+        message = "under the names stand results or another table, but no row of numbers; export the raw data"
+        place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
     decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
     layout = Layout(
@@ -355,11 +358,19 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         found.first + 1,
         sum(map(len, raw[: found.first])),
         n_columns,
-        tuple(all(i < len(row) and looks_numeric(row[i]) for row in sample[:50]) for i in range(n_columns)),
+        numeric_columns(sample, n_columns),
     )
     if results is not None:
         return replace(layout, stop=sum(map(len, raw[: found.first + results])))
     return replace(layout, stop=_stop_in_tail(text, layout, options))
+
+
+def numeric_columns(sample: Sequence[Row], n_columns: int) -> tuple[bool, ...]:
+    """Tell which columns hold numbers in the first rows; none where there are no rows."""
+    first = sample[:50]
+    return tuple(
+        bool(first) and all(i < len(row) and looks_numeric(row[i]) for row in first) for i in range(n_columns)
+    )
 
 
 def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None:
@@ -370,12 +381,11 @@ def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None
         # an entry of a header begins with its key, whatever numbers follow it
         rows_alone = [index for index in run if looks_numeric(next(filter(str.strip, above[index])))]
         if len(rows_alone) > 1 and run.start not in inside:
-            place.refuse(
-                "mixed_tables",
+            message = (
                 f"{len(rows_alone)} rows of numbers stand above the names in line {len(above) + 1}, which are"
-                " no results: is this two files in one, or were rows moved? Export the file again",
-                line=run.start + 1,
+                " no results: is this two files in one, or were rows moved? Export the file again"
             )
+            place.refuse("mixed_tables", message, line=run.start + 1)
 
 
 def _without_results(header: Sequence[Row]) -> tuple[Row, ...]:
@@ -415,20 +425,16 @@ def _find_delimiter(lines: Sequence[str]) -> str:
 def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place: Place) -> Exception:
     for index, row in enumerate(rows):
         if max(map(len, row)) <= _LONGEST_NAME and has_channels(row, (), options):
-            return place.refusal(
-                "no_rows",
-                "there is no row of numbers under the names; export the raw data again",
-                line=index + 1,
-            )
+            message = "there is no row of numbers under the names; export the raw data again"
+            return place.refusal("no_rows", message, line=index + 1)
     filled = [index for index, row in enumerate(rows) if _filled(row)]
     line = filled[0] + 1 if filled else 1
     start = delimiter.join(rows[line - 1])[:60].strip() if rows else ""
-    return place.refusal(
-        "not_an_export",
+    message = (
         f"no line holds a row of numbers (the text begins {start!r}); give the raw data export of the"
-        f" test machine",
-        line=line,
+        f" test machine"
     )
+    return place.refusal("not_an_export", message, line=line)
 
 
 def find_decimal(
@@ -455,11 +461,9 @@ def find_decimal(
                 continue
             if marks > 1:
                 return "."  # damaged: the reader of rows will name it
-            place.refuse(
-                "ambiguous_decimal",
+            message = (
                 f"{cell!r} may be a decimal number or a thousand and more, and no other cell decides;"
-                " state the decimal mark with --decimal",
-                line=index + 1,
-                column=column + 1,
+                " state the decimal mark with --decimal"
             )
+            place.refuse("ambiguous_decimal", message, line=index + 1, column=column + 1)
     return "."

@@ -81,9 +81,13 @@ def remote_files(url: str) -> Iterator[Path] | None:
     return _below(system, path)
 
 
+#: What only a directory written by tissueid holds.
+OWN_OUTPUT = {".current", "identification.json"}
+
+
 def _below(system: Any, top: str) -> Iterator[Path]:
     for _, folders, files in system.walk(top, detail=True, topdown=True):
-        if files.keys() & {".current", "identification.json"}:
+        if files.keys() & OWN_OUTPUT:
             folders.clear()
             continue
         for name in [name for name in folders if name.startswith(".")]:
@@ -138,10 +142,8 @@ def _refuse_unreadable(reason: str, place: Place) -> NoReturn:
 def _read(handle: int, place: Place) -> bytes:
     before = os.fstat(handle)
     if not stat.S_ISREG(before.st_mode):
-        place.refuse(
-            "unreadable_file",
-            f"this is {_kind(before.st_mode)}, not a file; save the recording to a file first",
-        )
+        message = f"this is {_kind(before.st_mode)}, not a file; save the recording to a file first"
+        place.refuse("unreadable_file", message)
     _refuse_large(before.st_size, place)
     pieces = [os.read(handle, HEAD_BYTES)]
     _refuse_foreign(pieces[0], before.st_size, place)

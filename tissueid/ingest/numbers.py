@@ -43,6 +43,11 @@ class CellFault:
     message: str
 
 
+def quoted(text: str, most: int) -> str:
+    """A text in quotes, cut to so many characters."""
+    return repr(text if len(text) <= most else text[: most - 3] + "...")
+
+
 def looks_numeric(text: str) -> bool:
     """True where a cell is meant as a number, be it sound or damaged."""
     # a head is looked over a dozen times; what is long is no number that comes again
@@ -90,7 +95,7 @@ def grouping_mark(text: str, decimal: str) -> str | None:
 
 
 def _fault(text: str, stripped: str, decimal: str) -> CellFault:
-    shown = repr(text if len(text) <= 40 else text[:37] + "...")
+    shown = quoted(text, 40)
     other = "." if decimal == "," else ","
     if not stripped.strip():
         return CellFault("empty_cell", "the cell is empty; fill or remove the row, or export the file again")
@@ -115,8 +120,7 @@ def _fault(text: str, stripped: str, decimal: str) -> CellFault:
     return CellFault(
         "damaged_number",
         f"{shown} is no number with decimal mark {decimal!r}: its marks were lost or doubled, as by a"
-        f" spreadsheet"
-        " of another language; go back to the original export",
+        " spreadsheet of another language; go back to the original export",
     )
 
 

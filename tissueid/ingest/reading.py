@@ -95,8 +95,8 @@ def _guarded(recipe: Recipe) -> Recipe:
         try:
             for item in recipe.read(file):
                 yield _table(item)
-        except InputError as error:
-            yield error
+        except InputError:
+            raise
         except Exception as error:  # noqa: BLE001 - a bug of theirs is a refusal of this file
             report_fault(recipe.key, f"broke on {file.path}", error)
             yield Place(file.path).refusal(
@@ -220,10 +220,8 @@ def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[
         for item in _read_each(path, options or ReadOptions()):
             yield _without_frames(item) if isinstance(item, InputError) else item
     except MemoryError:
-        yield Place(str(path)).refusal(
-            "unreadable_file",
-            "what the file holds is larger than the memory that is free; export fewer tests",
-        )
+        message = "what the file holds is larger than the memory that is free; export fewer tests"
+        yield Place(str(path)).refusal("unreadable_file", message)
 
 
 def _without_frames(error: InputError) -> InputError:
@@ -241,7 +239,7 @@ def _read_each(path: str | Path, options: ReadOptions) -> Iterator[Trial | Input
         return
     passed: list[str | None] = []
     found = False
-    for table in match.recipe.read(file):
+    for table in match.recipe.tables(file):
         if isinstance(table, InputError) and table.sheet is None:
             found = True
         elif not file.options.picks(table.sheet):

@@ -9,10 +9,11 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
@@ -22,13 +23,15 @@ from tissueid.ingest.loading import load_bytes
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text, decode_text
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import Protocol
 
 _ZIP_MAGIC = b"PK\x03\x04"
 _WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
-#: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
+#: A member of every archive that a force microscope saves ends so.
 _SEGMENT_HEADER = "/segment-header.properties"
+#: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
 _WORKBOOK_PARTS = ("xl/", "[Content_Types]", "mimetype", "content.xml")
 #: Below this a hash is faster than a thread.
 _THREAD_FROM_BYTES = 1 << 24
@@ -38,29 +41,30 @@ Detection = tuple[float, str]
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A file in memory, with what every recipe needs to know of it.
+    """A file in memory, with what every recipe needs to know of it."""
 
-    Attributes
-    ----------
-    path : str
-        As the user named it.
-    data : bytes
-    options : ReadOptions
-    text : Text or None
-        The decoded file; ``None`` for a workbook and for what is no text.
-    layout : Layout or None
-        Where the table stands in the text.
-    fault : InputError or None
-        Why there is no layout.
-    """
-
-    path: str
+    path: str  # as the user named it
     data: bytes
     options: ReadOptions
     digest: Future[str] | str
-    text: Text | None = None
-    layout: Layout | None = None
-    fault: InputError | None = None
+    text: Text | None = None  # the decoded file; ``None`` for a workbook and for what is no text
+    layout: Layout | None = None  # where the table stands in the text
+    fault: InputError | None = None  # why there is no layout
+
+    def decoded(self) -> Text:
+        """The text; refused where the file is none."""
+        if self.text is None:
+            message = "this is no text; give the raw data export of the test machine"
+            Place(self.path).refuse("not_an_export", message)
+        return self.text
+
+    def laid_out(self) -> tuple[Text, Layout]:
+        """The text and its layout; refused where there is none."""
+        if self.fault is not None:
+            raise self.fault
+        text = self.decoded()
+        assert self.layout is not None  # noqa: S101 -- a text without a layout has its fault
+        return text, self.layout
 
     @property
     def sha256(self) -> str:
@@ -75,62 +79,40 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One recording as read: channels in s, mm, N and what stood around them.
-
-    Attributes
-    ----------
-    time_s, displacement_mm, force_N : ndarray, shape (n,)
-    columns : mapping
-        Channel -> name as printed.
-    sheet, encoding, delimiter, decimal : str or None
-    metadata : mapping
-        Header entries.
-    specimen : str or None
-        What the file itself calls the specimen.
-    flags : tuple of Flag
-    protocol : Protocol or None
-        Where the recipe knows more of it than the header entries say.
-    match : Match or None
-        How the table itself was recognised, where the file is an archive of others.
-    axes : mapping
-        ``{"displacement": "strain"}`` and the like, where a column is normalised.
-    """
+    """One recording as read: channels of shape (n,) in s, mm, N, and what stood around them."""
 
     time_s: FloatArray
     displacement_mm: FloatArray
     force_N: FloatArray
-    columns: Mapping[Channel, str]
+    columns: Mapping[Channel, str]  # channel -> name as printed
     sheet: str | None = None
     encoding: str | None = None
     delimiter: str | None = None
     decimal: str | None = None
-    metadata: Mapping[str, str] = field(default_factory=dict)
-    specimen: str | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)  # header entries
+    specimen: str | None = None  # what the file itself calls the specimen
     flags: tuple[Flag, ...] = ()
-    protocol: Protocol | None = None
-    match: Match | None = None
-    axes: Mapping[str, str] = field(default_factory=dict)
+    protocol: Protocol | None = None  # where the recipe knows more of it than the header entries say
+    match: Match | None = None  # how the table was recognised, where the file is an archive of others
+    axes: Mapping[str, str] = field(default_factory=dict)  # ``{"displacement": "strain"}`` and the like
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A reader.
+    """A reader."""
 
-    Attributes
-    ----------
-    key : str
-        Stable name, as in ``Source.recipe``.
-    description : str
-    detect : callable
-        ``detect(file) -> (confidence, reason)``.
-    read : callable
-        ``read(file) -> iterator`` of a :class:`Table`, or the ``InputError`` in its place, for each trial.
-    """
-
-    key: str
+    key: str  # stable name, as in ``Source.recipe``
     description: str
-    detect: Callable[[InputFile], Detection]
+    detect: Callable[[InputFile], Detection]  # confidence and reason
+    #: A table, or the refusal in its place, for each trial; a refusal that is raised is the last.
     read: Callable[[InputFile], Iterator[Table | InputError]]
+
+    def tables(self, file: InputFile) -> Iterator[Table | InputError]:
+        """Every table of a file, or the refusal in its place."""
+        try:
+            yield from self.read(file)
+        except InputError as error:
+            yield error
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,40 +124,18 @@ class Match:
     reason: str
 
 
-def is_workbook(data: bytes) -> bool:
-    """True where the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
-    return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data) and not is_force_archive(data)
-
-
-def is_archive(data: bytes) -> bool:
-    """True where the bytes are a zip archive of files, not of parts of a workbook or of force curves."""
-    names = _members(data)
-    return (
-        names is not None
-        and not _is_force_archive(names)
-        and not any(name.startswith(_WORKBOOK_PARTS) for name in names)
-    )
-
-
-def is_force_archive(data: bytes) -> bool:
-    """True where the bytes are the zip archive that a force microscope saves."""
-    names = _members(data)
-    return names is not None and _is_force_archive(names)
-
-
-def _is_force_archive(names: Sequence[str]) -> bool:
-    return "header.properties" in names and any(name.endswith(_SEGMENT_HEADER) for name in names)
-
-
-def _members(data: bytes) -> list[str] | None:
-    """Names in a zip archive, ``None`` where it is none."""
+def packed_kind(data: bytes) -> Literal["workbook", "archive", "force curves"] | None:
+    """Kind of what is packed: a workbook, an archive of files, or one of force curves; else ``None``."""
     if not data.startswith(_ZIP_MAGIC):
-        return None
+        return "workbook" if data.startswith(_WORKBOOK_MAGIC) else None
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return None
+            names = archive.namelist()
+    except BROKEN_ARCHIVE:
+        return "workbook"  # refused by the reader of workbooks
+    if "header.properties" in names and any(name.endswith(_SEGMENT_HEADER) for name in names):
+        return "force curves"
+    return "workbook" if any(name.startswith(_WORKBOOK_PARTS) for name in names) else "archive"
 
 
 def open_input(path: str | Path, options: ReadOptions) -> InputFile:

@@ -33,7 +33,7 @@ from tissueid.ingest.layout import (
     results_spans,
     split_line,
 )
-from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number
+from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number, quoted
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
@@ -48,6 +48,8 @@ _MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1
 _GUID = re.compile(r"[0-9A-Fa-f]{8}-(?:[0-9A-Fa-f]{4}-){3}[0-9A-Fa-f]{12}")
 #: Time, displacement and force.
 _LEAST_NUMBERS = 3
+#: Characters of a line that a refusal shows.
+_SHOWN = 60
 #: So many rows above the names are a table of their own, fewer may be results.
 _TABLE_ROWS = 3
 
@@ -104,24 +106,19 @@ def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
     named = any(has_channels(row, (), ReadOptions()) for row in head[: found[0] - 1])
     spans = {index + 1 for span in results_spans(head) for index in span}
     if named or len(set(found) - spans) >= _TABLE_ROWS:
-        place.refuse(
-            "mixed_tables",
+        message = (
             f"{len(found)} lines of numbers stand above the names in line {len(head) + 1}: is this two"
-            " files in one, or were lines moved? Export the file again, one recording a file",
-            line=found[0],
-            column=1,
+            " files in one, or were lines moved? Export the file again, one recording a file"
         )
+        place.refuse("mixed_tables", message, line=found[0], column=1)
     return (*said, skipped_flag(found, "lines of numbers above the names"))
 
 
 def skipped_flag(lines: Sequence[int], what: str) -> Flag:
     """Lines that were left out."""
     shown = ", ".join(map(str, lines[:3])) + (" ..." if len(lines) > 3 else "")
-    return Flag(
-        "rows_skipped",
-        f"{len(lines)} {what} were left out: lines {shown}",
-        {"count": len(lines), "lines": list(lines[:20])},
-    )
+    message = f"{len(lines)} {what} were left out: lines {shown}"
+    return Flag("rows_skipped", message, {"count": len(lines), "lines": list(lines[:20])})
 
 
 _CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
@@ -177,13 +174,11 @@ class _Prints:
                 self._groups.setdefault(mark, number)
                 if len(self._groups) > 1:
                     first = next(iter(self._groups.items()))
-                    reader.place.refuse(
-                        "inconsistent_decimal",
+                    message = (
                         f"{cell.strip()!r} is grouped by {mark!r}, the numbers from line {first[1]} on by"
-                        f" {first[0]!r}; export the file again with one thousands separator",
-                        line=number,
-                        column=index + 1,
+                        f" {first[0]!r}; export the file again with one thousands separator"
                     )
+                    reader.place.refuse("inconsistent_decimal", message, line=number, column=index + 1)
             places = _decimals(cell)
             self._decimals[k][places] += 1
             if places < 0:
@@ -196,13 +191,11 @@ class _Prints:
             if set(decimals) != {-1, places} or places < 2 or decimals[places] <= decimals[-1]:
                 continue
             if all(text.lstrip("+-").isdecimal() and len(text.lstrip("+-")) > places for _, text in bare):
-                self._reader.place.refuse(
-                    "damaged_number",
+                message = (
                     f"{bare[0][1]!r} has lost its decimal mark: the other numbers of the column have"
-                    f" {places} decimals; go back to the original export",
-                    line=bare[0][0],
-                    column=index + 1,
+                    f" {places} decimals; go back to the original export"
                 )
+                self._reader.place.refuse("damaged_number", message, line=bare[0][0], column=index + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,27 +258,23 @@ class RowReader:
 
     def _refuse_if_no_remark(self, cells: Sequence[str], line: str, number: int) -> None:
         """A line without numbers that is a damaged row, or heads another table."""
-        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        shown = quoted(line, _SHOWN)
         if row_like(line):
-            self.place.refuse(
-                "text_in_numbers",
+            message = (
                 f"{shown} is made of digits but is no row of this table; correct or remove it, or export the"
-                " file again",
-                line=number,
-                column=1,
+                " file again"
             )
+            self.place.refuse("text_in_numbers", message, line=number, column=1)
         if begins_a_table(cells, self.layout.names, self.layout.units):
-            self.place.refuse(
-                "ragged_rows",
+            message = (
                 f"{shown} gives other names or units than line {self.layout.names_line or 1}: two recordings"
-                " in one file; split it, one recording each",
-                line=number,
-                column=1,
+                " in one file; split it, one recording each"
             )
+            self.place.refuse("ragged_rows", message, line=number, column=1)
 
     def row(self, cells: list[str] | None, line: str, number: int) -> list[float]:
         """The three values of a row; refuses anything else."""
-        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        shown = quoted(line, _SHOWN)
         if cells is None:
             self.place.refuse(
                 "damaged_number", f"a quote is torn in {shown}; export the file again", line=number, column=1
@@ -294,13 +283,11 @@ class RowReader:
         if len(cells) != expected:
             commas = self.layout.delimiter == "," and len(cells) == 2 * expected
             hint = " (a decimal comma can't be told from the delimiter)" if commas else ""
-            self.place.refuse(
-                "ragged_rows",
+            message = (
                 f"{len(cells)} cells where the other rows have {expected}: {shown}{hint};"
-                " correct or remove the row, or export the file again",
-                line=number,
-                column=min(len(cells), expected) + 1,
+                " correct or remove the row, or export the file again"
             )
+            self.place.refuse("ragged_rows", message, line=number, column=min(len(cells), expected) + 1)
         found = []
         for index in self.wanted:
             value = parse_number(cells[index], self.layout.decimal)
@@ -366,8 +353,5 @@ class RowReader:
 
 def cut_flag(number: int, line: str) -> Flag:
     """The last row is incomplete and was left out."""
-    return Flag(
-        "cut_row",
-        f"line {number} is the last and incomplete: {line.strip()[:24]!r} was left out",
-        {"line": number, "kept": False},
-    )
+    message = f"line {number} is the last and incomplete: {line.strip()[:24]!r} was left out"
+    return Flag("cut_row", message, {"line": number, "kept": False})

@@ -62,12 +62,10 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
     try:
         log = read_session_log(file.data, where=file.path)
     except BundleError as error:
-        yield place.refusal("damaged_log", error.message.removeprefix(f"{file.path}: "))
-        return
+        place.refuse("damaged_log", error.message.removeprefix(f"{file.path}: "))
     stretches = list(_stretches(log.records))
     if not stretches:
-        yield place.refusal("no_rows", "the device was never engaged in this session: nothing was felt")
-        return
+        place.refuse("no_rows", "the device was never engaged in this session: nothing was felt")
     for number, stretch in enumerate(stretches, 1):
         sheet = None if len(stretches) == 1 else str(number)
         try:

@@ -11,15 +11,15 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import takewhile
 from typing import NoReturn
 
 import charset_normalizer
 
 from tissueid.flags import Flag
+from tissueid.ingest.header import is_protocol_key
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, plain_words, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
 
 #: What is looked at to recognise a file: 48 header lines and several hundred rows; lines of it that are here.
 HEAD_BYTES, HEAD_LINES = 1 << 16, 300
@@ -124,70 +124,6 @@ def _is_clocked(line: bytes) -> bool:
         cell for cell in cells if re.fullmatch(rb"[\s\"]*(?:%b)[\s\"]*" % _NUMBER, cell, re.IGNORECASE)
     ]
     return len(_CELL_CLOCK.findall(line)) == 1 and len(numbers) >= 2
-
-
-_FIRST = r"(?: 1)?"
-RATE = re.compile(
-    r"(?:test |crosshead |ramp |loading |indentation |piezo |displacement |machine )?(?:rate|speed|velocity)"
-    rf"{_FIRST}|v1|test ?geschwindigkeit{_FIRST}|rate{_FIRST}"
-    rf"|(?:pruf|eindring|verfahr|traversen)?geschwindigkeit{_FIRST}"
-    rf"|vitesse(?: d essai| de (?:la )?traverse| d indentation)?{_FIRST}|taux{_FIRST}"
-    rf"|velocidad(?: de(?:l)? (?:ensayo|la cruceta|indentacion))?{_FIRST}|tasa{_FIRST}"
-    rf"|velocidade(?: d[eo] (?:ensaio|teste|indentacao))?{_FIRST}|taxa{_FIRST}"
-    rf"|velocita(?: di prova| della traversa| di indentazione)?{_FIRST}"
-    rf"|predkosc(?: (?:badania|testu|trawersy))?{_FIRST}"
-    rf"|(?:试验|测试|加载|压入)?(?:速度|速率){_FIRST}|試験速度{_FIRST}"
-)
-DEPTH = re.compile(
-    r"(?:indentation|penetration|target|maximum|max) (?:depth|displacement|indentation|extension)|depth"
-    r"|ramp amplitude|eindring(?:tiefe|weg)|zieltiefe"
-    r"|profondeur(?: d indentation| maximale| de penetration)?|enfoncement(?: maximal)?"
-    r"|profundidad(?: de (?:indentacion|penetracion)| maxima)?"
-    r"|profundidade(?: de (?:indentacao|penetracao)| maxima)?"
-    r"|profondita(?: di (?:indentazione|penetrazione)| massima)?"
-    r"|glebokosc(?: (?:wglebienia|indentacji|zaglebienia))?|压入深度|压痕深度|最大深度|押込み深さ"
-)
-HOLD = re.compile(
-    rf"(?:hold|dwell|relaxation|wait)(?:ing)?(?: time| duration)?{_FIRST}|fixed relaxation time"
-    rf"|(?:halte|relaxations|verweil)(?:zeit|dauer){_FIRST}"
-    rf"|(?:temps|duree) (?:de )?(?:maintien|relaxation|pause){_FIRST}"
-    rf"|(?:tiempo|duracion) de (?:retencion|mantenimiento|espera|relajacion){_FIRST}"
-    rf"|(?:tempo|duracao) de (?:retencao|espera|manutencao|relaxamento|relaxacao){_FIRST}"
-    rf"|(?:tempo|durata) di (?:mantenimento|attesa|rilassamento|tenuta){_FIRST}"
-    rf"|czas (?:przetrzymania|utrzymania|relaksacji|wytrzymania){_FIRST}"
-    rf"|(?:保持|保载|松弛)时间{_FIRST}|保持時間{_FIRST}"
-)
-LOAD_LIMIT = re.compile(
-    r"(?:maximum |max |upper )?(?:load|force) (?:limit|threshold|trigger)|trigger (?:load|force)"
-    r"|kraft(?:grenze|grenzwert|schwelle)|limite (?:de|di) (?:force|charge|carga|fuerza|forca|forza|carico)"
-    r"|granica (?:sily|obciazenia)|(?:载荷|力)(?:上限|限值)|荷重上限"
-)
-TIP_RADIUS = re.compile(
-    r"(?:tip|tool|indenter|probe|sphere) radius|(?:spitzen|kugel|indenter|eindringkorper)radius"
-    r"|rayon (?:de (?:la )?(?:pointe|bille)|de l indenteur)|radio (?:de la (?:punta|bola)|del indentador)"
-    r"|raio (?:da ponta|do indentador)|raggio (?:della punta|dell indentatore|del penetratore)"
-    r"|promien (?:koncowki|wglebnika)|压头半径|探头半径"
-)
-TIP_DIAMETER = re.compile(
-    r"(?:tip|tool|indenter|probe|sphere) diameter|(?:spitzen|kugel|indenter|stempel)durchmesser"
-    r"|diametre (?:de (?:la )?(?:pointe|bille)|de l indenteur|du poincon)"
-    r"|diametro (?:de la (?:punta|bola)|del indentador|da ponta|do indentador|della punta|del penetratore)"
-    r"|srednica (?:koncowki|wglebnika)|压头直径|探头直径"
-)
-_ALL = (RATE, DEPTH, HOLD, LOAD_LIMIT, TIP_RADIUS, TIP_DIAMETER)
-_UNIT_AT_END = re.compile(r" (?:(?:m|\u03bc|u|n)?m(?: (?:s|sec|min))?|s|sec|n)$")
-
-
-@cache
-def last_part(key: str) -> str:
-    """A key without group, unit and final colon: ``"Test : Rate 1 (mm/min)"`` gives ``"rate 1"``."""
-    return _UNIT_AT_END.sub("", plain_words(key.rsplit(" : ", 1)[-1]))
-
-
-def is_protocol_key(key: str) -> bool:
-    """True where a header key states rate, depth, hold, load limit or tip."""
-    words = last_part(key)
-    return any(pattern.fullmatch(words) for pattern in _ALL)
 
 
 _PIECE_BYTES = 1 << 20
@@ -322,10 +258,8 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     try:
         decoded = data.decode(codec)
     except UnicodeDecodeError as error:
-        place.refuse(
-            "not_an_export",
-            f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again",
-        )
+        message = f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again"
+        place.refuse("not_an_export", message)
     unified = _line_ends(decoded.encode())
     head = unified[:HEAD_BYTES]
     if len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):

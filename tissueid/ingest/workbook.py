@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 import python_calamine
 
-from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.blocks import shifted, specimen_columns
-from tissueid.ingest.broken_rows import broken_row
-from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
+from tissueid.ingest.broken_rows import refuse_broken
+from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import begins_a_table, flag_head
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
@@ -49,10 +48,8 @@ def _open(data: bytes, place: Place) -> Any:
     try:
         reason = too_much(data) if data.startswith(b"PK") else None
         if reason is not None:
-            place.refuse(
-                "unreadable_workbook",
-                f"the workbook is unreasonably large inside: {reason}; or export the tests as text",
-            )
+            message = f"the workbook is unreasonably large inside: {reason}; or export the tests as text"
+            place.refuse("unreadable_workbook", message)
         return _guarded(lambda: python_calamine.CalamineWorkbook.from_filelike(io.BytesIO(data)))
     except (python_calamine.CalamineError, *BROKEN_ARCHIVE) as error:
         place.refuse(
@@ -98,10 +95,8 @@ def _trial_anchor(cells: Cells, file: InputFile) -> Anchor | None:
     """Anchor of a trial's table in a sheet, ``None`` where the sheet is no trial."""
     head = _head(cells)
     found = anchor(head, file.options)
-    if found is not None and found.names is not None:
-        units = head[found.units] if found.units is not None else ()
-        if has_channels(head[found.names], units, file.options):
-            return found
+    if found is not None and found.names is not None and has_channels(*found.head(head), file.options):
+        return found
     for index, row in enumerate(head[:5]):
         if has_channels(row, (), file.options):
             return Anchor(index, None, index + 1)
@@ -118,7 +113,7 @@ def _test_name(cells: Cells, found: Anchor) -> str | None:
 
 def detect_testxpert_workbook(file: InputFile) -> Detection:
     """One test name repeated over the columns of the first trial."""
-    if not is_workbook(file.data):
+    if packed_kind(file.data) != "workbook":
         return 0.0, "no workbook"
     try:
         workbook = _open(file.data, Place(file.path))
@@ -137,16 +132,12 @@ def detect_testxpert_workbook(file: InputFile) -> Detection:
 
 def detect_workbook(file: InputFile) -> Detection:
     """Any workbook."""
-    return (0.6, "a workbook") if is_workbook(file.data) else (0.0, "no workbook")
+    return (0.6, "a workbook") if packed_kind(file.data) == "workbook" else (0.0, "no workbook")
 
 
 def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
     """Every trial of a workbook, in the order of its sheets."""
-    try:
-        workbook = _open(file.data, Place(file.path))
-    except InputError as error:
-        yield error
-        return
+    workbook = _open(file.data, Place(file.path))
     trials: list[tuple[str, Cells, Anchor]] = []
     faults: dict[str, InputError] = {}
     for sheet in workbook.sheet_names:
@@ -208,8 +199,7 @@ def _no_trial(file: InputFile, workbook: Any) -> InputError:
 def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, names: Counter[str]) -> Table:
     place = Place(file.path, sheet)
     head = _head(cells[: found.first])
-    printed = head[found.names] if found.names is not None else ()
-    units = head[found.units] if found.units is not None else ()
+    printed, units = found.head(head)
     line = None if found.names is None else found.names + 1
     choice = choose_columns(printed, units, options=file.options, place=place, line=line)
     results = _results(cells, found, printed, units, file.options)
@@ -226,11 +216,8 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     specimen = specimen_in(metadata)
     if specimen is None and test is not None and names[test] == 1 and not _DEFAULT_NAME.fullmatch(test):
         specimen = test
-    time_s, displacement_mm, force_N = columns
     return Table(
-        time_s,
-        displacement_mm,
-        force_N,
+        *columns,
         choice.names,
         sheet=sheet,
         metadata=metadata,
@@ -245,13 +232,11 @@ def _refuse_other_heads(cells: Cells, flags: Sequence[Flag], names: Row, units: 
     for flag in flags:
         for number in flag.values["lines"] if flag.code == "rows_skipped" else ():
             if begins_a_table(tuple(map(_shown, cells[number - 1])), names, units):
-                place.refuse(
-                    "mixed_tables",
+                message = (
                     f"row {number} gives other names or units than the head of the sheet: two recordings in"
-                    " one sheet; split it, one recording each",
-                    line=number,
-                    column=1,
+                    " one sheet; split it, one recording each"
                 )
+                place.refuse("mixed_tables", message, line=number, column=1)
 
 
 def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadOptions) -> int | None:
@@ -263,7 +248,7 @@ def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadO
 
 def _read_columns(
     cells: Cells, first: int, choice: ColumnChoice, place: Place
-) -> tuple[list[FloatArray], list[Flag]]:
+) -> tuple[Channels, list[Flag]]:
     """The three channels in s, mm, N; every cell must be stored as a number."""
     wanted = [choice.index[channel] for channel in CHANNELS]
     moment = _first_moment(cells[first:], wanted[0])
@@ -291,9 +276,15 @@ def _read_columns(
     if skipped:
         message = f"{len(skipped)} rows without numbers were left out: {', '.join(map(str, skipped[:5]))}"
         flags.append(Flag("rows_skipped", message, {"count": len(skipped), "lines": skipped[:20]}))
-    table = np.array([values for _, values in kept], dtype=np.float64)
-    _check(table, [number for number, _ in kept], wanted, place)
-    return [table[:, k] * choice.factors[channel] for k, channel in enumerate(CHANNELS)], flags
+    columns = list(np.array([values for _, values in kept], dtype=np.float64).T.copy())
+    bad = np.argwhere(~np.isfinite(np.stack(columns, axis=1)))
+    if bad.size:
+        at, k = (int(index) for index in bad[0])
+        message = f"{columns[k][at]} is not a finite number; correct or remove the row"
+        place.refuse("not_finite", message, line=kept[at][0], column=wanted[k] + 1)
+    fractional = [column != np.floor(column) for column in columns]
+    refuse_broken(columns, fractional, "sheet", place, lambda row, k: (kept[row][0], wanted[k] + 1))
+    return choice.scaled(columns), flags
 
 
 def _first_moment(rows: Cells, column: int) -> dt.datetime | None:
@@ -320,36 +311,12 @@ def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: 
             return place.refusal(
                 "empty_cell", "the cell is empty; fill or remove the row", line=number, column=index + 1
             )
-        return place.refusal(
-            "text_in_numbers",
+        message = (
             f"{_shown(value)[:40]!r} is stored as text or date, not as a number; go back to the original"
-            f" export",
-            line=number,
-            column=index + 1,
+            f" export"
         )
+        return place.refusal("text_in_numbers", message, line=number, column=index + 1)
     raise AssertionError  # called only where one value is no number
-
-
-def _check(table: FloatArray, lines: Sequence[int], wanted: Sequence[int], place: Place) -> None:
-    bad = np.argwhere(~np.isfinite(table))
-    if bad.size:
-        row, column = int(bad[0, 0]), int(bad[0, 1])
-        message = f"{table[row, column]} is not a finite number; correct or remove the row"
-        place.refuse("not_finite", message, line=lines[row], column=wanted[column] + 1)
-    broken = broken_row(list(table.T), list((table != np.floor(table)).T))
-    if broken is not None:
-        broken.refuse(place, lines[broken.row], wanted[broken.channel] + 1)
-    falls = np.flatnonzero(np.diff(table[:, 0]) < 0)
-    if falls.size:
-        row = int(falls[0]) + 1
-        place.refuse(
-            "time_backwards",
-            f"the time falls from {table[row - 1, 0]:.10g} to {table[row, 0]:.10g}; split the sheet, or"
-            f" name another"
-            " time column with --columns time=NAME",
-            line=lines[row],
-            column=wanted[0] + 1,
-        )
 
 
 TESTXPERT_WORKBOOK = Recipe(

@@ -213,9 +213,8 @@ def _reading_in_air(u: FloatArray, f: FloatArray, air: HingeFit, noise_N: float)
     before = int(np.argmax(u >= air.contact_mm))
     if before < FEWEST_AIR_SAMPLES:
         return air.baseline_N
-    along = np.arange(before) - 0.5 * (before - 1)
-    drift = float(along @ f[:before]) / float(along @ along)
-    if abs(drift) * float(np.sqrt(along @ along)) > DRIFT_SD * noise_N:
+    drift, error = _rise(f[:before], noise_N)
+    if abs(drift) > DRIFT_SD * error:
         return air.baseline_N
     return float(f[:before].mean())
 

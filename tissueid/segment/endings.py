@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import Piece, corner_near
+from tissueid.segment.motion import Path, Piece, corner_near
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -31,12 +30,12 @@ class Loop:
     work_N_mm: float  # work lost in the loop, over the depths that all loops cover
 
 
-def loops_of(depth_mm: FloatArray, force_N: FloatArray, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
+def loops_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
     """Peaks and work of the loops among the phases."""
     cycles = [phase for phase in phases if phase.kind == "cycle" and phase.peak is not None]
     if not cycles:
         return ()
-    paths = [depth_mm[phase.start : phase.stop] for phase in cycles]
+    paths = [path.depth_mm[phase.start : phase.stop] for phase in cycles]
     bottom = max(max(float(path[0]), float(path[-1])) for path in paths)
     peaks = np.array([float(path.max()) for path in paths])
     steps = [float(np.abs(np.diff(path)).max(initial=0.0)) for path in paths]
@@ -45,17 +44,17 @@ def loops_of(depth_mm: FloatArray, force_N: FloatArray, phases: tuple[Phase, ...
     return tuple(
         Loop(
             float(peak),
-            _force_at(depth_mm, force_N, phase, float(peak) if common is None else common),
-            _work(depth_mm, force_N, phase, bottom),
+            _force_at(path, phase, float(peak) if common is None else common),
+            _work(path, phase, bottom),
         )
         for phase, peak in zip(cycles, peaks, strict=True)
     )
 
 
-def _force_at(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, level_mm: float) -> float:
+def _force_at(path: Path, phase: Phase, level_mm: float) -> float:
     """Force of the loading branch at a depth near its peak, from a straight line through its end."""
     assert phase.peak is not None  # noqa: S101  (the caller has looked)
-    x, f = depth_mm[phase.start : phase.peak + 1], force_N[phase.start : phase.peak + 1]
+    x, f = path.depth_mm[phase.start : phase.peak + 1], path.force_N[phase.start : phase.peak + 1]
     near = np.flatnonzero(x >= level_mm - PEAK_SHARE * float(np.ptp(x)))
     if near.size < 3:
         near = np.arange(max(x.size - 3, 0), x.size)
@@ -65,10 +64,10 @@ def _force_at(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, level_mm:
     return float(f[near].mean() + slope * (level_mm - x[near].mean()))
 
 
-def _work(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, bottom_mm: float) -> float:
+def _work(path: Path, phase: Phase, bottom_mm: float) -> float:
     """Area of the loop above a depth [N mm]."""
-    x = np.maximum(depth_mm[phase.start : phase.stop], bottom_mm)
-    return float(np.trapezoid(force_N[phase.start : phase.stop], x))
+    x = np.maximum(path.depth_mm[phase.start : phase.stop], bottom_mm)
+    return float(np.trapezoid(path.force_N[phase.start : phase.stop], x))
 
 
 def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float) -> list[Flag]:
@@ -137,68 +136,58 @@ _WANTED = {
 }
 
 
-def pull_off(depth_mm: FloatArray, force_N: FloatArray, *, surface_mm: float, noise_N: float) -> list[Flag]:
+def pull_off(path: Path, *, surface_mm: float) -> list[Flag]:
     """Tissue that holds the tool as it leaves: the force falls below its reading in air, and comes back."""
-    away = np.flatnonzero(depth_mm >= surface_mm)
-    leaves = int(np.argmax(depth_mm))
-    if away.size == 0 or force_N.size - int(away[-1]) < 2 * PULL_SAMPLES:
+    away = np.flatnonzero(path.depth_mm >= surface_mm)
+    leaves = int(np.argmax(path.depth_mm))
+    if away.size == 0 or path.force_N.size - int(away[-1]) < 2 * PULL_SAMPLES:
         return []
-    calm = running_median(force_N)
-    zero = float(np.median(force_N[-PULL_SAMPLES:]))
+    calm = running_median(path.force_N)
+    zero = float(np.median(path.force_N[-PULL_SAMPLES:]))
     pull = zero - float(calm[leaves:].min())
-    if not pull > max(PULL_SD * noise_N, PULL_SHARE * float(np.ptp(force_N))):
+    if not pull > max(PULL_SD * path.noise_N, PULL_SHARE * float(np.ptp(path.force_N))):
         return []
     words = f"tissue pulls at the tool by up to {pull:.3g} N as it leaves: it adheres"
     return [Flag("adhesion", words, {"pull_N": pull})]
 
 
-def held_from(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    force_N: FloatArray,
-    ramp: Piece,
-    slow: Piece,
-    *,
-    noise_N: float,
-    tolerance_mm: float,
-) -> int | None:
+def held_from(path: Path, ramp: Piece, slow: Piece) -> int | None:
     """From where the load is held while the tool creeps, if a slow move after a ramp is creep."""
-    ramp_s, slow_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (ramp, slow))
+    ramp_s, slow_s = ramp.took_s(path), slow.took_s(path)
     if not (ramp_s > 0.0 and slow_s > 0.0):
         return None
-    ramp_mm, slow_mm = (float(depth_mm[piece.stop] - depth_mm[piece.start]) for piece in (ramp, slow))
-    held = force_N[slow.start + (slow.stop - slow.start) // 10 : slow.stop + 1]
+    ramp_mm, slow_mm = ramp.travel_mm(path), slow.travel_mm(path)
+    held = path.force_N[slow.start + (slow.stop - slow.start) // 10 : slow.stop + 1]
     level = float(np.median(held))
-    rise = level - float(np.median(force_N[ramp.start : ramp.start + 5]))
-    within = max(HELD_SHARE * rise, HELD_SD * noise_N)
+    rise = level - float(np.median(path.force_N[ramp.start : ramp.start + 5]))
+    within = max(HELD_SHARE * rise, HELD_SD * path.noise_N)
     constant = float(np.mean(np.abs(held - level) <= within)) >= HELD_MOST
     if rise <= within or not constant or slow_mm / slow_s >= CREEP_SPEED * ramp_mm / ramp_s:
         return None
-    below = np.flatnonzero(running_median(force_N[ramp.start : slow.start + 1]) < level - within)
+    below = np.flatnonzero(running_median(path.force_N[ramp.start : slow.start + 1]) < level - within)
     last = ramp.start + int(below[-1]) if below.size else slow.start
     # the last of the way to the held load is drawn as a straight line
     lead = slice(max(ramp.start, last - max(LEAD_SAMPLES, (last - ramp.start) // 10)), last + 1)
-    off = time_s[lead] - time_s[lead].mean()
-    slope = float(off @ force_N[lead]) / max(float(off @ off), 1e-300)
-    meets = float(time_s[lead].mean()) + (level - float(force_N[lead].mean())) / slope if slope > 0.0 else 0.0
-    at = int(np.searchsorted(time_s, meets)) if meets > time_s[last] else last + 1
+    time, force = path.time_s[lead], path.force_N[lead]
+    off = time - time.mean()
+    slope = float(off @ force) / max(float(off @ off), 1e-300)
+    meets = float(time.mean()) + (level - float(force.mean())) / slope if slope > 0.0 else 0.0
+    at = int(np.searchsorted(path.time_s, meets)) if meets > path.time_s[last] else last + 1
     at = min(max(at, ramp.start + 2), slow.stop - 1)
     # the tool slows down there: its path places the corner better than the force
     reach = max(at - ramp.start, 4) // 4
     low, high = max(ramp.start + 1, at - reach), min(slow.stop - 1, at + reach)
-    return corner_near(time_s, depth_mm, at, (low, high), stands=(False, False), tolerance=tolerance_mm)
+    return corner_near(path, at, (low, high), stands=(False, False))
 
 
-def aborts(
-    time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], protocol: Protocol
-) -> list[Event]:
+def aborts(path: Path, phases: tuple[Phase, ...], protocol: Protocol) -> list[Event]:
     """At most one abort: of the ramp that should have gone deeper, or been held."""
     ramps = [phase for phase in phases if phase.kind == "ramp"]
     if not ramps:
         return []
     last = ramps[-1]
     end = last.stop - 1
-    reached = float(depth_mm[end] - depth_mm[0])
+    reached = float(path.depth_mm[end] - path.depth_mm[0])
     values: dict[str, float] = {"reached_mm": reached}
     held = any(phase.kind in ("hold", "creep") for phase in phases)
     cycles = [phase for phase in phases if phase.kind == "cycle"]
@@ -207,95 +196,83 @@ def aborts(
     if not held and not cycles and (short or hold_s):
         values |= {"stated_mm": abs(stated)} if stated and short else {}
         values |= {"stated_hold_s": hold_s} if hold_s else {}
-        return [Event("abort", end, float(time_s[end]), values)]
+        return [Event("abort", end, float(path.time_s[end]), values)]
     if phases[-1] is not last:
         return []
-    earlier = _earlier_mm(depth_mm, phases)
-    own = float(depth_mm[end] - depth_mm[last.start]) if not cycles else reached
+    earlier = _earlier_mm(path, phases)
+    own = float(path.depth_mm[end] - path.depth_mm[last.start]) if not cycles else reached
     if len(earlier) >= FEWEST_EARLIER and own < EARLIER_SHARE * min(earlier):
-        return [Event("abort", end, float(time_s[end]), values | {"earlier_mm": min(earlier)})]
+        return [Event("abort", end, float(path.time_s[end]), values | {"earlier_mm": min(earlier)})]
     return []
 
 
-def _earlier_mm(depth_mm: FloatArray, phases: tuple[Phase, ...]) -> list[float]:
+def _earlier_mm(path: Path, phases: tuple[Phase, ...]) -> list[float]:
     """Peak depths of the loops before a last ramp, or else the travels of the steps before it [mm]."""
-    peaks = [float(depth_mm[p.peak] - depth_mm[0]) for p in phases if p.peak is not None]
+    peaks = [float(path.depth_mm[p.peak] - path.depth_mm[0]) for p in phases if p.peak is not None]
     if peaks:
         return peaks
     return [
-        float(depth_mm[ramp.stop - 1] - depth_mm[ramp.start])
+        float(path.depth_mm[ramp.stop - 1] - path.depth_mm[ramp.start])
         for ramp, after in pairwise(phases)
         if ramp.kind == "ramp" and after.kind == "hold"
     ]
 
 
 def load_limits(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    force_N: FloatArray,
+    path: Path,
     phases: tuple[Phase, ...],
     loops: tuple[Loop, ...],
     *,
-    noise_N: float,
     zero: tuple[float, float],
-    stated_N: float | None = None,
+    stated_N: float | None,
 ) -> list[Event]:
     """Moves that ended at a force."""
     contact_mm, baseline_N = zero
     events: list[Event] = []
     for before, after in pairwise(phases):
         if stated_N and before.kind == "ramp" and after.kind != "creep":
-            events += _at_stated(time_s, depth_mm - contact_mm, force_N, before, stated_N)
+            events += _at_stated(path, before, stated_N, contact_mm)
         if after.kind == "creep":
             at = before.stop - 1
             values = {
-                "force_N": float(np.median(force_N[after.start : after.stop])) - baseline_N,
-                "depth_mm": float(depth_mm[at]) - contact_mm,
-                "creep_mm": float(depth_mm[after.stop - 1] - depth_mm[at]),
+                "force_N": float(np.median(path.force_N[after.start : after.stop])) - baseline_N,
+                "depth_mm": float(path.depth_mm[at]) - contact_mm,
+                "creep_mm": float(path.depth_mm[after.stop - 1] - path.depth_mm[at]),
             }
-            events.append(Event("load_limit", at, float(time_s[at]), values))
-    if len(loops) >= FEWEST_TURNS and _turn_at_force(depth_mm, force_N, phases, loops, noise_N, baseline_N):
+            events.append(Event("load_limit", at, float(path.time_s[at]), values))
+    if len(loops) >= FEWEST_TURNS and _turn_at_force(path, phases, loops, baseline_N):
         at = next(phase.peak for phase in phases if phase.peak is not None)
         values = {
             "force_N": float(np.mean([loop.peak_N for loop in loops])) - baseline_N,
             "depth_mm": float(np.mean([loop.peak_mm for loop in loops])) - contact_mm,
             "turns": len(loops),
         }
-        events.append(Event("load_limit", at, float(time_s[at]), values))
+        events.append(Event("load_limit", at, float(path.time_s[at]), values))
     return events
 
 
-def _at_stated(
-    time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, ramp: Phase, stated_N: float
-) -> list[Event]:
+def _at_stated(path: Path, ramp: Phase, stated_N: float, contact_mm: float) -> list[Event]:
     """The end of a ramp at the stated limit, which the load cell reads with whatever its zero is."""
     at = ramp.stop - 1
     end = slice(max(ramp.start, at - max(FEWEST_AT_LIMIT, (at - ramp.start) // 20)), ramp.stop)
-    reached = float(running_median(force_N[end]).max())
+    reached = float(running_median(path.force_N[end]).max())
     if not LIMIT_FROM * stated_N <= reached <= LIMIT_TO * stated_N:
         return []
-    values = {"force_N": reached, "depth_mm": float(depth_mm[at]), "limit_N": stated_N}
-    return [Event("load_limit", at, float(time_s[at]), values)]
+    values = {"force_N": reached, "depth_mm": float(path.depth_mm[at] - contact_mm), "limit_N": stated_N}
+    return [Event("load_limit", at, float(path.time_s[at]), values)]
 
 
-def _turn_at_force(
-    depth_mm: FloatArray,
-    force_N: FloatArray,
-    phases: tuple[Phase, ...],
-    loops: tuple[Loop, ...],
-    noise_N: float,
-    baseline_N: float,
-) -> bool:
+def _turn_at_force(path: Path, phases: tuple[Phase, ...], loops: tuple[Loop, ...], baseline_N: float) -> bool:
     """True where loops turn at one force and at several depths."""
     forces = np.array([loop.peak_N for loop in loops]) - baseline_N
     first = next(phase for phase in phases if phase.peak is not None)
     assert first.peak is not None  # noqa: S101  (chosen for it)
     way = slice(first.start, first.peak + 1)
-    travel = float(depth_mm[first.peak] - depth_mm[first.start])
-    slope = float(force_N[first.peak] - force_N[first.start]) / max(travel, 1e-300)
+    travel = float(path.depth_mm[first.peak] - path.depth_mm[first.start])
+    slope = float(path.force_N[first.peak] - path.force_N[first.start]) / max(travel, 1e-300)
     # the turn lies between two samples
-    sampled = slope * float(np.abs(np.diff(depth_mm[way])).max(initial=0.0))
-    within = max(TURN_SHARE * float(forces.mean()), TURN_SD * noise_N, sampled)
+    sampled = slope * float(np.abs(np.diff(path.depth_mm[way])).max(initial=0.0))
+    within = max(TURN_SHARE * float(forces.mean()), TURN_SD * path.noise_N, sampled)
     implied = slope * float(np.ptp([loop.peak_mm for loop in loops]))
     return float(np.ptp(forces)) <= within and implied > TURN_RATIO * within
 

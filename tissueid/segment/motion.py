@@ -24,64 +24,74 @@ ROUNDING = 1e-9
 #: Passes that place a corner.
 CORNER_PASSES = 16
 
+Line = tuple[float, float]  # slope, and level at t = 0
 
-def corner_near(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    at: int,
-    within: tuple[int, int],
-    *,
-    stands: tuple[bool, bool],
-    tolerance: float,
-) -> int:
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Recorded path, growing into the tissue, and what noise explains of it."""
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    noise_N: float
+    #: Largest distance from a straight line that noise and steps of the displacement explain, and with what
+    #: the polyline does not resolve [mm].
+    noise_mm: float
+    tolerance_mm: float
+
+    @classmethod
+    def of(cls, time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> Path:
+        """The path of these samples."""
+        noise_mm = path_noise(time_s, depth_mm)
+        return cls(time_s, depth_mm, force_N, noise_N, noise_mm, _tolerance(noise_mm, depth_mm))
+
+
+def corner_near(path: Path, at: int, within: tuple[int, int], *, stands: tuple[bool, bool]) -> int:
     """First sample after the corner of two moves or standstills; the first on a rounded stop's plateau."""
     low, high = within
     # lines through what lies farther off: they know nothing of the corner's own shape
     far = slice(low, low + (at - low) // 2 + 1), slice(at + (high - at) // 2, high + 1)
-    guess = _meeting(time_s, _two_lines(time_s, depth_mm, far, stands), low, high)
+    guess = _meeting(path, _two_lines(path, far, stands), low, high)
     guess = first = at if guess is None else guess
     for _ in range(CORNER_PASSES):  # a corner a few samples off tilts its lines; the next pass has it nearer
         near = (
             slice(max(low, guess - CORNER_SAMPLES), guess + 1),
             slice(guess, min(high, guess + CORNER_SAMPLES) + 1),
         )
-        lines = _two_lines(time_s, depth_mm, near, stands)
-        moved = _meeting(time_s, lines, low, high)
+        lines = _two_lines(path, near, stands)
+        moved = _meeting(path, lines, low, high)
         if moved is None or abs(moved - first) > CORNER_SAMPLES:
             break
         if abs(moved - guess) <= 1:
-            if _sharp(time_s, depth_mm, lines, moved, tolerance):
+            if _sharp(path, lines, moved):
                 return moved
             break
         guess = moved
     if not any(stands):
         return first
     if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
-        plateau = float(np.median(depth_mm[max(at, first) : high + 1]))
-        outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
+        plateau = float(np.median(path.depth_mm[max(at, first) : high + 1]))
+        outside = np.flatnonzero(np.abs(path.depth_mm[low : high + 1] - plateau) > path.tolerance_mm)
         return low + int(outside[-1]) + 1 if outside.size and outside[-1] + low < high else at
-    plateau = float(np.median(depth_mm[low : min(at, first) + 1]))
-    outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
+    plateau = float(np.median(path.depth_mm[low : min(at, first) + 1]))
+    outside = np.flatnonzero(np.abs(path.depth_mm[low : high + 1] - plateau) > path.tolerance_mm)
     return max(low, low + int(outside[0]) - 1) if outside.size else at
 
 
-def _two_lines(
-    time_s: FloatArray, depth_mm: FloatArray, sides: tuple[slice, slice], stands: tuple[bool, bool]
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _two_lines(path: Path, sides: tuple[slice, slice], stands: tuple[bool, bool]) -> tuple[Line, Line]:
     """Slope and level of the straight lines on both sides of a corner."""
     before, after = (
-        straight_line(time_s[side], depth_mm[side], flat=flat)
+        straight_line(path.time_s[side], path.depth_mm[side], flat=flat)
         for side, flat in zip(sides, stands, strict=True)
     )
     return before, after
 
 
-def _meeting(
-    time_s: FloatArray, lines: tuple[tuple[float, float], tuple[float, float]], low: int, high: int
-) -> int | None:
+def _meeting(path: Path, lines: tuple[Line, Line], low: int, high: int) -> int | None:
     """The first sample from which two lines have met, within ``(low, high)``; ``None`` where they do not."""
     (slope_1, level_1), (slope_2, level_2) = lines
-    ends = time_s[[low, high]]
+    ends = path.time_s[[low, high]]
     one, other = level_1 + slope_1 * ends, level_2 + slope_2 * ends
     # two samples of one straight ramp lie on its line: where they part is rounding
     if float(np.abs(one - other).max()) <= ROUNDING * float(np.abs([one, other]).max()):
@@ -89,33 +99,28 @@ def _meeting(
     if slope_1 == slope_2:
         return None
     meet = (level_2 - level_1) / (slope_1 - slope_2)
-    if not time_s[low] <= meet <= time_s[high]:
+    if not path.time_s[low] <= meet <= path.time_s[high]:
         return None
-    reach = 1e-9 * (time_s[high] - time_s[low])
-    return int(np.clip(np.searchsorted(time_s, meet - reach), low + 1, high - 1))
+    reach = 1e-9 * (path.time_s[high] - path.time_s[low])
+    return int(np.clip(np.searchsorted(path.time_s, meet - reach), low + 1, high - 1))
 
 
-def _sharp(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    lines: tuple[tuple[float, float], tuple[float, float]],
-    at: int,
-    tolerance: float,
-) -> bool:
+def _sharp(path: Path, lines: tuple[Line, Line], at: int) -> bool:
     """True where the samples near a corner lie on its two lines."""
     near = slice(max(at - NEAR_SAMPLES, 0), at + NEAR_SAMPLES + 1)
-    t, x = time_s[near], depth_mm[near]
+    t, x = path.time_s[near], path.depth_mm[near]
     (slope_1, level_1), (slope_2, level_2) = lines
     one, other = level_1 + slope_1 * t, level_2 + slope_2 * t
     # a path that slows down lies below both lines, one that speeds up above both
     fitted = np.minimum(one, other) if slope_1 > slope_2 else np.maximum(one, other)
     off = np.abs(x - fitted)
     return bool(
-        np.mean(off <= tolerance) >= SHARP_SHARE and abs(float(np.mean(x - fitted))) <= tolerance / 3.0
+        np.mean(off <= path.tolerance_mm) >= SHARP_SHARE
+        and abs(float(np.mean(x - fitted))) <= path.tolerance_mm / 3.0
     )
 
 
-def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> tuple[float, float]:
+def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> Line:
     """Slope and level at t = 0 of the straight line through samples; the median level where ``flat``."""
     if flat:
         return 0.0, float(np.median(depth_mm))
@@ -126,17 +131,15 @@ def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> tu
     return slope, float(depth_mm.mean() - slope * centre)
 
 
-def leaves_line(
-    time_s: FloatArray, depth_mm: FloatArray, move: tuple[int, int], end: int, tolerance_mm: float
-) -> int:
+def leaves_line(path: Path, move: Piece, end: int) -> int:
     """The sample up to which the path follows the straight line through the middle of a move."""
-    first, last = move
+    first, last = move.start, move.stop
     count = last - first
     middle = slice(first + count // 4, last - count // 4 + 1)
-    slope, level = straight_line(time_s[middle], depth_mm[middle], flat=False)
+    slope, level = straight_line(path.time_s[middle], path.depth_mm[middle], flat=False)
     centre = (first + last) // 2
     way = np.arange(centre, end + 1) if end >= centre else np.arange(centre, end - 1, -1)
-    off = np.abs(depth_mm[way] - level - slope * time_s[way]) > tolerance_mm
+    off = np.abs(path.depth_mm[way] - level - slope * path.time_s[way]) > path.tolerance_mm
     return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end
 
 
@@ -206,10 +209,17 @@ class Piece:
     start: int
     stop: int
 
-    def speed(self, time_s: FloatArray, depth_mm: FloatArray) -> float:
+    def travel_mm(self, path: Path) -> float:
+        """Travel from its first to its last sample."""
+        return float(path.depth_mm[self.stop] - path.depth_mm[self.start])
+
+    def took_s(self, path: Path) -> float:
+        """Time from its first to its last sample."""
+        return float(path.time_s[self.stop] - path.time_s[self.start])
+
+    def speed(self, path: Path) -> float:
         """Mean speed from its first to its last sample [mm/s]."""
-        moved, took = (float(values[self.stop] - values[self.start]) for values in (depth_mm, time_s))
-        return moved / max(took, 1e-300)
+        return self.travel_mm(path) / max(self.took_s(path), 1e-300)
 
 
 def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
@@ -223,19 +233,18 @@ def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
     return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm))
 
 
-def displacement_tolerance(time_s: FloatArray, depth_mm: FloatArray) -> float:
+def _tolerance(noise_mm: float, depth_mm: FloatArray) -> float:
     """Largest distance from a straight line that noise and resolution explain [mm]."""
-    return max(path_noise(time_s, depth_mm), POLYLINE_RESOLUTION * float(np.ptp(depth_mm)))
+    return max(noise_mm, POLYLINE_RESOLUTION * float(np.ptp(depth_mm)))
 
 
-def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
+def pieces(path: Path) -> list[Piece]:
     """Divide a recording into moves and standstills."""
-    tolerance = displacement_tolerance(time_s, depth_mm)
-    if tolerance == 0.0:
-        return [Piece(0, 0, depth_mm.size - 1)]
-    size = max(1, depth_mm.size // BLOCKS)
-    found = _coarse(*(_block_means(values, size) for values in (time_s, depth_mm)))
-    last = depth_mm.size - 1
+    last = path.depth_mm.size - 1
+    if path.tolerance_mm == 0.0:
+        return [Piece(0, 0, last)]
+    size = max(1, path.depth_mm.size // BLOCKS)
+    found = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)))
     found = [
         Piece(
             piece.direction,
@@ -244,8 +253,8 @@ def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
         )
         for k, piece in enumerate(found)
     ]
-    found = _demote_drifting(depth_mm, found, tolerance=tolerance)
-    return _place_corners(time_s, depth_mm, found, tolerance=tolerance)
+    found = _demote_drifting(path, found)
+    return _place_corners(path, found)
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
@@ -258,7 +267,7 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
 
 def _coarse(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
     """Moves and standstills, their corners those of the polyline."""
-    tolerance = displacement_tolerance(time_s, depth_mm)
+    tolerance = _tolerance(path_noise(time_s, depth_mm), depth_mm)
     knots = corners(time_s, depth_mm, tolerance=tolerance)
     return _absorb(_classify(time_s, depth_mm, knots, tolerance=tolerance))
 
@@ -366,28 +375,26 @@ def _same(before: _Stretch, after: _Stretch) -> bool:
     return bool(few or stopping or minor or fast <= SPEED_RATIO * slow)
 
 
-def _demote_drifting(depth_mm: FloatArray, found: list[Piece], *, tolerance: float) -> list[Piece]:
+def _demote_drifting(path: Path, found: list[Piece]) -> list[Piece]:
     """Standstills that drift against the move before them become slow moves."""
     result: list[Piece] = []
     for k, piece in enumerate(found):
         if piece.direction == 0 and k > 0:
             before = found[k - 1]
-            travel = abs(depth_mm[before.stop] - depth_mm[before.start])
+            travel = abs(before.travel_mm(path))
             quarter = max(1, (piece.stop - piece.start) // 4)
             drift = float(
-                np.median(depth_mm[piece.stop - quarter : piece.stop + 1])
-                - np.median(depth_mm[piece.start : piece.start + quarter + 1])
+                np.median(path.depth_mm[piece.stop - quarter : piece.stop + 1])
+                - np.median(path.depth_mm[piece.start : piece.start + quarter + 1])
             )
-            if abs(drift) > max(HOLD_DRIFT * travel, tolerance):
+            if abs(drift) > max(HOLD_DRIFT * travel, path.tolerance_mm):
                 result.append(replace(piece, direction=int(np.sign(drift))))
                 continue
         result.append(piece)
     return result
 
 
-def _place_corners(
-    time_s: FloatArray, depth_mm: FloatArray, found: list[Piece], *, tolerance: float
-) -> list[Piece]:
+def _place_corners(path: Path, found: list[Piece]) -> list[Piece]:
     """Move each corner to where the lines of its two sides meet, or to where the standstill begins."""
     edges = [piece.start for piece in found] + [found[-1].stop]
     for k in range(1, len(found)):
@@ -397,11 +404,6 @@ def _place_corners(
         if high - low < 4:
             continue
         edges[k] = corner_near(
-            time_s,
-            depth_mm,
-            edges[k],
-            (low, high),
-            stands=(before.direction == 0, after.direction == 0),
-            tolerance=tolerance,
+            path, edges[k], (low, high), stands=(before.direction == 0, after.direction == 0)
         )
     return [replace(piece, start=edges[k], stop=edges[k + 1]) for k, piece in enumerate(found)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.segment.motion import SPEED_RATIO, Piece, corner_near, leaves_line
+from tissueid.segment.motion import SPEED_RATIO, Path, Piece, corner_near, leaves_line
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Contact, Phase
@@ -61,72 +61,58 @@ class Surface:
         return cls(contact, surface, surface + float(margin))
 
 
-def settled(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    found: list[Piece],
-    options: SegmentOptions,
-    *,
-    tolerance_mm: float,
-) -> list[Piece]:
+def settled(path: Path, found: list[Piece], options: SegmentOptions) -> list[Piece]:
     """Moves and standstills that mean something: ringing joins its ramp, the dwell of a stop its move."""
-    calm = _without_ringing(time_s, depth_mm, found)
+    calm = _without_ringing(path, found)
     result: list[Piece] = []
     for k, piece in enumerate(calm):
         if piece.direction == 0 and result:
             after = calm[k + 1] if k + 1 < len(calm) else None
-            rounded = after is not None and _turns_round(
-                time_s, depth_mm, (result[-1], piece, after), tolerance_mm
-            )
-            if not _long_enough(time_s, piece, result[-1], options, rounded=rounded):
+            rounded = after is not None and _turns_round(path, (result[-1], piece, after))
+            if not _long_enough(path, piece, result[-1], options, rounded=rounded):
                 stop = piece.stop
                 if after is not None and after.direction == -result[-1].direction:
-                    stop = _turn(time_s, depth_mm, (result[-1], piece, after), tolerance_mm)
+                    stop = _turn(path, (result[-1], piece, after))
                     calm[k + 1] = replace(after, start=stop)
                 result[-1] = replace(result[-1], stop=stop)
                 continue
-        if result and _goes_on(time_s, depth_mm, result[-1], piece):
+        if result and _goes_on(path, result[-1], piece):
             result[-1] = replace(result[-1], stop=piece.stop)
         else:
             result.append(piece)
     return result
 
 
-def _turn(
-    time_s: FloatArray, depth_mm: FloatArray, around: tuple[Piece, Piece, Piece], tolerance_mm: float
-) -> int:
+def _turn(path: Path, around: tuple[Piece, Piece, Piece]) -> int:
     """The sample at which a move turns, given the short standstill there."""
     before, stand, after = around
     within = (before.start + before.stop) // 2, (after.start + after.stop) // 2
     at = (stand.start + stand.stop) // 2
-    turn = corner_near(time_s, depth_mm, at, within, stands=(False, False), tolerance=tolerance_mm)
+    turn = corner_near(path, at, within, stands=(False, False))
     return min(max(turn, stand.start), stand.stop)
 
 
-def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Piece) -> bool:
+def _goes_on(path: Path, before: Piece, after: Piece) -> bool:
     """True where a move was only interrupted, by a standstill too short to be one."""
     if before.direction == 0 or before.direction != after.direction:
         return False
-    slow, fast = sorted(abs(piece.speed(time_s, depth_mm)) for piece in (before, after))
+    slow, fast = sorted(abs(piece.speed(path)) for piece in (before, after))
     return fast <= SPEED_RATIO * slow
 
 
-def _turns_round(
-    time_s: FloatArray, depth_mm: FloatArray, around: tuple[Piece, Piece, Piece], tolerance_mm: float
-) -> bool:
+def _turns_round(path: Path, around: tuple[Piece, Piece, Piece]) -> bool:
     """True where a standstill between two opposite moves is the crest of a rounded turn."""
     before, stand, after = around
     if before.direction * after.direction >= 0:
         return False
-    took, moved = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (stand, before))
-    if took > max(LONGEST_CREST_S, HOLD_SHARE_OF_RAMP * moved):
+    took = stand.took_s(path)
+    if took > max(LONGEST_CREST_S, HOLD_SHARE_OF_RAMP * before.took_s(path)):
         return False
-    leaves = leaves_line(time_s, depth_mm, (before.start, before.stop), stand.start, tolerance_mm)
-    joins = leaves_line(time_s, depth_mm, (after.start, after.stop), stand.stop, tolerance_mm)
-    return took < STAND_SHARE_OF_TURN * float(time_s[joins] - time_s[leaves])
+    leaves, joins = leaves_line(path, before, stand.start), leaves_line(path, after, stand.stop)
+    return took < STAND_SHARE_OF_TURN * float(path.time_s[joins] - path.time_s[leaves])
 
 
-def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) -> list[Piece]:
+def _without_ringing(path: Path, found: list[Piece]) -> list[Piece]:
     """Overshoot and ringing before a standstill belong to the ramp."""
     result: list[Piece] = []
     k = 0
@@ -137,7 +123,7 @@ def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) 
             while (
                 stop + 1 < len(found)
                 and found[stop + 1].direction != 0
-                and _rings(time_s, depth, found[stop + 1], ramp)
+                and _rings(path, found[stop + 1], ramp)
             ):
                 stop += 1
             if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
@@ -149,28 +135,23 @@ def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) 
     return result
 
 
-def _rings(time_s: FloatArray, depth: FloatArray, swing: Piece, ramp: Piece) -> bool:
+def _rings(path: Path, swing: Piece, ramp: Piece) -> bool:
     """True where a move after a ramp is small beside it, or not large and over at once."""
-    moved, travel = (abs(float(depth[piece.stop] - depth[piece.start])) for piece in (swing, ramp))
-    took, ramp_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (swing, ramp))
-    at_once = took <= min(LONGEST_SWING_S, 0.5 * ramp_s)
+    moved, travel = abs(swing.travel_mm(path)), abs(ramp.travel_mm(path))
+    at_once = swing.took_s(path) <= min(LONGEST_SWING_S, 0.5 * ramp.took_s(path))
     return moved <= OVERSHOOT_SHARE * travel or (moved <= SWING_SHARE * travel and at_once)
 
 
-def _long_enough(
-    time_s: FloatArray, stand: Piece, before: Piece, options: SegmentOptions, *, rounded: bool
-) -> bool:
-    duration = float(time_s[stand.stop] - time_s[stand.start])
+def _long_enough(path: Path, stand: Piece, before: Piece, options: SegmentOptions, *, rounded: bool) -> bool:
+    duration = stand.took_s(path)
     if options.minimum_hold_s is not None:
         return duration >= options.minimum_hold_s
-    moved = float(time_s[before.stop] - time_s[before.start])
-    enough = stand.stop - stand.start + 1 >= HOLD_SAMPLES and duration >= HOLD_SHARE_OF_RAMP * moved
-    return enough and not rounded
+    long = duration >= HOLD_SHARE_OF_RAMP * before.took_s(path)
+    return long and stand.stop - stand.start + 1 >= HOLD_SAMPLES and not rounded
 
 
 def name_phases(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
+    path: Path,
     found: list[Piece],
     surface: Surface,
     *,
@@ -182,17 +163,17 @@ def name_phases(
     ``creeps(ramp, slow move)``: sample from which the load was held while the tool crept, or ``None``;
     ``again``: where the tool met the tissue again, on a later ramp.
     """
-    loops = _loops(depth_mm, found, surface)
+    loops = _loops(path, found, surface)
     named: list[tuple[str, Piece, int | None]] = []
     k = 0
     while k < len(found):
         piece, looped = found[k], k in loops
         peak = piece.stop if looped else None
-        kind = "cycle" if looped else _kind(piece, depth_mm, surface, named)
+        kind = "cycle" if looped else _kind(path, piece, surface, named)
         if looped:
             piece = Piece(0, piece.start, found[k + 1].stop)
         after_cycle = bool(named) and named[-1][0] == "cycle"
-        touch = _touch(depth_mm, found[k], surface) if kind in ("ramp", "cycle") else None
+        touch = _touch(path, found[k], surface) if kind in ("ramp", "cycle") else None
         if kind == "ramp" and again is not None and piece.start < again.index < piece.stop:
             touch = again.index
         if touch is not None and touch > found[k].start and not (looped and after_cycle):
@@ -209,24 +190,25 @@ def name_phases(
             kind, piece = "creep", replace(found[k], start=crept)
         named.append((kind, piece, peak))
         k += 2 if looped else 1
-    return tuple(_phase(time_s, depth_mm, kind, piece, peak) for kind, piece, peak in named)
+    return tuple(_phase(path, kind, piece, peak) for kind, piece, peak in named)
 
 
-def _loops(depth: FloatArray, found: list[Piece], surface: Surface) -> set[int]:
+def _loops(path: Path, found: list[Piece], surface: Surface) -> set[int]:
     """Loading moves that are unloaded at once, where the recording repeats them."""
     loops: set[int] = set()
     for k in range(len(found) - 1):
         # the way through air is no loading
-        begins = max(float(depth[found[k].start]), min(surface.depth_mm, float(depth[found[k].stop])))
-        way_in = float(depth[found[k].stop]) - begins
-        way_out = float(depth[found[k + 1].start] - depth[found[k + 1].stop])
-        turns = found[k].direction > 0 and found[k + 1].direction < 0
+        into, out = found[k], found[k + 1]
+        start, end = float(path.depth_mm[into.start]), float(path.depth_mm[into.stop])
+        way_in = end - max(start, min(surface.depth_mm, end))
+        way_out = -out.travel_mm(path)
+        turns = into.direction > 0 and out.direction < 0
         if turns and way_in > 0.0 and way_out >= LOOP_RETURN * way_in:
             loops.add(k)
     return loops if len(loops) >= FEWEST_LOOPS else set()
 
 
-def _touch(depth: FloatArray, piece: Piece, surface: Surface) -> int | None:
+def _touch(path: Path, piece: Piece, surface: Surface) -> int | None:
     """Contact of a move into the tissue: a sample of the piece, or ``None`` where all of it is air."""
     contact = surface.contact
     if contact is None:
@@ -235,17 +217,15 @@ def _touch(depth: FloatArray, piece: Piece, surface: Surface) -> int | None:
         return contact.index
     if piece.stop <= contact.index and contact.in_record:
         return None
-    path = depth[piece.start : piece.stop + 1]
-    air = np.flatnonzero(path < surface.depth_mm)
-    begins_in_air = float(path[0]) < surface.depth_mm - (surface.clear_mm - surface.depth_mm)
+    depth = path.depth_mm[piece.start : piece.stop + 1]
+    air = np.flatnonzero(depth < surface.depth_mm)
+    begins_in_air = float(depth[0]) < surface.depth_mm - (surface.clear_mm - surface.depth_mm)
     if not begins_in_air or air.size == 0:
         return piece.start
     return min(piece.start + int(air[-1]) + 1, piece.stop - 1)
 
 
-def _kind(
-    piece: Piece, depth: FloatArray, surface: Surface, named: list[tuple[str, Piece, int | None]]
-) -> str:
+def _kind(path: Path, piece: Piece, surface: Surface, named: list[tuple[str, Piece, int | None]]) -> str:
     """The kind of a piece that is no loop; creep is told apart later."""
     contact = surface.contact
     if contact is None:
@@ -255,10 +235,10 @@ def _kind(
     if piece.direction < 0:
         return "retract"
     if piece.direction > 0:
-        return "ramp" if _touch(depth, piece, surface) is not None else "approach"
+        return "ramp" if _touch(path, piece, surface) is not None else "approach"
     if not any(kind in ("ramp", "cycle") for kind, _, _ in named):
         return "approach"  # nothing was loaded: there is nothing to relax
-    level = float(np.median(depth[piece.start : piece.stop + 1]))
+    level = float(np.median(path.depth_mm[piece.start : piece.stop + 1]))
     return "rest" if level < surface.clear_mm else "hold"
 
 
@@ -278,12 +258,12 @@ def _creep_start(
     return next((start for start in starts if start is not None), None)
 
 
-def _phase(time_s: FloatArray, depth: FloatArray, kind: str, piece: Piece, peak: int | None) -> Phase:
-    start_s, end_s = float(time_s[piece.start]), float(time_s[piece.stop])
+def _phase(path: Path, kind: str, piece: Piece, peak: int | None) -> Phase:
+    start_s, end_s = float(path.time_s[piece.start]), float(path.time_s[piece.stop])
     turn = piece.stop if peak is None else peak
-    moved, took = float(depth[turn] - depth[piece.start]), float(time_s[turn]) - start_s
+    moved, took = float(path.depth_mm[turn] - path.depth_mm[piece.start]), float(path.time_s[turn]) - start_s
     stands = kind in ("hold", "rest") or (piece.direction == 0 and peak is None)
     speed = moved / took if took > 0.0 and not stands else 0.0
     if speed != 0.0 and kind in STEADY:
-        speed, _ = travel_line(time_s, depth, piece.start, piece.stop)
+        speed, _ = travel_line(path.time_s, path.depth_mm, piece.start, piece.stop)
     return Phase(kind, piece.start, piece.stop + 1, start_s, end_s, speed, peak)

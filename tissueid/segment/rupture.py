@@ -14,7 +14,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import Piece, leaves_line, straight_line
+from tissueid.segment.motion import Path, Piece, leaves_line, straight_line
 from tissueid.signal_noise import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
@@ -58,93 +58,75 @@ class _Fall(NamedTuple):
     bottom: int
 
 
-def ruptures(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    force_N: FloatArray,
-    loading: list[Piece],
-    *,
-    noise_N: float,
-    tolerance_mm: float,
-    zero: tuple[float, float],
-) -> list[Event]:
-    """Ruptures, slips and doubtful ruptures of loading moves; ``index`` is the last sample before a fall."""
-    contact_mm, baseline_N = zero
-    depth, force = depth_mm - contact_mm, force_N - baseline_N
-    least = max(DROP_SD * noise_N, RANGE_SHARE * float(np.ptp(force_N)))
+def ruptures(path: Path, loading: list[Piece], zero: tuple[float, float]) -> list[Event]:
+    """Ruptures, slips and doubtful ruptures of loading moves; ``index`` is the last sample before a fall.
+
+    ``zero``: depth and force of the contact.
+    """
+    inside = replace(path, depth_mm=path.depth_mm - zero[0], force_N=path.force_N - zero[1])
+    least = max(DROP_SD * path.noise_N, RANGE_SHARE * float(np.ptp(path.force_N)))
     events: list[Event] = []
     for piece in loading:
         span = slice(piece.start, piece.stop + 1)
-        if piece.stop - piece.start + 1 < 2 * MEDIAN_SAMPLES:
+        force = inside.force_N[span]
+        if force.size < 2 * MEDIAN_SAMPLES or float((np.maximum.accumulate(force) - force).max()) < least:
             continue
-        if float((np.maximum.accumulate(force[span]) - force[span]).max()) < least:
-            continue
-        steady = running_median(force[span])
-        slowed = _slower_than_before(time_s, depth_mm, piece, loading)
-        until = _steady_until(time_s, depth_mm, piece, loading, tolerance_mm)
+        steady = running_median(force)
+        move = replace(inside, time_s=path.time_s[span], depth_mm=inside.depth_mm[span], force_N=steady)
+        slowed = _slower_than_before(path, piece, loading)
+        until = _steady_until(path, piece, loading)
         for fall in _falls(steady, least):
             if slowed and fall.top < 2 * MEDIAN_SAMPLES:
                 continue  # the branch relaxes to the lower speed
-            found = _judge(time_s[span], depth[span], steady, fall, least=least, tolerance=tolerance_mm)
+            found = _judge(move, fall, least)
             if found is None:
                 continue
-            event = _event(time_s, depth, force, piece.start, found, steady)
+            event = _event(inside, piece.start, found, steady)
             if event.index <= until:
                 events.append(event)
-            elif event.values["drop_fraction"] >= COLLAPSE and not _turns_back(depth_mm, piece):
+            elif event.values["drop_fraction"] >= COLLAPSE and not _turns_back(path, piece):
                 events.append(replace(event, kind="doubtful_rupture"))
     return events
 
 
-def _turns_back(depth_mm: FloatArray, piece: Piece) -> bool:
+def _turns_back(path: Path, piece: Piece) -> bool:
     """True where the tool leaves again after a move, by more than it settles."""
-    after = depth_mm[piece.stop : piece.stop + max(piece.stop - piece.start, 2)]
-    return bool(
-        depth_mm[piece.stop] - after[-1] > SLIP_SHARE * (depth_mm[piece.stop] - depth_mm[piece.start])
-    )
+    after = path.depth_mm[piece.stop : piece.stop + max(piece.stop - piece.start, 2)]
+    return bool(path.depth_mm[piece.stop] - after[-1] > SLIP_SHARE * piece.travel_mm(path))
 
 
-def _steady_until(
-    time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece], tolerance_mm: float
-) -> int:
+def _steady_until(path: Path, piece: Piece, loading: list[Piece]) -> int:
     """The last sample of a move at which a fall of force is no relaxation or release."""
-    if piece.stop >= time_s.size - 1 or any(one.start == piece.stop for one in loading):
+    if piece.stop >= path.time_s.size - 1 or any(one.start == piece.stop for one in loading):
         return piece.stop  # the record ends, or the move goes on at another speed
-    leaves = leaves_line(time_s, depth_mm, (piece.start, piece.stop), piece.stop, tolerance_mm)
+    leaves = leaves_line(path, piece, piece.stop)
     if leaves - piece.start < STRAIGHT_SHARE * (piece.stop - piece.start):
         leaves = piece.stop
-    return min(leaves, int(np.searchsorted(time_s, time_s[piece.stop] - END_S)) - 1)
+    return min(leaves, int(np.searchsorted(path.time_s, path.time_s[piece.stop] - END_S)) - 1)
 
 
-def _event(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    force_N: FloatArray,
-    start: int,
-    found: tuple[int, int],
-    steady_N: FloatArray,
-) -> Event:
+def _event(inside: Path, start: int, found: tuple[int, int], steady_N: FloatArray) -> Event:
     """A fall of force as an event: of a slip where it is small and the ramp makes it good."""
     onset, bottom = found
     at = start + onset
-    before = _level_at(time_s, force_N, start, at)
+    before = _level_at(inside, start, at)
     drop = before - float(steady_N[bottom])
     made_good = bool(float(steady_N[bottom:].max()) >= before)
     values = {
         "force_before_N": before,
         "drop_N": drop,
         "drop_fraction": drop / before,
-        "depth_mm": float(depth_mm[at]),
-        "work_N_mm": _work(depth_mm, force_N, start, at),
+        "depth_mm": float(inside.depth_mm[at]),
+        "work_N_mm": _work(inside, start, at),
     }
     kind = "slip" if made_good and drop <= SLIP_SHARE * before else "rupture"
-    return Event(kind, at, float(time_s[at]), values)
+    return Event(kind, at, float(inside.time_s[at]), values)
 
 
-def _slower_than_before(time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece]) -> bool:
+def _slower_than_before(path: Path, piece: Piece, loading: list[Piece]) -> bool:
     """True where a move goes on from a faster one without a stop."""
     before = next((one for one in loading if one.stop == piece.start), None)
-    return before is not None and piece.speed(time_s, depth_mm) < before.speed(time_s, depth_mm)
+    return before is not None and piece.speed(path) < before.speed(path)
 
 
 def _falls(force: FloatArray, least_N: float) -> list[_Fall]:
@@ -168,16 +150,9 @@ def _falls(force: FloatArray, least_N: float) -> list[_Fall]:
     return falls
 
 
-def _judge(
-    time_s: FloatArray,
-    depth_mm: FloatArray,
-    force: FloatArray,
-    fall: _Fall,
-    *,
-    least: float,
-    tolerance: float,
-) -> tuple[int, int] | None:
-    """Onset and lowest sample of a fall that is a rupture, else ``None``."""
+def _judge(move: Path, fall: _Fall, least: float) -> tuple[int, int] | None:
+    """Onset and lowest sample of a fall within a move that is a rupture, else ``None``."""
+    time_s, depth_mm, force = move.time_s, move.depth_mm, move.force_N
     drop = float(force[fall.top] - force[fall.bottom])
     if force[fall.top] <= least or depth_mm[fall.top] <= 0.0:
         return None
@@ -189,10 +164,10 @@ def _judge(
     # the top is the highest of many noisy samples: its own noise is no fall yet
     begun = min(max(ONSET * drop, ONSET_SD / DROP_SD * least), UNCLEAR * drop)
     onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - begun)[-1])
-    onset = max(onset, _break(time_s, force, fall))
+    onset = max(onset, _break(move, fall))
     first, last = time_s.size // 4, 3 * time_s.size // 4
     speed = float(depth_mm[last] - depth_mm[first]) / max(float(time_s[last] - time_s[first]), 1e-300)
-    if not _moves_on(time_s, depth_mm, (high, low), speed, tolerance):
+    if not _moves_on(move, (high, low), speed):
         return None
     secant = float(force[fall.top]) / float(depth_mm[fall.top])
     # a fall between two samples is as steep as can be
@@ -203,10 +178,10 @@ def _judge(
     return onset, fall.bottom
 
 
-def _break(time_s: FloatArray, force: FloatArray, fall: _Fall) -> int:
+def _break(move: Path, fall: _Fall) -> int:
     """The sample before a break at the end of a slow fall, as of a neck; the top where there is none."""
-    lowest = np.minimum.accumulate(force[fall.top : fall.bottom + 1])
-    time = time_s[fall.top : fall.bottom + 1]
+    lowest = np.minimum.accumulate(move.force_N[fall.top : fall.bottom + 1])
+    time = move.time_s[fall.top : fall.bottom + 1]
     lost = BREAK_SHARE * float(lowest[0] - lowest[-1])
     # the shortest stretch in which that much is lost
     ends = np.searchsorted(-lowest, lost - lowest)
@@ -218,28 +193,27 @@ def _break(time_s: FloatArray, force: FloatArray, fall: _Fall) -> int:
     return fall.top + int(reached[k])
 
 
-def _moves_on(
-    time_s: FloatArray, depth_mm: FloatArray, fall: tuple[int, int], speed: float, tolerance: float
-) -> bool:
+def _moves_on(move: Path, fall: tuple[int, int], speed: float) -> bool:
     """True where the tool keeps its speed over a fall and after it, so far that noise can't hide a stop."""
     first, last = fall
-    span = VISIBLE * tolerance / max(speed, 1e-300)
+    time_s = move.time_s
+    span = VISIBLE * move.tolerance_mm / max(speed, 1e-300)
     last = max(last, min(int(np.searchsorted(time_s, time_s[first] + span)), time_s.size - 1))
     first = min(first, int(np.searchsorted(time_s, time_s[last] - span)))
     took = float(time_s[last] - time_s[first])
-    return float(depth_mm[last] - depth_mm[first]) >= MOVES_ON * speed * took
+    return float(move.depth_mm[last] - move.depth_mm[first]) >= MOVES_ON * speed * took
 
 
-def _level_at(time_s: FloatArray, force_N: FloatArray, start: int, at: int) -> float:
+def _level_at(path: Path, start: int, at: int) -> float:
     """Force at a sample from a straight line through those that lead to it."""
     lead = slice(max(start, at - 2 * MEDIAN_SAMPLES + 1), at + 1)
-    slope, level = straight_line(time_s[lead], force_N[lead], flat=False)
-    return level + slope * float(time_s[at])
+    slope, level = straight_line(path.time_s[lead], path.force_N[lead], flat=False)
+    return level + slope * float(path.time_s[at])
 
 
-def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> float:
+def _work(path: Path, start: int, at: int) -> float:
     """Work from contact to a sample of the move [N mm]."""
-    x, f = depth_mm[start : at + 1], force_N[start : at + 1]
+    x, f = path.depth_mm[start : at + 1], path.force_N[start : at + 1]
     inside = x >= 0.0
     return float(np.trapezoid(f[inside], x[inside])) if inside.sum() > 1 else 0.0
 

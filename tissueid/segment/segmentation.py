@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from tissueid.segment.endings import (
     loops_of,
     pull_off,
 )
-from tissueid.segment.motion import Piece, displacement_tolerance, leaves_line, pieces
+from tissueid.segment.motion import Path, Piece, leaves_line, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
@@ -53,37 +53,35 @@ def by_hand(trial: Trial, options: SegmentOptions) -> tuple[Flag, ...]:
     return (Flag("decision_overridden", f"{words}, because: {because}", values),)
 
 
-def held_from_here(
-    time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], start_s: float
-) -> tuple[Phase, ...]:
+def held_from_here(path: Path, phases: tuple[Phase, ...], start_s: float) -> tuple[Phase, ...]:
     """Phases of which the hold nearest to a time begins there; a ramp is parted where there is no hold."""
-    at = int(np.argmin(np.abs(time_s - start_s)))
+    at = int(np.argmin(np.abs(path.time_s - start_s)))
     holds = [k for k, phase in enumerate(phases) if phase.kind in ("hold", "creep") and k > 0]
     if holds:
         k = min(holds, key=lambda one: abs(phases[one].start_s - start_s))
         before, after = phases[k - 1], phases[k]
         if before.start < at < after.stop - 1:
-            moved = (_ending(time_s, depth_mm, before, at), _starting(time_s, after, at))
+            moved = (_ending(path, before, at), _starting(path, after, at))
             return (*phases[: k - 1], *moved, *phases[k + 1 :])
         return phases
     for k, phase in enumerate(phases):
         if phase.kind in HOLDABLE and phase.start < at < phase.stop - 1:
-            hold = replace(_starting(time_s, phase, at), kind="hold", speed_mm_s=0.0)
-            return (*phases[:k], _ending(time_s, depth_mm, phase, at), hold, *phases[k + 1 :])
+            hold = replace(_starting(path, phase, at), kind="hold", speed_mm_s=0.0)
+            return (*phases[:k], _ending(path, phase, at), hold, *phases[k + 1 :])
     return phases
 
 
-def _ending(time_s: FloatArray, depth_mm: FloatArray, phase: Phase, at: int) -> Phase:
+def _ending(path: Path, phase: Phase, at: int) -> Phase:
     """A phase that ends at a sample."""
     speed = phase.speed_mm_s
     if speed != 0.0:
-        speed, _ = travel_line(time_s, depth_mm, phase.start, at)
-    return replace(phase, stop=at + 1, end_s=float(time_s[at]), speed_mm_s=speed)
+        speed, _ = travel_line(path.time_s, path.depth_mm, phase.start, at)
+    return replace(phase, stop=at + 1, end_s=float(path.time_s[at]), speed_mm_s=speed)
 
 
-def _starting(time_s: FloatArray, phase: Phase, at: int) -> Phase:
+def _starting(path: Path, phase: Phase, at: int) -> Phase:
     """A phase that starts at a sample."""
-    return replace(phase, start=at, start_s=float(time_s[at]))
+    return replace(phase, start=at, start_s=float(path.time_s[at]))
 
 
 #: Fewest samples with which there is anything to divide.
@@ -101,23 +99,6 @@ LOST_SHARE = 0.01
 BROKEN_SHARE = 0.9
 #: A ramp after cycles is the test where it goes this much deeper than they did, or is held.
 DEEPER = 1.1
-
-
-@dataclass(frozen=True, slots=True)
-class _Path:
-    """Recorded path, growing into the tissue, and what noise explains of it."""
-
-    time_s: FloatArray
-    depth_mm: FloatArray
-    force_N: FloatArray
-    noise_N: float
-    tolerance_mm: float
-
-    def ruptures(self, loading: list[Piece], zero: tuple[float, float]) -> list[Event]:
-        """Ruptures on loading moves, depth and force counted from ``zero``."""
-        noise, tolerance = self.noise_N, self.tolerance_mm
-        path = self.time_s, self.depth_mm, self.force_N
-        return ruptures(*path, loading, noise_N=noise, tolerance_mm=tolerance, zero=zero)
 
 
 def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation:
@@ -179,33 +160,31 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
         few = _nothing(message, time_s.size, float(np.ptp(depth)))
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
-    tolerance = displacement_tolerance(time_s, depth)
-    found = settled(time_s, depth, pieces(time_s, depth), options, tolerance_mm=tolerance)
-    found = placed_stops(time_s, depth, found)
-    path = _Path(time_s, depth, force, noise, tolerance)
+    path = Path.of(time_s, depth, force, noise)
+    found = placed_stops(path, settled(path, pieces(path), options))
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
     moves = _whole(path, found, breaks=options.rupture)
-    contact, contact_flags = _located(path, moves, _shallow_from(depth, moves), locate)
+    contact, contact_flags = _located(path, moves, _shallow_from(path, moves), locate)
     surface = Surface.of(contact, depth, compression)
-    creep = partial(held_from, time_s, depth, force, noise_N=noise, tolerance_mm=tolerance)
-    phases = name_phases(time_s, depth, found, surface, creeps=creep)
-    test = _test_phase(depth, phases, surface)
-    if contact is not None and _lets_go(force, phases[:test], force_sign * contact.baseline_N, noise):
+    creep = partial(held_from, path)
+    phases = name_phases(path, found, surface, creeps=creep)
+    test = _test_phase(path, phases, surface)
+    if contact is not None and _lets_go(path, phases[:test], force_sign * contact.baseline_N):
         start = phases[test].start
         again, again_flags = _located(path, moves, start, locate)
         if again is not None:
             contact, contact_flags = again, again_flags
-            phases = name_phases(time_s, depth, found, surface, creeps=creep, again=contact)
+            phases = name_phases(path, found, surface, creeps=creep, again=contact)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
     phases = _without_broken(phases, events)
     if options.hold_from_s is not None:
-        phases = held_from_here(time_s, depth, phases, options.hold_from_s)
-    phases = with_braking(time_s, depth, phases)
-    events = tuple(sorted((*events, *settlings(time_s, depth, phases)), key=lambda event: event.index))
+        phases = held_from_here(path, phases, options.hold_from_s)
+    phases = with_braking(path, phases)
+    events = tuple(sorted((*events, *settlings(path, phases)), key=lambda event: event.index))
     divided = replace(divided, phases=phases)
-    corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
-    flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
+    corners = corners_of(path, phases)
+    flags += contact_flags + remarks + corner_flags(path, phases, corners)
     flags += speed_flags(phases, trial.protocol.speed_mm_s)
     flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
@@ -220,11 +199,11 @@ def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tup
     return tuple(replace(p, kind="rest") if p.kind == "hold" and p.start > first else p for p in phases)
 
 
-def _shallow_from(depth: FloatArray, moves: list[Piece]) -> int:
+def _shallow_from(path: Path, moves: list[Piece]) -> int:
     """From where on the tool stays shallower than the first move will take it: the record may begin deep."""
     if not moves:
         return 0
-    deeper = np.flatnonzero(depth[: moves[0].start] >= depth[moves[0].stop])
+    deeper = np.flatnonzero(path.depth_mm[: moves[0].start] >= path.depth_mm[moves[0].stop])
     return int(deeper[-1]) + 1 if deeper.size else 0
 
 
@@ -234,7 +213,7 @@ def _shows_depths(depth: FloatArray) -> bool:
 
 
 def _located(
-    path: _Path,
+    path: Path,
     moves: list[Piece],
     start: int,
     locate: Callable[[FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
@@ -249,15 +228,15 @@ def _located(
     return (None if contact is None else replace(contact, index=contact.index + start)), flags
 
 
-def _whole(path: _Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
+def _whole(path: Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
     """Moves that may show the tissue's surface: from the first that meets it, up to where it breaks."""
     loading = [piece for piece in found if piece.direction > 0]
     if not loading:
         return []
     force, start = path.force_N, loading[0].start
     zero = (float(path.depth_mm[start]), float(np.median(force[: max(start, FEWEST_SAMPLES)])))
-    ruptures = path.ruptures(loading, zero) if breaks else ()
-    broken = [event.index for event in ruptures if event.kind == "rupture"]
+    breaking = ruptures(path, loading, zero) if breaks else ()
+    broken = [event.index for event in breaking if event.kind == "rupture"]
     least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
     met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
     return [
@@ -271,68 +250,62 @@ def _whole(path: _Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
     ]
 
 
-def _straight_until(path: _Path, move: Piece) -> int:
+def _straight_until(path: Path, move: Piece) -> int:
     """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
-    end = leaves_line(path.time_s, path.depth_mm, (move.start, move.stop), move.stop, path.tolerance_mm)
+    end = leaves_line(path, move, move.stop)
     if move.stop - move.start < FEWEST_STRAIGHT and path.force_N[move.stop] >= path.force_N[end]:
         return move.stop
     # a move that is no straight line has no such sample
     return end if end - move.start >= STRAIGHT_SHARE * (move.stop - move.start) else move.stop
 
 
-def _test_phase(depth: FloatArray, phases: tuple[Phase, ...], surface: Surface) -> int:
+def _test_phase(path: Path, phases: tuple[Phase, ...], surface: Surface) -> int:
     """The phase after the last cycle, where a test follows it; else 0."""
     last = max((k for k, phase in enumerate(phases) if phase.kind == "cycle"), default=-1)
     if last < 0:
         return 0
-    before = max(float(depth[phase.peak]) for phase in phases if phase.peak is not None)
+    before = max(float(path.depth_mm[phase.peak]) for phase in phases if phase.peak is not None)
     for phase in phases[last + 1 :]:
         if phase.kind in ("hold", "creep"):
             return last + 1
-        deep = float(depth[phase.stop - 1]) - surface.depth_mm
+        deep = float(path.depth_mm[phase.stop - 1]) - surface.depth_mm
         if phase.kind == "ramp" and deep > DEEPER * (before - surface.depth_mm):
             return last + 1
     return 0
 
 
-def _lets_go(force: FloatArray, cycles: tuple[Phase, ...], baseline_N: float, noise_N: float) -> bool:
+def _lets_go(path: Path, cycles: tuple[Phase, ...], baseline_N: float) -> bool:
     """True where tool and tissue part between the first peak and the test."""
     peaks = [phase.peak for phase in cycles if phase.peak is not None]
     if not peaks:
         return False
-    between = np.sort(force[peaks[0] : cycles[-1].stop])
+    between = np.sort(path.force_N[peaks[0] : cycles[-1].stop])
     # a low percentile and not the least: single samples may be anything
     least = float(between[min(FEWEST_SAMPLES, between.size - 1)])
-    return least - baseline_N <= max(LOST_SD * noise_N, LOST_SHARE * float(np.ptp(force)))
+    return least - baseline_N <= max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(path.force_N)))
 
 
 def _remarks(
-    protocol: Protocol,
-    divided: Segmentation,
-    path: _Path,
-    found: list[Piece],
-    options: SegmentOptions,
+    protocol: Protocol, divided: Segmentation, path: Path, found: list[Piece], options: SegmentOptions
 ) -> tuple[tuple[Event, ...], list[Flag]]:
     """Flags of events beside the phases, and of the test that they tell."""
-    time_s, depth, force = path.time_s, path.depth_mm, path.force_N
     phases, contact = divided.phases, divided.contact
     events: list[Event] = []
     flags: list[Flag] = []
-    loops = loops_of(depth, force, phases)
+    loops = loops_of(path, phases)
     baseline = 0.0
     if contact is not None:
         baseline = divided.force_sign * contact.baseline_N
         zero = (divided.compression_sign * contact.displacement_mm, baseline)
         if options.rupture:
             loading = [piece for piece in found if piece.direction > 0]
-            broken = path.ruptures(loading, zero)
+            broken = ruptures(path, loading, zero)
             flags += rupture_flags(broken)
             events += broken
-        limit, noise = protocol.load_limit_N, path.noise_N
-        endings = aborts(time_s, depth, phases, protocol)
-        endings += load_limits(time_s, depth, force, phases, loops, noise_N=noise, zero=zero, stated_N=limit)
+        endings = aborts(path, phases, protocol)
+        endings += load_limits(path, phases, loops, zero=zero, stated_N=protocol.load_limit_N)
         flags += ending_flags(endings)
-        flags += pull_off(depth, force, surface_mm=zero[0], noise_N=noise)
+        flags += pull_off(path, surface_mm=zero[0])
         events += endings
     flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
     flags += _missing(phases)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import Piece, path_noise, straight_line
+from tissueid.segment.motion import Line, Path, Piece, straight_line
 from tissueid.trial import Corner, Event, Phase
 
 #: Shares of the travel between which the line of a move is laid.
@@ -31,7 +31,7 @@ SPEED_SHARE = 0.05
 FEWEST_ON_LINE = 3
 
 
-def travel_line(time_s: FloatArray, depth_mm: FloatArray, start: int, stop: int) -> tuple[float, float]:
+def travel_line(time_s: FloatArray, depth_mm: FloatArray, start: int, stop: int) -> Line:
     """Speed, and level at t = 0, of the straight line through 20 to 80 % of the travel of a move."""
     t, x = time_s[start : stop + 1], depth_mm[start : stop + 1]
     share = (x - x[0]) / (x[-1] - x[0]) if x[-1] != x[0] else np.zeros(x.size)
@@ -48,26 +48,23 @@ def travel_line(time_s: FloatArray, depth_mm: FloatArray, start: int, stop: int)
     return straight_line(t[first:last], x[first:last], flat=False)
 
 
-def placed_stops(time_s: FloatArray, depth_mm: FloatArray, found: list[Piece]) -> list[Piece]:
+def placed_stops(path: Path, found: list[Piece]) -> list[Piece]:
     """Pieces whose moves end, and standstills begin, at the stop."""
-    noise = path_noise(time_s, depth_mm)
     result = list(found)
     for k in range(1, len(result)):
         before, after = result[k - 1], result[k]
         if before.direction == 0 or after.direction != 0:
             continue
-        at = _stop(time_s, before.direction * depth_mm, (before, after), noise)
+        at = _stop(path, before, after)
         if at is not None and before.start < at < after.stop:
             result[k - 1] = Piece(before.direction, before.start, at)
             result[k] = Piece(0, at, after.stop)
     return result
 
 
-def _stop(
-    time_s: FloatArray, travel_mm: FloatArray, around: tuple[Piece, Piece], noise_mm: float
-) -> int | None:
+def _stop(path: Path, before: Piece, after: Piece) -> int | None:
     """The first sample at the level that a move ends at, ``None`` where noise hides it."""
-    before, after = around
+    time_s, travel_mm, noise_mm = path.time_s, before.direction * path.depth_mm, path.noise_mm
     speed, level_0 = travel_line(time_s, travel_mm, before.start, before.stop)
     plateau = float(np.median(travel_mm[after.start : after.stop + 1]))
     share = STOP_SHARE * (plateau - float(travel_mm[before.start]))
@@ -95,33 +92,32 @@ def _stop(
     return None
 
 
-def with_braking(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+def with_braking(path: Path, phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
     """Phases whose ramps know for how long they brake before they stop."""
-    noise = path_noise(time_s, depth_mm)
+    time, depth = path.time_s, path.depth_mm
     result = list(phases)
     for k, (ramp, after) in enumerate(pairwise(phases)):
         if ramp.kind != "ramp" or after.kind not in ("hold", "rest"):
             continue
         last = ramp.stop - 1
-        slope, level = travel_line(time_s, depth_mm, ramp.start, last)
-        off = np.abs(depth_mm[ramp.start : last + 1] - level - slope * time_s[ramp.start : last + 1])
-        within = max(STOP_SHARE * float(depth_mm[last] - depth_mm[ramp.start]), noise)
+        slope, level = travel_line(time, depth, ramp.start, last)
+        off = np.abs(depth[ramp.start : last + 1] - level - slope * time[ramp.start : last + 1])
+        within = max(STOP_SHARE * float(depth[last] - depth[ramp.start]), path.noise_mm)
         leaves = ramp.start + int(np.flatnonzero(off <= within)[-1]) if (off <= within).any() else last
-        result[k] = replace(ramp, braking_s=ramp.end_s - float(time_s[leaves]))
+        result[k] = replace(ramp, braking_s=ramp.end_s - float(time[leaves]))
     return tuple(result)
 
 
-def settlings(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...]) -> list[Event]:
+def settlings(path: Path, phases: tuple[Phase, ...]) -> list[Event]:
     """Travel of holds after their stop, as events of kind ``settling``."""
-    noise = path_noise(time_s, depth_mm)
     events = []
     for ramp, hold in pairwise(phases):
         if ramp.kind != "ramp" or hold.kind != "hold":
             continue
         late = max(hold.start, hold.stop - max(1, int(LATE_SHARE * (hold.stop - hold.start))))
-        rest = float(np.median(depth_mm[late : hold.stop])) - float(depth_mm[hold.start])
-        step = float(depth_mm[hold.start] - depth_mm[ramp.start])
-        if abs(rest) > max(SETTLING_SHARE * step, noise):
+        rest = float(np.median(path.depth_mm[late : hold.stop])) - float(path.depth_mm[hold.start])
+        step = float(path.depth_mm[hold.start] - path.depth_mm[ramp.start])
+        if abs(rest) > max(SETTLING_SHARE * step, path.noise_mm):
             events.append(Event("settling", hold.start, hold.start_s, {"settles_mm": rest}))
     return events
 
@@ -155,33 +151,29 @@ STANDING = ("hold", "rest")
 STOPPED = (*STANDING, "creep", "retract")
 
 
-def corners_of(
-    time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], *, tolerance_mm: float
-) -> tuple[Corner, ...]:
+def corners_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Corner, ...]:
     """The corner at the end of each ramp that stops or turns."""
     return tuple(
-        _corner(time_s, depth_mm, (k, before, after), tolerance_mm)
+        _corner(path, (k, before, after))
         for k, (before, after) in enumerate(pairwise(phases))
         if before.kind == "ramp" and after.kind in STOPPED
     )
 
 
-def _corner(
-    time_s: FloatArray, depth_mm: FloatArray, at: tuple[int, Phase, Phase], tolerance_mm: float
-) -> Corner:
+def _corner(path: Path, at: tuple[int, Phase, Phase]) -> Corner:
     number, before, after = at
     low, high = (before.start + before.stop - 1) // 2, after.stop - 1
-    slope_1, level_1 = travel_line(time_s, depth_mm, before.start, before.stop - 1)
-    slope_2, level_2 = _middle_line(time_s, depth_mm, after, flat=after.kind in STANDING)
-    edge = float(time_s[before.stop - 1])
+    slope_1, level_1 = travel_line(path.time_s, path.depth_mm, before.start, before.stop - 1)
+    slope_2, level_2 = _middle_line(path, after, flat=after.kind in STANDING)
+    edge = float(path.time_s[before.stop - 1])
     meet = (level_2 - level_1) / (slope_1 - slope_2) if slope_1 != slope_2 else edge
-    if not time_s[low] <= meet <= time_s[high]:
+    if not path.time_s[low] <= meet <= path.time_s[high]:
         meet = edge
-    index = low + int(np.argmin(np.abs(time_s[low : high + 1] - meet)))
-    t, x = time_s[low : high + 1], depth_mm[low : high + 1]
-    off_ramp = np.abs(x - level_1 - slope_1 * t) > tolerance_mm
+    index = low + int(np.argmin(np.abs(path.time_s[low : high + 1] - meet)))
+    t, x = path.time_s[low : high + 1], path.depth_mm[low : high + 1]
+    off_ramp = np.abs(x - level_1 - slope_1 * t) > path.tolerance_mm
     beyond = x - level_2 - slope_2 * t
-    off_next = np.flatnonzero(np.abs(beyond) > tolerance_mm)
+    off_next = np.flatnonzero(np.abs(beyond) > path.tolerance_mm)
     leaves = max(int(np.argmax(off_ramp)) - 1, 0) if off_ramp.any() else index - low
     settles = min(int(off_next[-1]) + 1, t.size - 1) if off_next.size else index - low
     # a phase that is no straight line does not tell where the corner begins or ends: its edge does
@@ -191,8 +183,8 @@ def _corner(
     overshoot, swings, period = 0.0, 0, None
     if after.kind in STANDING:
         later = t >= meet
-        overshoot = float(beyond.max()) if beyond.max() > tolerance_mm else 0.0
-        swings, period = _ringing(t[later], beyond[later], tolerance_mm)
+        overshoot = float(beyond.max()) if beyond.max() > path.tolerance_mm else 0.0
+        swings, period = _ringing(t[later], beyond[later], path.tolerance_mm)
     duration = max(float(t[settles] - t[leaves]), 0.0)
     if swings < 2:
         lines = level_1 + slope_1 * t, level_2 + slope_2 * t
@@ -221,15 +213,13 @@ def _even_stop_s(
     return float(np.sqrt(EVEN_STOP * area / change_mm_s)) if change_mm_s > 0.0 else 0.0
 
 
-def _middle_line(
-    time_s: FloatArray, depth_mm: FloatArray, phase: Phase, *, flat: bool
-) -> tuple[float, float]:
+def _middle_line(path: Path, phase: Phase, *, flat: bool) -> Line:
     """Slope and level at t = 0 of the middle half of a phase; of a standing one its late median."""
     count = phase.stop - phase.start
     if flat:
-        return 0.0, float(np.median(depth_mm[phase.start + count // 2 : phase.stop]))
+        return 0.0, float(np.median(path.depth_mm[phase.start + count // 2 : phase.stop]))
     part = slice(phase.start + count // 4, phase.stop - count // 4)
-    return straight_line(time_s[part], depth_mm[part], flat=False)
+    return straight_line(path.time_s[part], path.depth_mm[part], flat=False)
 
 
 def _ringing(time_s: FloatArray, beyond: FloatArray, tolerance_mm: float) -> tuple[int, float | None]:
@@ -245,16 +235,14 @@ def _ringing(time_s: FloatArray, beyond: FloatArray, tolerance_mm: float) -> tup
     return len(extremes), 2.0 * (extremes[-1] - extremes[0]) / (len(extremes) - 1)
 
 
-def corner_flags(
-    depth_mm: FloatArray, phases: tuple[Phase, ...], corners: tuple[Corner, ...], *, tolerance_mm: float
-) -> list[Flag]:
+def corner_flags(path: Path, phases: tuple[Phase, ...], corners: tuple[Corner, ...]) -> list[Flag]:
     """The first stop that overshoots its hold, and the slowest one."""
     flags: list[Flag] = []
     stops = [corner for corner in corners if phases[corner.phase + 1].kind == "hold"]
     for corner in stops:
         ramp = phases[corner.phase]
-        travel = float(depth_mm[ramp.stop - 1] - depth_mm[ramp.start])
-        if corner.overshoot_mm > max(OVERSHOOT_SAID * travel, tolerance_mm):
+        travel = float(path.depth_mm[ramp.stop - 1] - path.depth_mm[ramp.start])
+        if corner.overshoot_mm > max(OVERSHOOT_SAID * travel, path.tolerance_mm):
             message = (
                 f"displacement overshoots its hold by {corner.overshoot_mm:.3g} mm and settles in "
                 f"{corner.duration_s:.3g} s"

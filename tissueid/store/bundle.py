@@ -298,11 +298,8 @@ def load_bundle(path: Path | str) -> Bundle:
         Naming the file, what is wrong with it, and the way out.
     """
     path = Path(path)
-    if not path.is_file():
-        msg = f"{path}: there is no such file; `tissueid fit` writes bundles into its output folder"
-        raise BundleError(msg)
     damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"
-    with open_file(path, "a bundle", damaged) as file:
+    with open_file(path, "a bundle", damaged, "bundles into its output folder") as file:
         text, arrays, attributes = _read(file)
     _check_header(path, attributes)
     if attributes["content_sha256"] != _content_hash(text, arrays):

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import BundleError
 from tissueid.result import Curve, ResidualSummary, SpecimenFit
 from tissueid.store import hdf5
 from tissueid.store.files import json_bytes
@@ -129,11 +128,8 @@ def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
 
 def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
     """Read what :func:`write_curves` wrote; BundleError if the file is damaged or another kind of file."""
-    path = Path(path)
-    if not path.is_file():
-        msg = f"{path}: there is no such file; `tissueid fit` writes it into its output folder"
-        raise BundleError(msg)
-    with hdf5.open_file(path, "curves", "copy it again or run `tissueid fit` again") as file:
+    again = "copy it again or run `tissueid fit` again"
+    with hdf5.open_file(Path(path), "curves", again, "it into its output folder") as file:
         return get_curves(file)
 
 

@@ -19,7 +19,8 @@ import json
 import os
 import shutil
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Self
@@ -59,24 +60,25 @@ def replace_file(temporary: Path, target: Path) -> None:
     sync_folder(target.parent)
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file or nothing."""
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name to write to beside a file, moved over it where the context ends well; else nothing stays."""
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     try:
-        temporary.write_bytes(content)
+        yield temporary
         replace_file(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
+def write_file(path: Path, content: bytes) -> None:
+    """Write a whole file or nothing."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def plain_json(value: Any) -> Any:
-    """Rewrite a value in plain dicts, lists and Python numbers.
-
-    Mapping proxies, tuples and numpy scalars and arrays come out of frozen result types; JSON and its
-    schemas know none of them.
-
-    Raises TypeError: for anything JSON has no word for.
-    """
+    """Rewrite a value in plain dicts, lists and Python numbers; TypeError for what JSON has no word for."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, Mapping):
@@ -94,10 +96,7 @@ def plain_json(value: Any) -> Any:
 
 
 def json_bytes(document: Any) -> bytes:
-    """JSON with one spelling for one document: UTF-8, two spaces, shortest round-trip numbers.
-
-    Raises ValueError: for NaN or infinity, which JSON does not have.
-    """
+    """JSON with one spelling: UTF-8, two spaces, shortest round-trip numbers; NaN is a ValueError."""
     text = json.dumps(plain_json(document), ensure_ascii=False, indent=2, allow_nan=False)
     return (text + "\n").encode("utf-8")
 
@@ -122,9 +121,7 @@ _LONGEST_BYTES = 80
 def safe_name(name: str) -> str:
     """Turn a name into a part of a file name: letters and digits of any script, ``.``, ``_``, ``-``.
 
-    Different names may come out alike; :func:`file_names` keeps them apart.
-
-    Returns at most 80 bytes of UTF-8, never empty, not reserved, not beginning or ending with a dot.
+    At most 80 bytes of UTF-8, never empty, not reserved, not beginning or ending with a dot.
     """
     composed = unicodedata.normalize("NFC", name)
     kept = "".join(char if char.isalnum() or char in "._-" else "_" for char in composed)
@@ -144,8 +141,6 @@ def file_names(specimens: Iterable[str], stem: str, suffix: str) -> dict[str, st
 
     Where two names would meet on a file system that ignores case or composes letters differently,
     each gets eight digits of its own hash, whatever their order.
-
-    ``specimens``: distinct names; ``stem``, ``suffix``: what the files begin and end with.
     """
     specimens = list(specimens)
     plain = {specimen: safe_name(specimen) for specimen in specimens}
@@ -176,10 +171,7 @@ def _spelled(value: Any, level: int) -> bytes:
 
 
 class JsonList:
-    """A list of a document, written down as it grows.
-
-    ``level``: how deep its elements stand in the document: 2 for a list that is a value of its root.
-    """
+    """A list of a document, written down as it grows; ``level``: how deep its elements stand in it."""
 
     def __init__(self, level: int) -> None:
         self.level = level

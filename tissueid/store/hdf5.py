@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
-from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.files import replacing
 
 #: Fixed bounds of the format: the bytes must not depend on which HDF5 was installed.
 _FORMAT = ("v110", "v110")
@@ -29,21 +29,19 @@ def new_file(target: Path | IO[bytes]) -> Iterator[Any]:
         with h5py.File(target, "w", libver=_FORMAT) as file:
             yield file
         return
-    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
-    try:
-        with h5py.File(temporary, "w", libver=_FORMAT) as file:
-            yield file
-        replace_file(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(target) as temporary, h5py.File(temporary, "w", libver=_FORMAT) as file:
+        yield file
 
 
 @contextmanager
-def open_file(path: Path | IO[bytes], kind: str, way_out: str) -> Iterator[Any]:
+def open_file(path: Path | IO[bytes], kind: str, way_out: str, missing: str | None = None) -> Iterator[Any]:
     """A file to be read; whatever is said of a damaged one becomes a BundleError.
 
-    ``kind``: what it should be; ``way_out``: what to do where it is none.
+    ``kind``: what it should be; ``way_out``: what to do where it is none; ``missing``: which fits leave it.
     """
+    if missing is not None and isinstance(path, Path) and not path.is_file():
+        msg = f"{path}: there is no such file; `tissueid fit` writes {missing}"
+        raise BundleError(msg)
     try:
         with h5py.File(path, "r") as file:
             yield file

@@ -24,7 +24,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -35,6 +35,10 @@ INDEX = "index.sqlite"
 INDEX_SCHEMA_VERSION = 1
 #: How long a statement waits for another one's transaction [s].
 _BUSY_S = 20.0
+#: Recordings of a run, those among them that belong to a specimen, and the order of files.
+_OF_RUN = "FROM recordings WHERE run = ?"
+_OF_SPECIMENS = f"{_OF_RUN} AND kind IN ('trial', 'excluded')"
+_IN_ORDER = "ORDER BY position, number"
 _TABLES = """
 CREATE TABLE runs (
     id INTEGER PRIMARY KEY, started REAL NOT NULL, ended REAL, state TEXT NOT NULL, process TEXT NOT NULL,
@@ -71,7 +75,7 @@ class RecordingRow:
     #: ``refused_excluded`` (the study does not want it either).
     kind: str
     specimen: str
-    refusal: Mapping[str, Any] | None = None  # fields of :class:`tissueid.result.Refusal`
+    refusal: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +135,7 @@ class Index:
             raise BundleError(msg)
         self._run = self._database.execute("SELECT MAX(id) FROM runs").fetchone()[0] or 0
 
-    def _do(self, statement: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
+    def _do(self, statement: str, *values: Any) -> sqlite3.Cursor:
         """Execute a statement; a disk that is full is an error of the system like any other file's."""
         try:
             return self._database.execute(statement, values)
@@ -157,22 +161,23 @@ class Index:
             raise
         self._do("COMMIT")
 
+    def _recordings(self, which: str, *values: Any) -> Iterator[RecordingRow]:
+        """Some recordings of the run, in the order of files."""
+        return map(_recording, self._do(f"SELECT * {which} {_IN_ORDER}", self._run, *values))
+
     def begin_run(self, now: float, process: Mapping[str, Any], files: int) -> None:
         """Open a run over so many files; what the runs before it found stays known."""
+        begin = "INSERT INTO runs (started, state, process, files) VALUES (?, 'running', ?, ?)"
         with self.batch():
-            self._do("UPDATE runs SET state = 'stopped', ended = ? WHERE state = 'running'", (now,))
-            cursor = self._do(
-                "INSERT INTO runs (started, state, process, files) VALUES (?, 'running', ?, ?)",
-                (now, json.dumps(process), files),
-            )
+            self._do("UPDATE runs SET state = 'stopped', ended = ? WHERE state = 'running'", now)
+            cursor = self._do(begin, now, json.dumps(process), files)
             self._do("DELETE FROM jobs")
         self._run = int(cursor.lastrowid or 0)
 
     def end_run(self, now: float, state: str, reason: str | None = None) -> None:
         """Close the run: ``finished``, ``interrupted`` or ``failed``."""
-        self._do(
-            "UPDATE runs SET state = ?, ended = ?, reason = ? WHERE id = ?", (state, now, reason, self._run)
-        )
+        change = "UPDATE runs SET state = ?, ended = ?, reason = ? WHERE id = ?"
+        self._do(change, state, now, reason, self._run)
 
     def knows_files(self) -> bool:
         """True where an earlier run has left anything to go by."""
@@ -180,138 +185,108 @@ class Index:
 
     def known_file(self, path: str, reading: str) -> list[RecordingRow]:
         """Contents of a file, read in one way, at the last look; empty where it never was."""
-        rows = self._do(
-            "SELECT * FROM recordings WHERE path = ? AND reading = ? ORDER BY number", (path, reading)
-        )
-        return [_recording(row) for row in rows]
+        wanted = "SELECT * FROM recordings WHERE path = ? AND reading = ? ORDER BY number"
+        return [_recording(row) for row in self._do(wanted, path, reading)]
 
     def add_file(self, position: int, path: str, reading: str, rows: Iterable[RecordingRow]) -> None:
         """Put down what the file at ``position`` holds."""
-        self._do("DELETE FROM recordings WHERE path = ? AND reading = ?", (path, reading))
+        self._do("DELETE FROM recordings WHERE path = ? AND reading = ?", path, reading)
         for number, row in enumerate(rows):
             self._do(
                 "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (
-                    *(path, reading, number, row.sha256, row.sheet, row.raw, row.samples),
-                    None if row.refusal is None else json.dumps(dict(row.refusal)),
-                    *(self._run, position, row.specimen, row.kind),
-                ),
+                *(path, reading, number, row.sha256, row.sheet, row.raw, row.samples),
+                None if row.refusal is None else json.dumps(asdict(row.refusal)),
+                *(self._run, position, row.specimen, row.kind),
             )
-        self._do("UPDATE runs SET surveyed = surveyed + 1 WHERE id = ?", (self._run,))
+        self._do("UPDATE runs SET surveyed = surveyed + 1 WHERE id = ?", self._run)
 
     def specimens(self) -> list[tuple[str, str, str | None]]:
-        """Specimens of the run in the order of their first recording, with that recording.
-
-        Specimens of which everything is excluded come last.
-        """
+        """Specimens of the run with their first recording, in its order; wholly excluded ones come last."""
         rows = self._do(
             # path and sheet are those of the row with the least place
             "SELECT specimen, path, sheet, MIN((kind = 'excluded') * 1000000000000000000"
             " + position * 10000000 + number) AS place"
-            " FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')"
-            " GROUP BY specimen ORDER BY place",
-            (self._run,),
+            f" {_OF_SPECIMENS} GROUP BY specimen ORDER BY place",
+            self._run,
         )
         return [(row["specimen"], row["path"], row["sheet"]) for row in rows]
 
     def recordings_of(self, specimen: str) -> list[RecordingRow]:
         """Recordings of one specimen of the run in the order of files, excluded ones among them."""
-        rows = self._do(
-            "SELECT * FROM recordings WHERE run = ? AND specimen = ? AND kind IN ('trial', 'excluded')"
-            " ORDER BY position, number",
-            (self._run, specimen),
-        )
-        return [_recording(row) for row in rows]
+        return list(self._recordings(f"{_OF_SPECIMENS} AND specimen = ?", specimen))
 
     def refused(self) -> Iterator[RecordingRow]:
         """Refusals of the readers, in the order of files."""
-        rows = self._do(
-            "SELECT * FROM recordings WHERE run = ? AND kind IN ('refused', 'refused_excluded')"
-            " ORDER BY position, number",
-            (self._run,),
-        )
-        return (_recording(row) for row in rows)
+        return self._recordings(f"{_OF_RUN} AND kind IN ('refused', 'refused_excluded')")
 
     def named(self) -> Iterator[tuple[str, str | None]]:
         """Path and sheet of everything the run has found and the study does not leave out unlisted."""
-        rows = self._do(
-            "SELECT path, sheet FROM recordings WHERE run = ? AND kind != 'unlisted'", (self._run,)
-        )
+        rows = self._do("SELECT path, sheet FROM recordings WHERE run = ? AND kind != 'unlisted'", self._run)
         return ((row["path"], row["sheet"]) for row in rows)
 
     def samples(self) -> int:
         """Samples of all recordings of the run."""
-        row = self._do(
-            "SELECT TOTAL(samples) FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')",
-            (self._run,),
-        ).fetchone()
-        return int(row[0])
+        return int(self._do(f"SELECT TOTAL(samples) {_OF_SPECIMENS}", self._run).fetchone()[0])
 
     def plan(self, job: JobRow) -> None:
         """Add one job of the run."""
         self._do(
-            "INSERT INTO jobs (position, key, specimen, state, reason) VALUES (?, ?, ?, ?, ?)",
-            (job.position, job.key, job.specimen, job.state, job.reason),
+            "INSERT INTO jobs (position, key, specimen, state, reason) VALUES (?, ?, ?, ?, ?)", *astuple(job)
         )
 
     def replan(self, job: JobRow, spare: int) -> None:
         """Give a specimen another job; the one it had stands at a spare position, so that its file stays."""
         with self.batch():
-            self._do(
-                "UPDATE jobs SET position = ?, state = 'superseded' WHERE position = ?", (spare, job.position)
-            )
+            change = "UPDATE jobs SET position = ?, state = 'superseded' WHERE position = ?"
+            self._do(change, spare, job.position)
             self.plan(job)
 
     def restore(self, position: int, spare: int) -> None:
         """Take back a job that was replaced, with its result."""
         with self.batch():
-            self._do("DELETE FROM jobs WHERE position = ?", (position,))
-            self._do("UPDATE jobs SET position = ?, state = 'done' WHERE position = ?", (position, spare))
+            self._do("DELETE FROM jobs WHERE position = ?", position)
+            self._do("UPDATE jobs SET position = ?, state = 'done' WHERE position = ?", position, spare)
 
     def jobs(self, state: str) -> Iterator[JobRow]:
         """Jobs of the run in one state, in their order; jobs may change while they are gone through."""
-        positions = self._do(
-            "SELECT position FROM jobs WHERE state = ? ORDER BY position", (state,)
-        ).fetchall()
+        positions = self._do("SELECT position FROM jobs WHERE state = ? ORDER BY position", state).fetchall()
         for (position,) in positions:
-            row = self._do("SELECT * FROM jobs WHERE position = ?", (position,)).fetchone()
+            row = self._do("SELECT * FROM jobs WHERE position = ?", position).fetchone()
             yield JobRow(position, row["key"], row["specimen"], row["state"], row["reason"])
 
     def count(self, state: str) -> int:
         """Count of the run's jobs in a state."""
-        found: int = self._do("SELECT COUNT(*) FROM jobs WHERE state = ?", (state,)).fetchone()[0]
+        found: int = self._do("SELECT COUNT(*) FROM jobs WHERE state = ?", state).fetchone()[0]
         return found
 
     def start(self, position: int, worker: str, now: float) -> None:
         """Say that a job is being computed."""
         self._do(
-            "UPDATE jobs SET state = 'running', worker = ?, began = ?, attempts = attempts + 1 "
-            "WHERE position = ?",
-            (worker, now, position),
+            "UPDATE jobs SET state = 'running', worker = ?, began = ?, attempts = attempts + 1"
+            " WHERE position = ?",
+            *(worker, now, position),
         )
 
     def finish(self, job: JobRow, digest: str, size: int, seconds: float) -> None:
         """Say that the file of a job is there, whole."""
         with self.batch():
-            self._do("INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?)", (job.key, digest, size, seconds))
-            self._do(
-                "UPDATE jobs SET state = 'done', seconds = ? WHERE position = ?", (seconds, job.position)
-            )
+            self._do("INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?)", job.key, digest, size, seconds)
+            self._do("UPDATE jobs SET state = 'done', seconds = ? WHERE position = ?", seconds, job.position)
 
     def fail(self, position: int, reason: str) -> None:
         """Say why a job has no result."""
-        self._do("UPDATE jobs SET state = 'failed', reason = ? WHERE position = ?", (reason, position))
+        self._do("UPDATE jobs SET state = 'failed', reason = ? WHERE position = ?", reason, position)
 
     def result(self, key: str) -> tuple[str, int] | None:
         """SHA-256 and size of the file of a key, ``None`` where no run has finished it."""
-        row = self._do("SELECT sha256, bytes FROM results WHERE key = ?", (key,)).fetchone()
+        row = self._do("SELECT sha256, bytes FROM results WHERE key = ?", key).fetchone()
         return None if row is None else (row["sha256"], row["bytes"])
 
     def forget_unused(self) -> None:
         """Drop results that no job of the run names, and files it did not look at."""
         with self.batch():
             self._do("DELETE FROM results WHERE key NOT IN (SELECT key FROM jobs)")
-            self._do("DELETE FROM recordings WHERE run != ?", (self._run,))
+            self._do("DELETE FROM recordings WHERE run != ?", self._run)
 
     def used_keys(self) -> set[str]:
         """Keys of all jobs of the run."""
@@ -319,7 +294,7 @@ class Index:
 
 
 def _recording(row: sqlite3.Row) -> RecordingRow:
-    refusal = None if row["refusal"] is None else json.loads(row["refusal"])
+    refusal = None if row["refusal"] is None else Refusal(**json.loads(row["refusal"]))
     names = ("path", "sheet", "sha256", "raw", "samples", "kind", "specimen")
     return RecordingRow(**{name: row[name] for name in names}, refusal=refusal)
 
@@ -337,10 +312,7 @@ def _unusable(path: Path, error: Exception) -> str:
 
 
 def open_for_reading(out: Path) -> sqlite3.Connection:
-    """Open the index of a folder for queries, also while a run writes it.
-
-    Raises BundleError: there is none, or it can't be read.
-    """
+    """Open the index of a folder for queries, also while a run writes it; BundleError where there is none."""
     path = out / INDEX
     if not path.is_file():
         msg = f"{out}: holds no index of a run; `tissueid fit ... -o {out}` makes one"
@@ -370,10 +342,7 @@ _LISTED = 100
 
 
 def read_status(out: Path) -> dict[str, Any]:
-    """The document of ``schemas/status.schema.json``, of one moment, while a run goes on or after it ended.
-
-    Raises BundleError: there is no index, or it can't be read.
-    """
+    """The document of ``schemas/status.schema.json`` of one moment; BundleError where there is no index."""
     database = open_for_reading(out)
     try:
         database.execute("BEGIN")
@@ -431,11 +400,9 @@ class _Jobs:
 
 def _read_jobs(database: sqlite3.Connection) -> _Jobs:
     counts = dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall())
-    running = database.execute(
-        "SELECT specimen, worker, began, attempts FROM jobs WHERE state = 'running' ORDER BY position"
-    )
+    running = database.execute("SELECT * FROM jobs WHERE state = 'running' ORDER BY position")
     failed = database.execute(
-        "SELECT specimen, reason FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
+        "SELECT * FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
     )
     ends = database.execute(
         "SELECT began + seconds FROM jobs WHERE state = 'done' AND began IS NOT NULL"
@@ -458,9 +425,9 @@ def _read_jobs(database: sqlite3.Connection) -> _Jobs:
 
 def _read_refusals(database: sqlite3.Connection, run: int) -> tuple[int, list[str]]:
     """Count of refused inputs, and the message of the first."""
-    these = "FROM recordings WHERE run = ? AND kind = 'refused'"
+    these = f"{_OF_RUN} AND kind = 'refused'"
     (count,) = database.execute(f"SELECT COUNT(*) {these}", (run,)).fetchone()
-    rows = database.execute(f"SELECT refusal {these} ORDER BY position, number LIMIT ?", (run, _LISTED))
+    rows = database.execute(f"SELECT refusal {these} {_IN_ORDER} LIMIT ?", (run, _LISTED))
     return count, [str(Refusal(**json.loads(row["refusal"]))) for row in rows]
 
 

@@ -56,10 +56,7 @@ class SpecimenResult:
 
 
 def specimen_bytes(result: SpecimenResult) -> bytes:
-    """The bytes of a specimen's file; equal results give equal bytes.
-
-    Raises BundleError: if its bundle could not be loaded again.
-    """
+    """The bytes of a specimen's file, equal for equal results; BundleError if its bundle would not load."""
     buffer = io.BytesIO()
     with new_file(buffer) as file:
         if result.bundle is not None:
@@ -89,10 +86,7 @@ def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
 
 
 def load_record(path: Path) -> dict[str, Any]:
-    """The JSON of a specimen's file alone.
-
-    Raises BundleError: if the file is missing, damaged or another kind of file.
-    """
+    """The JSON of a specimen's file alone; BundleError if it is missing, damaged or another kind of file."""
     with _opened(path) as group:
         record: dict[str, Any] = json.loads(get_text(group, "record"))
     return record
@@ -101,11 +95,7 @@ def load_record(path: Path) -> dict[str, Any]:
 def load_specimen(
     path: Path | IO[bytes],
 ) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
-    """Record, curves and draws of a specimen's file: all that a report draws.
-
-    ``path``: where it stands, or its bytes.  Raises BundleError: if the file is missing, damaged or another
-    kind of file.
-    """
+    """Record, curves and draws of a specimen's file, or of its bytes; BundleError as :func:`load_record`."""
     with _opened(path) as group:
         curves = get_curves(group["curves"]) if "curves" in group else ()
         posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()

@@ -28,7 +28,7 @@ from tissueid.store.bundle import (
     load_bundle,
     write_bundle,
 )
-from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.files import TEMPORARY_PREFIX, replace_file, replacing
 from tissueid.store.hdf5 import check_format, get_text, open_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
 from tissueid.store.outputs import FolderLock, OutputSet, current_run
@@ -88,17 +88,14 @@ def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> M
         step: Step = _step_from(path, version, steps, BUNDLE_SCHEMA_VERSION)
         document, arrays = step(document, arrays)
         version += 1
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
     try:
         bundle: Bundle = bundle_of_document(document, arrays)
-        write_bundle(bundle, temporary)
-        load_bundle(temporary)
-        replace_file(temporary, path)
+        with replacing(path) as temporary:
+            write_bundle(bundle, temporary)
+            load_bundle(temporary)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         msg = f"{path}: can't be brought to version {BUNDLE_SCHEMA_VERSION} ({error}); fit again"
         raise BundleError(msg) from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return Migrated(path, was)
 
 

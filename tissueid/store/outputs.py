@@ -21,7 +21,6 @@ process numbers, which systems use again.  The file's text names the holder for 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import platform
@@ -69,10 +68,10 @@ def _try_lock(stream: IO[bytes]) -> bool:
 
 
 class FolderLock:
-    """A context in which this process alone writes into a folder.
+    """A context in which this process alone writes into a folder that exists.
 
-    ``folder``: must exist; ``wait_s``: how long to wait for another writer [s]; 0 refuses at once.  Raises
-    BundleError: on entering, where another process holds the lock or the file system knows no locks.
+    ``wait_s``: how long to wait for another writer [s].  Raises BundleError: on entering, where another
+    process holds the lock or the file system knows no locks.
     """
 
     def __init__(self, folder: Path, *, wait_s: float = 0.0) -> None:
@@ -146,10 +145,7 @@ class CommittedRun:
 
 
 def current_run(out: Path | str) -> CommittedRun | None:
-    """Find the committed run of an output folder, or ``None`` where there is none.
-
-    Raises BundleError: if the folder names a run that is not there or whose manifest is damaged.
-    """
+    """Find the committed run of an output folder, if any; BundleError if it is missing or damaged."""
     out = Path(out)
     run_id = _run_id(out)
     if run_id is None:
@@ -184,11 +180,7 @@ def _is_refreshed(out: Path) -> bool:
 
 
 def complete_refresh(out: Path | str) -> None:
-    """Finish a refresh that a kill interrupted; cheap where there is nothing to do.
-
-    Raises BundleError: if another process is writing, a public file is held open elsewhere, or the run is
-    damaged.
-    """
+    """Finish a refresh that a kill interrupted, cheap where there is none; BundleError where it can not."""
     out = Path(out)
     if _is_refreshed(out):
         return
@@ -288,11 +280,11 @@ class OutputSet:
             raise ValueError(msg)
         return folder / name
 
-    def sampling(self, specimen: str) -> Path:
-        """Place of a specimen's chain while it is sampled; a killed run finds it again."""
+    def sampling(self) -> Path:
+        """Folder of chains while they are sampled; a killed run finds them again."""
         folder = self.out / _SAMPLING
         folder.mkdir(exist_ok=True)
-        return folder / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
+        return folder
 
     def write(self, name: str, content: bytes) -> None:
         """Write one file of the set."""

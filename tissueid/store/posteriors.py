@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
 from tissueid.store import hdf5
 from tissueid.store.files import json_bytes
@@ -97,10 +96,7 @@ def _thinned(chain: FloatArray) -> FloatArray:
 
 
 def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
-    """Write posteriors, whole or not at all; equal posteriors give equal bytes.
-
-    ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen;
-    """
+    """Write posteriors one after the other, whole or not at all; equal posteriors give equal bytes."""
     with hdf5.new_file(Path(path)) as file:
         put_posteriors(file, posteriors)
 
@@ -141,15 +137,9 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
 
 
 def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
-    """Read what :func:`write_posteriors` wrote.
-
-    Raises BundleError: if the file is missing, damaged or another kind of file.
-    """
-    path = Path(path)
-    if not path.is_file():
-        msg = f"{path}: there is no such file; `tissueid fit` writes it where a posterior was sampled"
-        raise BundleError(msg)
-    with hdf5.open_file(path, "posteriors", "copy it again or run `tissueid fit` again") as file:
+    """Read what :func:`write_posteriors` wrote; BundleError if it is missing, damaged or of another kind."""
+    again = "copy it again or run `tissueid fit` again"
+    with hdf5.open_file(Path(path), "posteriors", again, "it where a posterior was sampled") as file:
         return get_posteriors(file)
 
 

@@ -49,10 +49,9 @@ _WAY_OUT = "run `tissueid fit` again"
 
 
 def write_results(run: OutputSet, identification: Identification) -> IdentificationDocument:
-    """Write the numbers, bundles, curves and draws of a fit into an output set.
+    """Write the numbers, bundles, curves and draws of a fit into an output set; the document for the report.
 
-    Returns the document of identification.json, for the report.  Raises BundleError: if the result breaks its
-    schema or a bundle would not load again.
+    Raises BundleError: if the result breaks its schema or a bundle would not load again.
     """
     plain = plain_json(identification.as_json())
     check(plain, "identification", where=IDENTIFICATION)
@@ -81,10 +80,7 @@ def read_plain(out: Path | str) -> dict[str, Any]:
 
 
 def read_twin(out: Path) -> Twin | None:
-    """Twin of the bundle of an output folder, where ``render --twin`` left one in its folder ``twin``.
-
-    Raises BundleError: it can't be read, or is none.
-    """
+    """Twin of an output folder, where ``render --twin`` left one; BundleError where it is none."""
     path = out / TWIN
     if not path.is_file():
         return None
@@ -99,9 +95,7 @@ def load_identification(path: Path) -> IdentificationDocument:
 def read_results(
     out: Path | str,
 ) -> tuple[IdentificationDocument, tuple[TrialCurve, ...], tuple[StoredPosterior, ...]]:
-    """Read the identification document, the curves and the draws of an output folder.
-
-    All of them at once: :func:`each_result` is for cohorts.
+    """Read the identification document, the curves and the draws of an output folder, all at once.
 
     Raises BundleError: if there is no committed set or it is damaged.
     """
@@ -120,10 +114,9 @@ def read_results(
 def each_result(
     out: Path | str,
 ) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
-    """Read the fitted specimens of an output folder one at a time, however large the cohort is.
+    """Read specimen, curves and draws of an output folder one at a time, however large the cohort is.
 
-    Yields ``document``: a specimen of identification.json; ``curves``; ``posterior``.  Raises BundleError: if
-    there is no committed set or it is damaged.
+    Raises BundleError: if there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
     if LISTED not in run.files:
@@ -147,12 +140,7 @@ def _of_merged(
 
 
 def validate_outputs(out: Path | str) -> None:
-    """Refuse an output folder that is not wholly one run's.
-
-    Finishes an interrupted refresh, then checks hashes, schemas, bundles and that they belong together.
-
-    Raises BundleError: naming every problem found.
-    """
+    """Refuse an output folder that is not wholly one run's, by a BundleError that names every problem."""
     # a folder without a run says so itself, with the way out
     _committed(Path(out))
     problems = output_problems(out)

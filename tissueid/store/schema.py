@@ -41,10 +41,7 @@ class SchemaProblem:
 
 
 def schema_folder() -> Traversable:
-    """Find the folder that holds the schemas: the installed package's, else the checkout's.
-
-    Raises BundleError: where neither exists: the installation is damaged.
-    """
+    """Find the folder of the schemas, the package's or the checkout's; BundleError where there is neither."""
     packaged = resources.files("tissueid") / "schemas"
     checkout = Path(__file__).resolve().parents[2] / "schemas"
     for folder in (packaged, checkout):

@@ -63,10 +63,9 @@ class SessionLog:
 
 
 def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
-    """Write the beginning of a raw log; records follow as they are.
+    """Write the beginning of a raw log, ``schema`` and ``record`` added; records follow as they are.
 
-    ``head``: without ``schema`` and ``record``, which are added.  Raises BundleError: the head does not
-    follow its schema.
+    Raises BundleError: the head does not follow its schema.
     """
     document = plain_json(
         {
@@ -98,11 +97,10 @@ def is_session_log(data: bytes) -> bool:
 
 
 def read_session_log(source: Path | str | bytes, *, where: str | None = None) -> SessionLog:
-    """Read a log, raw or HDF5, and refuse what no session wrote.
+    """Read a log, raw or HDF5, by its file or its bytes, and refuse what no session wrote.
 
-    ``source``: file, or its bytes; ``where``: name for messages, where bytes are given.  Returns with the
-    whole records; a raw log's last record is left out where it was cut.  Raises BundleError: naming the file,
-    what is wrong, and the way out.
+    ``where``: name for messages, where bytes are given.  A raw log's last record is left out where it was
+    cut.  Raises BundleError: naming the file, what is wrong, and the way out.
     """
     name = where or (str(source) if not isinstance(source, bytes) else "session log")
     data = source if isinstance(source, bytes) else _bytes(Path(source))

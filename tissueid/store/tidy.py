@@ -62,6 +62,7 @@ _HOLD = (
 _LOOP_PLAIN = ("number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
 _LOOP_MEASURES = tuple(field.name for field in fields(Cycle) if field.type is Measure)
 _CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
+_QUOTED = ("hold", "value", "stderr", "sd", "logs", "reason")
 _PROVENANCE = ("tissueid", "identification_sha256")
 
 Row = dict[str, Any]
@@ -209,16 +210,9 @@ def _specimen_covariates(document: Identification) -> dict[str, Row]:
 
 def _trial_columns(_document: Identification) -> list[str]:
     return [
-        *(
-            "specimen",
-            "path",
-            "sheet",
-            "status",
-            "reason",
-            *_TRIAL_COVARIATES,
-            *_SPECIMEN_COVARIATES.values(),
-        ),
-        *(*_TRIAL_FIT, *_HOLD, "cycles", "flags", "recipe", "input_sha256"),
+        *("specimen", "path", "sheet", "status", "reason", *_TRIAL_COVARIATES),
+        *(*_SPECIMEN_COVARIATES.values(), *_TRIAL_FIT, *_HOLD),
+        *("cycles", "flags", "recipe", "input_sha256"),
     ]
 
 
@@ -305,19 +299,7 @@ def _cycle_rows(document: Identification) -> Iterator[Row]:
 
 
 def _quantity_columns(_document: Identification) -> list[str]:
-    return [
-        "specimen",
-        "kind",
-        "name",
-        "unit",
-        *_CONDITIONS,
-        "hold",
-        "value",
-        "stderr",
-        "sd",
-        "logs",
-        "reason",
-    ]
+    return [*("specimen", "kind", "name", "unit"), *_CONDITIONS, *_QUOTED]
 
 
 def _quantity_rows(document: Identification) -> Iterator[Row]:

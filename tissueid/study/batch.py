@@ -35,10 +35,9 @@ from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
 from tissueid.result import Exit, Identification, Refusal
 from tissueid.store.files import (
     IDENTIFICATION,
-    TEMPORARY_PREFIX,
     JsonList,
     plain_json,
-    replace_file,
+    replacing,
     sha256_of,
     write_file,
     write_json,
@@ -103,15 +102,57 @@ def specimen_path(out: Path, key: str) -> Path:
     return out / SPECIMENS / f"{key}.h5"
 
 
-class _Lists:
-    """The lists of the document, each written down as it grows."""
+class _Assembly:
+    """The lists of a document, written down as they grow, and what is remembered of it in few words."""
 
-    def __init__(self, stack: ExitStack) -> None:
+    def __init__(self, run: OutputSet, index: Index, stack: ExitStack) -> None:
         def new(level: int) -> JsonList:
             return stack.enter_context(JsonList(level))
 
+        self.out, self.index = run.out, index
+        jobs = index.count("done") + index.count("failed")
+        self.found = Assembled(run.path(IDENTIFICATION), jobs=jobs)
         self.specimens, self.refused, self.cycles = new(2), new(2), new(2)
         self.trials, self.exclusions, self.inputs = new(3), new(3), new(3)
+        self.names: list[str] = []
+        #: File and inputs of every fitted specimen of a set that is not large.
+        self.files: dict[str, Path] = {}
+        self.inputs_of: dict[str, Any] = {}
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Add one refusal."""
+        self.found.refused.append(refusal)
+        self.refused.add(refusal.as_json())
+
+    def gather(self) -> Iterator[ListedSpecimen]:
+        """Every result in its order into the lists; of a large cohort nothing else is remembered."""
+        found = self.found
+        for job in self.index.jobs("done"):
+            path = specimen_path(self.out, job.key)
+            record = load_record(path)
+            fitted = record["fitted"]
+            if fitted is not None:
+                found.fitted += 1
+                self.specimens.add(fitted)
+                self.names.append(job.specimen)
+                if not found.large:
+                    self.files[job.specimen], self.inputs_of[job.specimen] = path, record["inputs"]
+            for name, target in (
+                ("unfitted_cycles", self.cycles),
+                ("inputs", self.inputs),
+                ("trials", self.trials),
+                ("exclusions", self.exclusions),
+            ):
+                for row in record[name]:
+                    target.add(row)
+            for row in record["refused"]:
+                self.refuse(Refusal(row["path"], row["sheet"], **row["error"]))
+            found.exclusions += record["exclusions"]
+            found.reasons += record["reasons"]
+            found.trials += len(record["trials"])
+            found.beside += sum(not row["listed"] for row in record["trials"])
+            digest, size = self.index.result(job.key) or ("", 0)
+            yield ListedSpecimen(job.specimen, path.name, fitted is not None, digest, size)
 
 
 def assemble(
@@ -126,97 +167,43 @@ def assemble(
 
     Raises BundleError: a specimen's file is damaged, or the document breaks its schema.
     """
-    found = Assembled(run.path(IDENTIFICATION), jobs=index.count("done") + index.count("failed"))
-    files: dict[str, Path] = {}
-    inputs: dict[str, Any] = {}
-    names: list[str] = []
     with ExitStack() as stack:
-        lists = _Lists(stack)
+        parts = _Assembly(run, index, stack)
+        found = parts.found
         kept, taken_out = _refusals_of_readers(index, study)
         for refusal in kept:
-            _refuse(found, lists, refusal)
-        temporary = run.path(LISTED).with_name(TEMPORARY_PREFIX + LISTED)
-        with temporary.open("w", encoding="utf-8", newline="") as stream:
-            list_specimens(_gather(run.out, index, found, lists, files, inputs, names), stream)
-        replace_file(temporary, run.path(LISTED))
+            parts.refuse(refusal)
+        with replacing(run.path(LISTED)) as listed, listed.open("w", encoding="utf-8", newline="") as stream:
+            list_specimens(parts.gather(), stream)
         for job in index.jobs("failed"):
-            _refuse(found, lists, Refusal(**json.loads(job.reason or "{}")))
+            parts.refuse(Refusal(**json.loads(job.reason or "{}")))
         for refusal in _unmatched(index, study):
-            _refuse(found, lists, refusal)
+            parts.refuse(refusal)
         for row in taken_out:
-            lists.exclusions.add(row)
+            parts.exclusions.add(row)
             found.exclusions.append(row)
         found.exit = exit_of(found.fitted, [str(one) for one in found.refused], found.reasons)
-        record = None if study is None else study_document(study, names, lists.trials, lists.exclusions)
+        record = None if study is None else study_document(study, parts.names, parts.trials, parts.exclusions)
         document = {
             "schema": "tissueid/identification/1",
-            "specimens": lists.specimens,
-            "refused": lists.refused,
-            "unfitted_cycles": lists.cycles,
+            "specimens": parts.specimens,
+            "refused": parts.refused,
+            "unfitted_cycles": parts.cycles,
             "study": record,
-            "provenance": run_provenance(options, lists.inputs, record, provenance),
+            "provenance": run_provenance(options, parts.inputs, record, provenance),
             "exit": found.exit.as_json(),
         }
         _check_frame(document)
-        temporary = found.document.with_name(TEMPORARY_PREFIX + IDENTIFICATION)
-        with temporary.open("wb") as file:
+        with replacing(found.document) as whole, whole.open("wb") as file:
             write_json(file, document)
-        replace_file(temporary, found.document)
-    if files and not found.large:
-        merge_files(run, files, inputs, run_provenance(options, [], record, provenance))
+    if parts.files:
+        merge_files(run, parts.files, parts.inputs_of, run_provenance(options, [], record, provenance))
     return found
-
-
-def _refuse(found: Assembled, lists: _Lists, refusal: Refusal) -> None:
-    found.refused.append(refusal)
-    lists.refused.add(refusal.as_json())
-
-
-def _gather(
-    out: Path,
-    index: Index,
-    found: Assembled,
-    lists: _Lists,
-    files: dict[str, Path],
-    inputs: dict[str, Any],
-    names: list[str],
-) -> Iterator[ListedSpecimen]:
-    """Every result in its order into the lists; of a large cohort nothing else is remembered."""
-    for job in index.jobs("done"):
-        path = specimen_path(out, job.key)
-        record = load_record(path)
-        fitted = record["fitted"]
-        if fitted is not None:
-            found.fitted += 1
-            lists.specimens.add(fitted)
-            names.append(job.specimen)
-            if not found.large:
-                files[job.specimen], inputs[job.specimen] = path, record["inputs"]
-        for name, target in (
-            ("unfitted_cycles", lists.cycles),
-            ("inputs", lists.inputs),
-            ("trials", lists.trials),
-            ("exclusions", lists.exclusions),
-        ):
-            for row in record[name]:
-                target.add(row)
-        for row in record["refused"]:
-            _refuse(found, lists, Refusal(row["path"], row["sheet"], **row["error"]))
-        found.exclusions += record["exclusions"]
-        found.reasons += record["reasons"]
-        found.trials += len(record["trials"])
-        found.beside += sum(not row["listed"] for row in record["trials"])
-        yield _listed(index, job, path, fitted=fitted is not None)
-
-
-def _listed(index: Index, job: JobRow, path: Path, *, fitted: bool) -> ListedSpecimen:
-    digest, size = index.result(job.key) or ("", 0)
-    return ListedSpecimen(job.specimen, path.name, fitted, digest, size)
 
 
 def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusal], list[Mapping[str, Any]]]:
     """Refusals of what could not be read, and rows for those of them that the user had taken out anyway."""
-    refused = [Refusal(**row.refusal) for row in index.refused() if row.refusal is not None]
+    refused = [row.refusal for row in index.refused() if row.refusal is not None]
     collected = Collected()
     kept = without_excluded(refused, collected, study)
 
@@ -247,50 +234,8 @@ def _check_frame(document: Mapping[str, Any]) -> None:
     check(bare(document), "identification", where=IDENTIFICATION)
 
 
-class SeveralSpecimensError(Exception):
+class _SeveralSpecimensError(Exception):
     """The recordings are of more than one specimen."""
-
-
-def fit_while_read(
-    inventory: Inventory, chains: Path, recent: RecentTrials, progress: Progress
-) -> Identification:
-    """Read every file and fit its one specimen, or raise SeveralSpecimensError; what was read stays known."""
-    request = inventory.request
-    names: dict[str, str] = {}
-    return identify(
-        _trials(inventory, names, recent),
-        study=request.study,
-        options=request.options,
-        reload=lambda source: read_decided_one(source.path, source.sheet, request.reading, request.study),
-        provenance=request.provenance,
-        progress=progress,
-        checkpoint=lambda name: chain_file(chains, name),
-        names=names,
-    )
-
-
-def _trials(inventory: Inventory, names: dict[str, str], recent: RecentTrials) -> Iterator[Trial]:
-    """Trials of one specimen as they are read; its name as shown goes into ``names``."""
-    for position in range(len(inventory.request.found)):
-        if isinstance(inventory.request.found[position], Refusal):
-            continue
-        file = inventory.file(position)
-        found = []
-        for item in read_decided(Path(file.path), file.options, file.study):
-            found.append(found_in(item))
-            if isinstance(item, InputError):
-                continue
-            recent.keep(item)
-            (row,) = recording_rows(file.path, found[-1:], inventory.parts)
-            if row.kind in {"trial", "excluded"} and row.specimen not in names:
-                if names:
-                    raise SeveralSpecimensError
-                source = Source(path=row.path, sheet=row.sheet)
-                names.update(display_names([(row.specimen, source)]))
-            yield item
-        inventory.put_down(file, found)
-    inventory.request.all_read()
-    recent.clear()
 
 
 #: What a page is expected to cost [s].
@@ -328,13 +273,8 @@ def prune_specimens(out: Path) -> None:
     with Index(out) as index:
         index.forget_unused()
         used = index.used_keys()
-    for folder in (SPECIMENS, PAGES):
-        _remove_others(out / folder, used)
-
-
-def _remove_others(folder: Path, used: set[str]) -> None:
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if path.stem not in used and path.suffix in {".h5", ".html"}:
+    for path in (*(out / SPECIMENS).glob("*.h5"), *(out / PAGES).glob("*.html")):
+        if path.stem not in used:
             path.unlink(missing_ok=True)
 
 
@@ -367,7 +307,7 @@ class _Cohort:
         inventory.put_down_refusals()
         with Workplace(self.request.workers, self.request.scheduler) as workplace:
             if workplace.shared_disk:
-                self.chains = self.run.sampling("").parent
+                self.chains = self.run.sampling()
             at_once = self._while_read(inventory) if new and self.chains is not None else None
             if at_once is None:
                 inventory.complete(workplace, self.recent, self.progress)
@@ -398,11 +338,45 @@ class _Cohort:
         return len(self.specimens) > LARGE
 
     def _while_read(self, inventory: Inventory) -> Identification | None:
-        assert self.chains is not None  # noqa: S101  (asked before)
+        """Read every file and fit its one specimen; ``None`` where there are several."""
+        request, chains = self.request, self.chains
+        names: dict[str, str] = {}
         try:
-            return fit_while_read(inventory, self.chains, self.recent, self.progress)
-        except SeveralSpecimensError:
+            return identify(
+                self._trials(inventory, names),
+                study=request.study,
+                options=request.options,
+                reload=lambda one: read_decided_one(one.path, one.sheet, request.reading, request.study),
+                provenance=request.provenance,
+                progress=self.progress,
+                checkpoint=None if chains is None else lambda name: chain_file(chains, name),
+                names=names,
+            )
+        except _SeveralSpecimensError:
             return None
+
+    def _trials(self, inventory: Inventory, names: dict[str, str]) -> Iterator[Trial]:
+        """Trials of one specimen as they are read; its name as shown goes into ``names``."""
+        for position, one in enumerate(self.request.found):
+            if isinstance(one, Refusal):
+                continue
+            file = inventory.file(position)
+            found = []
+            for item in read_decided(Path(file.path), file.options, file.study):
+                found.append(found_in(item))
+                if isinstance(item, InputError):
+                    continue
+                self.recent.keep(item)
+                (row,) = recording_rows(file.path, found[-1:], inventory.parts)
+                if row.kind in {"trial", "excluded"} and row.specimen not in names:
+                    if names:
+                        raise _SeveralSpecimensError
+                    source = Source(path=row.path, sheet=row.sheet)
+                    names.update(display_names([(row.specimen, source)]))
+                yield item
+            inventory.put_down(file, found)
+        self.request.all_read()
+        self.recent.clear()
 
     def _job(self, position: int) -> SpecimenJob:
         """The job of the specimen at a position, made anew whenever it is needed."""
@@ -412,24 +386,20 @@ class _Cohort:
         study = None
         if self.parts is not None:
             study = self.parts.of_specimen(shown, [(path, sheet) for path, sheet, _ in recordings])
+        options, order = self.request.options, self.orders.get(position)
+        if order is not None:
+            options = replace(options, fit=order.taken_by(options.fit))
         return SpecimenJob(
             specimen=specimen,
             shown=shown,
             recordings=recordings,
             study=study,
             reading=self.request.reading,
-            options=self._options(position),
+            options=options,
             provenance=self.request.provenance,
             chains=None if self.chains is None else str(self.chains),
-            order=None if position not in self.orders else str(self.orders[position]),
+            order=None if order is None else str(order),
         )
-
-    def _options(self, position: int) -> IdentifyOptions:
-        """Options of the fit of the specimen at a position."""
-        options = self.request.options
-        if position not in self.orders:
-            return options
-        return replace(options, fit=self.orders[position].taken_by(options.fit))
 
     def _agree(self) -> bool:
         """Give specimens of a study one law and order; true where one of them has to be fitted again."""
@@ -445,10 +415,7 @@ class _Cohort:
         order = agreed(tables) if len(tables) > 1 else None
         self.orders = {k: order for k, one in own.items() if order is not None and one != order}
         for position in self.orders:
-            key = self._job(position).key()
-            state = "done" if self._is_whole(key) else "waiting"
-            name = self.names[self.specimens[position][0]]
-            self.index.replan(JobRow(position, key, name, state, None), self._spare(position))
+            self.index.replan(self._row(position), self._spare(position))
         return bool(self.orders)
 
     def _spare(self, position: int) -> int:
@@ -467,17 +434,17 @@ class _Cohort:
         sources = [(name, Source(path=path, sheet=sheet)) for name, path, sheet in self.specimens]
         self.names = display_names(sources)
         with self.index.batch():
-            for position, (specimen, _, _) in enumerate(self.specimens):
-                key = self._job(position).key()
-                state = "done" if self._is_whole(key) else "waiting"
-                self.index.plan(JobRow(position, key, self.names[specimen], state, None))
+            for position in range(len(self.specimens)):
+                self.index.plan(self._row(position))
 
-    def _is_whole(self, key: str) -> bool:
-        known = self.index.result(key)
+    def _row(self, position: int) -> JobRow:
+        """The job of a specimen as the index has it: done where its result is there, whole."""
+        key = self._job(position).key()
+        digest, size = self.index.result(key) or ("", -1)
         path = specimen_path(self.run.out, key)
-        if known is None or not path.is_file():
-            return False
-        return path.stat().st_size == known[1] and sha256_of(path) == known[0]
+        whole = path.is_file() and path.stat().st_size == size and sha256_of(path) == digest
+        name = self.names[self.specimens[position][0]]
+        return JobRow(position, key, name, "done" if whole else "waiting", None)
 
     def _keep_at_once(self, identification: Identification) -> None:
         """Put down the specimen that was fitted while it was read."""

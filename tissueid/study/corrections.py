@@ -17,15 +17,13 @@ from typing import Any
 from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.errors import UsageError
 from tissueid.ingest import ReadOptions
-from tissueid.ingest.manifest import MANIFEST, SCHEMA, study_of
-from tissueid.ingest.toml_lines import lines_of_toml
+from tissueid.ingest.manifest import MANIFEST, SCHEMA, lines_of_toml, study_of
 from tissueid.manifest import Entry, Study, TomlTable
 from tissueid.report.inspect_decisions import toml_value
 from tissueid.report.inspect_page import InspectedRecording
 from tissueid.store.files import write_file
 from tissueid.study.inspected import Inspection, relative_name
 from tissueid.study.recordings import read_decided_one
-from tissueid.trial import Trial
 
 #: Comment behind the header of a table that was written here.
 MARK = "# by inspect --serve"
@@ -161,12 +159,6 @@ def standing(study: Study | None, path: str, sheet: str | None) -> dict[str, tup
     }
 
 
-def stated_by_hand(study: Study, key: str, path: str, sheet: str | None) -> int | None:
-    """Line of the table that still decides something of a recording, ``None`` where there is none."""
-    entries = _deciding(study, key, path, sheet)
-    return entries[-1].line if entries else None
-
-
 #: Decisions that are a switch, and what it is switched to.
 _SWITCHES = {"rupture": False, "exclude": True}
 
@@ -219,11 +211,13 @@ class CorrectedInspection:
         study = study_of(content, self.manifest)
         if value is None:
             _refuse_hand(study, str(key), known)
-        drawn = inspection.remade(_read(known, self._reading, study), study)
+        trial = read_decided_one(known.path, known.sheet, self._reading, study)
+        drawn = inspection.remade(trial, study)
         self._store(content)
         inspection.put(place, drawn, study)
         self._seen = content
-        return _said(correction)
+        done = "taken back in" if value is None else "written into"
+        return f"{key} of {file} is {done} {MANIFEST}"
 
     def _store(self, content: bytes) -> None:
         try:
@@ -233,19 +227,11 @@ class CorrectedInspection:
             raise UsageError(msg) from error
 
 
-def _read(known: InspectedTrial, reading: ReadOptions, study: Study) -> Trial:
-    return read_decided_one(known.path, known.sheet, reading, study)
-
-
-def _said(correction: Correction) -> str:
-    if correction.value is None:
-        return f"{correction.key} of {correction.file} is taken back in {MANIFEST}"
-    return f"{correction.key} of {correction.file} is written into {MANIFEST}"
-
-
 def _refuse_hand(study: Study, key: str, known: InspectedTrial) -> None:
-    line = stated_by_hand(study, key, known.path, known.sheet)
-    if line is not None:
+    """Refuse to take back what a table that was not written here decides."""
+    entries = _deciding(study, key, known.path, known.sheet)
+    if entries:
+        line = entries[-1].line
         msg = f"line {line} of {MANIFEST} still says {key}: it was written by hand, so change it there"
         raise UsageError(msg)
 

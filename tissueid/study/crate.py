@@ -132,10 +132,9 @@ def crate_files(
         )
         for trial in trials
     ]
-    if study.calibration.frame is not None and study.calibration.frame.path is not None:
-        files.insert(
-            0, CrateFile(_FRAME, _frame_without_sources(study.calibration.frame.path), _ABOUT[_FRAME])
-        )
+    frame = _frame_file(study)
+    if frame is not None:
+        files.insert(0, CrateFile(_FRAME, _frame_without_sources(frame), _ABOUT[_FRAME]))
     text = _anonymous_manifest(study, trials, names, anonymiser)
     return [CrateFile(MANIFEST, text.encode("utf-8"), _ABOUT[MANIFEST]), *files]
 
@@ -146,6 +145,10 @@ _ABOUT = {
 }
 
 
+def _frame_file(study: Study) -> str | None:
+    return None if study.calibration.frame is None else study.calibration.frame.path
+
+
 def _key(trial: Trial) -> tuple[str, str | None]:
     return trial.source.path, trial.source.sheet
 
@@ -154,8 +157,9 @@ def _as_they_are(study: Study, trials: Sequence[Trial]) -> list[CrateFile]:
     """The study file, the frame file and the recordings, byte for byte."""
     root = Path(study.path).parent
     paths = {study.path: _ABOUT[MANIFEST]}
-    if study.calibration.frame is not None and study.calibration.frame.path is not None:
-        paths[study.calibration.frame.path] = _ABOUT[_FRAME]
+    frame = _frame_file(study)
+    if frame is not None:
+        paths[frame] = _ABOUT[_FRAME]
     for trial in trials:
         paths.setdefault(trial.source.path, f"recording, read as {trial.source.recipe}")
     files = []
@@ -187,7 +191,7 @@ def _anonymous_manifest(
     document["schema"] = SCHEMA
     document["study"] = anonymiser.table(study.about)
     calibration = dict(study.calibration.values)
-    if study.calibration.frame is not None and study.calibration.frame.path is not None:
+    if _frame_file(study) is not None:
         calibration["frame"] = _FRAME
     document["calibration"] = calibration
     document["tip"] = anonymiser.table(study.tip)

@@ -10,7 +10,7 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -143,15 +143,10 @@ class Found:
     refusal: Refusal | None = None
 
 
-def refusal_of(error: InputError) -> Refusal:
-    """The refusal that an error of a reader stands for."""
-    return Refusal(error.path, error.sheet, error.code, error.message, error.line, error.column)
-
-
 def found_in(item: Trial | InputError) -> Found:
     """Contents of a file by one item of its reader."""
     if isinstance(item, InputError):
-        return Found(item.sheet, "", "", 0, refusal_of(item))
+        return Found(item.sheet, "", "", 0, Refusal.of(item))
     return Found(item.source.sheet, item.source.sha256, item.specimen, int(item.time_s.size))
 
 
@@ -207,17 +202,8 @@ def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) 
                 kind = "excluded"
             elif study.only_listed and not decision.listed:
                 kind = "unlisted"
-        refusal = None if one.refusal is None else asdict(one.refusal)
-        yield RecordingRow(path, one.sheet, one.sha256, one.specimen, one.samples, kind, specimen, refusal)
-
-
-def found_again(rows: Sequence[RecordingRow]) -> list[Found]:
-    """Contents of a file as an earlier run put them down."""
-    refusals = (None if row.refusal is None else Refusal(**row.refusal) for row in rows)
-    return [
-        Found(row.sheet, row.sha256, row.raw, row.samples, refusal)
-        for row, refusal in zip(rows, refusals, strict=True)
-    ]
+        said = (one.sheet, one.sha256, one.specimen, one.samples)
+        yield RecordingRow(path, *said, kind, specimen, one.refusal)
 
 
 #: Samples kept between a survey and the jobs of one process [bytes].
@@ -276,12 +262,11 @@ class Inventory:
 
     def put_down(self, file: NamedFile, found: Sequence[Found]) -> None:
         """Say what a file holds."""
-        self._put_down(file.position, (file.path, *_key(file)), found)
+        self._put_down(file.position, file.path, _key(file), found)
 
-    def _put_down(self, position: int, named: tuple[str, str, str], found: Sequence[Found]) -> None:
-        path, stored, key = named
+    def _put_down(self, position: int, path: str, key: tuple[str, str], found: Sequence[Found]) -> None:
         rows = list(recording_rows(path, found, self.parts))
-        self.index.add_file(position, stored, key, rows)
+        self.index.add_file(position, *key, rows)
         self._missing.discard(position)
         for row in rows:
             if row.refusal is None:
@@ -292,8 +277,8 @@ class Inventory:
         with self.index.batch():
             for position, one in enumerate(self.request.found):
                 if isinstance(one, Refusal):
-                    named = one.path, one.path, f"refused before it was read, {position}"
-                    self._put_down(position, named, [Found(one.sheet, "", "", 0, one)])
+                    key = one.path, f"refused before it was read, {position}"
+                    self._put_down(position, one.path, key, [Found(one.sheet, "", "", 0, one)])
 
     def complete(self, workplace: Workplace, recent: RecentTrials, progress: Progress) -> None:
         """Look into every file that was not looked into yet."""
@@ -345,7 +330,11 @@ class Inventory:
             return
         for position, found in unpacked(result):
             file = self.file(position)
-            self.put_down(file, found_again(self.index.known_file(*_key(file))) if found is None else found)
+            if found is None:
+                # as an earlier run put it down
+                rows = self.index.known_file(*_key(file))
+                found = [Found(row.sheet, row.sha256, row.raw, row.samples, row.refusal) for row in rows]
+            self.put_down(file, found)
 
     def _known(self, position: int) -> NamedFile:
         file = self.file(position)

@@ -24,7 +24,7 @@ from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.merged import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
-from tissueid.study.inventory import RecentTrials, refusal_of
+from tissueid.study.inventory import RecentTrials
 from tissueid.study.recordings import facts_of, read_decided, read_decided_one
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
@@ -114,7 +114,7 @@ def fit_here(
     def trials() -> Iterator[Trial]:
         for item in _own_trials(job, recent):
             if isinstance(item, InputError):
-                refused.append(refusal_of(item))
+                refused.append(Refusal.of(item))
             else:
                 yield item
 
@@ -139,12 +139,7 @@ def fit_here(
     return result_of(identification, shown=job.shown, options=job.options)
 
 
-def result_of(
-    identification: Identification,
-    *,
-    shown: str,
-    options: IdentifyOptions,
-) -> SpecimenResult:
+def result_of(identification: Identification, *, shown: str, options: IdentifyOptions) -> SpecimenResult:
     """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
     document = plain_json(identification.as_json())
     check(document, "identification", where=shown)
