@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,11 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
 
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
     assert trial.source.columns["force"] == "Force (N)"
+    # an archive holds what a folder may hold
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.write(tmp_path / "a.lvm", "day one/a.lvm")
+    (packed,) = read_trials(tmp_path / "b.zip")
+    np.testing.assert_array_equal(packed.force_N, trial.force_N)
 
 
 @pytest.mark.parametrize("kind", ["date", "clock", "span"])

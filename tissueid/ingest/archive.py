@@ -21,12 +21,13 @@ from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_
 #: Largest sum of all members, unpacked [bytes].
 ARCHIVE_BYTES = 1 << 30
 MOST_MEMBERS = 10_000
-_SUFFIXES = frozenset(
-    {".csv", ".tsv", ".txt", ".tra", ".dat", ".asc", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ""}
-    | {".jpk-force", ".jpk-force-map", ".jpk-qi-data"}
-)
+#: Suffixes of recordings, in a folder or an archive; the last ones are of prose and other data as well.
+SUFFIXES = (
+    ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".jpk-force", ".jpk-force-map",
+    ".jpk-qi-data", ".lvm", ".asc", ".dat", ".txt",
+)  # fmt: skip
 #: Members of prose and the like are passed over where they hold no table.
-_PROSE = frozenset({".txt", ".dat", ".asc", ""})
+_PROSE = frozenset({*SUFFIXES[-3:], ""})
 
 
 def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
@@ -36,7 +37,7 @@ def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
         path = PurePosixPath(member.filename.replace("\\", "/"))
         parts = [part for part in path.parts if part not in {".", ".."}]
         hidden = any(part.startswith((".", "~$", "__MACOSX")) for part in parts)
-        if not member.is_dir() and not hidden and path.suffix.lower() in _SUFFIXES:
+        if not member.is_dir() and not hidden and path.suffix.lower() in {*SUFFIXES, ""}:
             found.append(member)
     return found
 

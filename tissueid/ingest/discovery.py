@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from tissueid.errors import InputError, UsageError, printable
+from tissueid.ingest.archive import SUFFIXES as IN_ARCHIVES
 from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
 from tissueid.ingest.loading import LARGEST_BYTES, OWN_OUTPUT, remote_bytes, remote_files, url_of
@@ -22,10 +23,7 @@ from tissueid.ingest.text import HEAD_BYTES, decode_text
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 
 #: Suffixes taken from a directory.
-SUFFIXES = (
-    ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip",
-    ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".lvm", ".asc", ".dat", ".txt",
-)  # fmt: skip
+SUFFIXES = (".zip", *IN_ARCHIVES)
 #: Suffixes of prose and other data as well: taken from a directory only where the head holds a table.
 _PROSE_SUFFIXES = (".asc", ".txt", ".dat")
 #: Texts that say themselves what they are, wherever their tables begin.
