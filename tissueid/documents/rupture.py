@@ -10,11 +10,13 @@ from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative
 from tissueid.documents.identification import Provenance
 from tissueid.documents.population import Confounding
 
+Criterion = Literal["work", "weighted-force", "stored-energy", "depth"]
+
 
 class Law(Document, frozen=True):
     """The tissue breaks when a measure of its loading first reaches the threshold."""
 
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"]
+    criterion: Criterion
     threshold: Positive  # Median over tests of this specimen
     unit: Literal["N mm", "N", "mm"]
     weight: NonNegative
@@ -30,7 +32,7 @@ class Decision(Document, frozen=True):
 
     answer: Literal["decided", "undecided", "none"]
     kind: Literal["work", "weighted force", "elastic limit"] | None
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"] | None
+    criterion: Criterion | None
     probability: dict[str, NonNegative]  # Of each kind of criterion: work, weighted force, elastic limit
     reason: str
 
@@ -38,7 +40,7 @@ class Decision(Document, frozen=True):
 class Threshold(Document, frozen=True):
     """Threshold under one criterion."""
 
-    criterion: Literal["work", "weighted-force", "stored-energy", "depth"]
+    criterion: Criterion
     unit: Literal["N mm", "N", "mm"]
     median: Positive
     ci95: tuple[float, float]
