@@ -158,13 +158,10 @@ def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
 def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
     """Put what was measured into the calibration file."""
     file = asked_device(flags).calibration
+    said = f"not kept: the device {device.name} has no calibration; name a file with --calibration"
     if device.keeps(file):
-        note(f"kept in {device.keep(file, changes)}", quiet=flags.quiet)
-    else:
-        note(
-            f"not kept: the device {device.name} has no calibration; name a file with --calibration",
-            quiet=flags.quiet,
-        )
+        said = f"kept in {device.keep(file, changes)}"
+    note(said, quiet=flags.quiet)
 
 
 EXAMPLES = """

@@ -131,16 +131,13 @@ def print_all(described: list[Trial | Refusal], *, quiet: int, verbose: int) -> 
 def _print(one: Trial) -> None:
     from tissueid.study.inspected import reader_words
 
-    echo(f"  {reader_words(one)[0].lower()}{reader_words(one)[1:]}")
+    said = reader_words(one)
+    echo(f"  {said[0].lower()}{said[1:]}")
     echo(f"  specimen    {one.specimen}")
     if one.excluded is not None:
         echo(f"  excluded    because: {one.excluded}", fg="yellow")
-    echo(
-        "  columns     "
-        + ", ".join(
-            f"{key} = {value}" for key, value in structs.asdict(one.columns).items() if value is not None
-        )
-    )
+    columns = [f"{key} = {value}" for key, value in structs.asdict(one.columns).items() if value is not None]
+    echo(f"  columns     {', '.join(columns)}")
     sign = "positive" if one.compression_sign > 0 else "negative"
     echo(f"  samples     {one.n_samples}, compression is {sign} displacement")
     length, force = one.units.length, one.units.force
@@ -340,11 +337,8 @@ def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> in
         with PageServer(shown, flags.viewer_port) as server:
             # what was asked for is told however quiet: nobody guesses a token
             echo(f"page       {server.url}", err=True)
-            folder = manifest.parent
-            note(
-                f"corrections go into {manifest}; `tissueid fit {folder}` follows it; Ctrl-C ends",
-                quiet=flags.quiet,
-            )
+            follows = f"`tissueid fit {manifest.parent}` follows it"
+            note(f"corrections go into {manifest}; {follows}; Ctrl-C ends", quiet=flags.quiet)
             if not flags.no_browser:
                 open_browser(server.url)
             server.run()

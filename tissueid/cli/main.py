@@ -159,7 +159,7 @@ def _settings(name: str) -> dict[str, Any]:
     command = cli.get_command(click.Context(cli), name)
     if command is None:
         return {}
-    return as_default_map(settings_of(command, (name,), settings_files(), cli), command, (name,))
+    return as_default_map(settings_of(command, (name,), settings_files(), cli))
 
 
 def with_verb(args: list[str]) -> list[str]:

@@ -7,9 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Literal
 
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
@@ -58,15 +56,12 @@ class ReadingFlags(Flags):
         "Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one file.",
         metavar="NAME",
     )
-    delimiter: str | None = option(
-        "What parts the cells, where the text leaves it open.", type=click.Choice(list(DELIMITERS))
+    delimiter: Literal["comma", "semicolon", "tab", "bar"] | None = option(
+        "What parts the cells, where the text leaves it open."
     )
-    decimal: str | None = option(
-        "Decimal mark, where the numbers leave it open.", type=click.Choice(list(DECIMALS))
-    )
-    compression: str | None = option(
-        "Which direction of displacement is compression, where the guess is wrong.",
-        type=click.Choice(["positive", "negative"]),
+    decimal: Literal["point", "comma"] | None = option("Decimal mark, where the numbers leave it open.")
+    compression: Literal["positive", "negative"] | None = option(
+        "Which direction of displacement is compression, where the guess is wrong."
     )
     contact: float | None = option(
         "Displacement at contact as recorded [mm], where the detected one is wrong.", metavar="MM"

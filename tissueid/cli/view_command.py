@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from tissueid.cli.flags import PORT, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import FILE_THERE, PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, note, refuse
 from tissueid.errors import DeviceError
 
@@ -46,7 +44,7 @@ class _ViewFlags(ViewerFlags):
     what: str = argument(metavar="LOG|HOST:PORT")
     beside: Path | None = option(
         "A test machine's recording, drawn beside the LOG from contact on.",
-        type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
+        type=FILE_THERE, metavar="RECORDING",
     )
     token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
     # fmt: on
@@ -100,7 +98,6 @@ def _open_elsewhere(flags: _ViewFlags, what: str) -> int:
     return 0
 
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
 #: One of these is set where a browser has a screen.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 

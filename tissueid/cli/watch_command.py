@@ -18,7 +18,7 @@ from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, r
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
-from tissueid.documents.inspect import Parameter, Watch
+from tissueid.documents.inspect import Watch
 from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -106,8 +106,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
     specimen = folder.resolve().name if flags.same_specimen else None
     watch = FolderWatch(lambda: _recordings(folder))
     if flags.new_only:
-        there = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
-        watch.know(there)
+        watch.known = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
     return WatchSession(
         watch,
         lambda path: _trials(path, reading, study, specimen),
@@ -177,18 +176,13 @@ def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
 
 def _print_fit(one: Watch) -> None:
     found = {} if one.fit is None else {entry.name: entry for entry in one.fit.parameters}
-    known = [
-        f"{label} {_estimate(found[key])}"
-        for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity"))
-        if key in found
-    ]
-    echo(f"    this test alone: {', '.join(known) if known else 'could not be fitted'}")
-
-
-def _estimate(entry: Parameter) -> str:
-    if entry.value is None:
-        return "not identified"
-    return f"{with_error(entry.value, entry.stderr)} {entry.unit}"
+    known = []
+    for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity")):
+        if key in found:
+            one_of = found[key]
+            unit = "" if one_of.value is None else f" {one_of.unit}"
+            known.append(f"{label} {with_error(one_of.value, one_of.stderr)}{unit}")
+    echo(f"    this test alone: {', '.join(known) or 'could not be fitted'}")
 
 
 def _summary(session: WatchSession) -> None:

@@ -96,9 +96,7 @@ def curves_by_trial(
 
 
 def curve_payload(
-    specimens: Sequence[Specimen],
-    curves: Sequence[TrialCurve],
-    posteriors: Sequence[StoredPosterior] = (),
+    specimens: Sequence[Specimen], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior] = ()
 ) -> list[list[dict[str, Any]]]:
     """Curves of every specimen, in the order of its trials, packed.
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import number, with_error
-from tissueid.documents.base import Flag
 from tissueid.documents.inspect import Trial
 
 BECAUSE = "say why"
@@ -127,22 +126,15 @@ def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
 
 def _stated(recording: Trial) -> dict[str, str]:
     """Decisions that the user took, each with the reason."""
-    flag = _flag(recording, "decision_overridden")
-    if flag is None:
-        return {}
-    return {_DECIDES[key]: flag.values["because"] for key in flag.values["keys"] if key in _DECIDES}
-
-
-def _flag(recording: Trial, code: str) -> Flag | None:
-    return next((flag for flag in recording.flags if flag.code == code), None)
+    said = next((flag.values for flag in recording.flags if flag.code == "decision_overridden"), None)
+    return {} if said is None else {_DECIDES[key]: said["because"] for key in said["keys"] if key in _DECIDES}
 
 
 def _columns(recording: Trial, override: Any) -> Decision:
     named = {key: getattr(recording.columns, key) for key in _CHANNELS}
     columns = {key: name for key, name in named.items() if name is not None}
     taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
-    choices = [flag for flag in recording.flags if flag.code == "column_choice"]
-    for flag in choices:
+    for flag in (flag for flag in recording.flags if flag.code == "column_choice"):
         others = flag.values.get("alternatives") or []
         quantity = flag.values.get("quantity")
         if others and quantity in columns:

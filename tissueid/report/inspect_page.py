@@ -23,7 +23,7 @@ from tissueid.flags import flag_level
 from tissueid.report.figures import kept_samples, packed
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import render_page
-from tissueid.report.wording import LEVELS, remark_title, trial_label
+from tissueid.report.wording import LEVELS, remark_title, trial_label, whole_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
@@ -264,6 +264,8 @@ def render_inspection(
     drawn = set(order[:MOST_DRAWN])
     share = max(MOST_SAMPLES // max(len(drawn), 1), FEWEST_OF_ONE)
     names = _names([one.document for one in recordings])
+    tally = Counter(one.level for one in recordings)
+    counts = [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
     views = [_view(i, recordings[i], names[i], drawn=i in drawn) for i in order]
     payload = {
         view["id"]: packed_recording(recordings[view["position"]].drawn, share)
@@ -275,7 +277,7 @@ def render_inspection(
         title=_title(recordings, refused),
         views=views,
         refused=refused,
-        counts=_counts(recordings) + ([("serious", "refused", len(refused))] if refused else []),
+        counts=counts + ([("serious", "refused", len(refused))] if refused else []),
         codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
         payload=payload,
         data="recordings",
@@ -294,11 +296,6 @@ def _gravity(recording: InspectedRecording) -> int:
     return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
 
 
-def _counts(recordings: Sequence[InspectedRecording]) -> list[tuple[str, str, int]]:
-    tally = Counter(one.level for one in recordings)
-    return [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
-
-
 def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal]) -> str:
     if len(recordings) == 1 and not refused:
         return f"Inspection of {trial_label(recordings[0].document)}"
@@ -311,13 +308,9 @@ def _names(documents: Sequence[TrialDocument]) -> list[str]:
     whole = [trial_label(document) for document in documents]
     count, count_whole = Counter(short), Counter(whole)
     return [
-        name if count[name] == 1 else label if count_whole[label] == 1 else _path(document)
+        name if count[name] == 1 else label if count_whole[label] == 1 else whole_label(document)
         for name, label, document in zip(short, whole, documents, strict=True)
     ]
-
-
-def _path(document: TrialDocument) -> str:
-    return document.path if document.sheet is None else f"{document.path} [{document.sheet}]"
 
 
 def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
@@ -338,7 +331,7 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
         "position": position,
         "id": f"recording-{position + 1}",
         "name": name,
-        "path": _path(document),
+        "path": whole_label(document),
         "data": document,
         "level": recording.level,
         "words": _WORDS[recording.level],

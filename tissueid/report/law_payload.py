@@ -422,9 +422,7 @@ def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
 
 
 def law_payload(
-    specimens: Sequence[Specimen],
-    curves: Sequence[TrialCurve],
-    posteriors: Sequence[StoredPosterior] = (),
+    specimens: Sequence[Specimen], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior] = ()
 ) -> list[dict[str, Any]]:
     """Points of the figures of every specimen's law, in their order.
 

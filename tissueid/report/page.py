@@ -6,7 +6,7 @@ import base64
 import json
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
@@ -32,6 +32,7 @@ from tissueid.report.rendering_words import Rendering, metadata_view, rendering_
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
+    FEW,
     event_words,
     in_units,
     misfit_raised,
@@ -57,7 +58,6 @@ MOST_REASONS = 5
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 #: In the order in which they need each other.
 _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
-_SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
 @cache
@@ -154,10 +154,7 @@ def _deflated_library() -> str:
 
 
 def _view(
-    position: int,
-    specimen: Specimen,
-    run: Identification,
-    rendering: Rendering | str | None,
+    position: int, specimen: Specimen, run: Identification, rendering: Rendering | str | None
 ) -> dict[str, Any]:
     parameters = {entry.name: entry for entry in specimen.parameters}
     sure = uncertainty_view(specimen)
@@ -177,7 +174,7 @@ def _view(
         "alarms": alarms,
         "reasons": told[:shown],
         "more": told[shown:],
-        "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
+        "summary": [_without_error(parameters.get(name), specimen) for name in FEW],
         "quoted": quoted_tables(specimen.quoted),
         "cycles": cycle_table(specimen.cycles),
         "methods": methods_view(specimen, run),
@@ -222,16 +219,9 @@ def _ends(specimen: Specimen, entry: Estimate) -> dict[str, float]:
     return {"up": max(high - value, 0.0), "down": max(value - low, 0.0)}
 
 
-def _groups(specimens: Sequence[Specimen], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
-    """Curves of all specimens by program; none where their units differ."""
-    units = _common_units(specimens)
-    return [] if units is None else curve_groups(curves_by_trial(specimens, curves), units)
-
-
-def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
-    """Count of specimens by verdict, the commonest first."""
-    tally = Counter((view["verdict"].level, view["verdict"].title) for view in views)
-    return [(level, title, count) for (level, title), count in tally.most_common()]
+def verdict_counts(verdicts: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
+    """Count of specimens by level and title of their verdicts, the commonest first."""
+    return [(level, title, count) for (level, title), count in Counter(verdicts).most_common()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,6 +254,10 @@ def render_report(
     stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of identification.json.
     """
     specimens = identification.specimens
+    units = _common_units(specimens)
+    groups: list[dict[str, Any]] = []
+    if units is not None and len(specimens) > 1:
+        groups = curve_groups(curves_by_trial(specimens, curves), units)
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
     views = [
         _view(position, specimen, identification, rendering)
@@ -273,7 +267,7 @@ def render_report(
         "specimens": curve_payload(specimens, curves, posteriors),
         "posteriors": posterior_payload(specimens, posteriors),
         "laws": law_payload(specimens, curves, posteriors),
-        "groups": _groups(specimens, curves) if len(specimens) > 1 else [],
+        "groups": groups,
         "units": [plain(specimen.units) for specimen in specimens],
         "overview": _overview(specimens),
     }
@@ -285,9 +279,9 @@ def render_report(
         views=views,
         workbook=base64.b64encode(report_workbook(identification, digest)).decode("ascii"),
         payload=payload,
-        common_units=_common_units(specimens),
+        common_units=units,
         overview_sentence=overview_sentence(specimens),
-        counts=_counts(views),
+        counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
         study=study_view(identification.study),
         metadata=metadata_view(beside.metadata),
         twin=beside.twin,

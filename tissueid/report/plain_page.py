@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.digits import number, with_error
 from tissueid.documents.identification import Specimen
-from tissueid.report.page import render_page
-from tissueid.report.wording import misfit_raised, verdict
+from tissueid.report.page import render_page, verdict_counts
+from tissueid.report.wording import FEW, misfit_raised, verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +80,6 @@ def render_plain(title: str, sections: Sequence[Section], *, created: str | None
     )
 
 
-#: Parameters of the table.
-_SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 #: Refused inputs that are listed; identification.json has them all.
 _LISTED = 500
 
@@ -91,8 +88,8 @@ def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
     """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
     named = {one.name: one for one in specimen.parameters}
     found, sure = verdict(specimen), not misfit_raised(specimen)
-    values = [named[name].value if name in named else None for name in _SHOWN]
-    errors = [named[name].stderr if sure and name in named else None for name in _SHOWN]
+    values = [named[name].value if name in named else None for name in FEW]
+    errors = [named[name].stderr if sure and name in named else None for name in FEW]
     said = map(with_error, values, errors)
     nrmsd, trials, depth = 100.0 * specimen.nrmsd.range, len(specimen.trials), specimen.validity.depth_mm
     return {
@@ -109,12 +106,11 @@ def render_index(
     rows: Sequence[Mapping[str, Any]], refused: Sequence[str], *, created: str | None = None
 ) -> str:
     """Write the report of a large cohort, with links to those of specimens."""
-    tally = Counter((row["level"], row["verdict"]) for row in rows)
     return render_page(
         "index",
         title=f"Contact mechanics of {len(rows):,} specimens",
         count=len(rows),
-        counts=[(level, title, count) for (level, title), count in tally.most_common()],
+        counts=verdict_counts((row["level"], row["verdict"]) for row in rows),
         refused=refused[:_LISTED],
         more=max(len(refused) - _LISTED, 0),
         payload={"rows": rows},

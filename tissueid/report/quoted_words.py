@@ -18,11 +18,7 @@ from tissueid.report.wording import trial_label
 MOST_ROWS = 12
 NONE = "–"
 _PATHS = {"step": "ideal step", "ramp": "ramp as recorded"}
-_KINDS = {
-    "cycle": "cycle",
-    "ramp-retract": "ramp and retract",
-    "ramp-hold-retract": "ramp, hold and retract",
-}
+_KINDS = {"cycle": "cycle", "ramp-retract": "ramp and retract", "ramp-hold-retract": "ramp, hold and retract"}
 
 
 @dataclass(frozen=True, slots=True)

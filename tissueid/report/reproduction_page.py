@@ -19,11 +19,7 @@ from tissueid.report.wording import Verdict
 #: Kind -> class of its look, mark, and what it means.
 KINDS: Mapping[str, tuple[str, str, str]] = {
     "reproduced": ("reproduced", "✓", "printed, and computed without the number itself"),
-    "recomputed": (
-        "recomputed",
-        "=",
-        "computed from what the paper states, which prints no number for it",
-    ),
+    "recomputed": ("recomputed", "=", "computed from what the paper states, which prints no number for it"),
     "given": ("given", "→", "printed as an input: put in, not computed"),
     "round trip": (
         "round-trip",

@@ -41,9 +41,7 @@ def render_training(
 
 
 def _person(
-    document: Training,
-    tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]],
-    who: str | None,
+    document: Training, tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]], who: str | None
 ) -> Section:
     rows = [row for row in document.attempts if row.pseudonym == who]
     curves = {one.measure: one for one in document.learning if one.pseudonym == who}

@@ -13,7 +13,7 @@ from typing import Any
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
-from tissueid.report.wording import misfit_raised, parameter_words, unit_words
+from tissueid.report.wording import counted, depth_words, misfit_raised, parameter_words, unit_words
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -125,24 +125,23 @@ def paper_view(specimen: Specimen) -> dict[str, Any]:
     """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``."""
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
+    window = window_words(specimen)
+    one_time = f" One relaxation time: {window}." if window else ""
     return {
         "model": "modified Kelvin-Voigt" if specimen.model.key == "kelvin-voigt" else specimen.model.key,
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
-        "said": f"{_fit_sentence(specimen)} {_range_sentence(specimen)}{_window_sentence(specimen)}",
+        "said": f"{_fit_sentence(specimen)} {_range_sentence(specimen)}{one_time}",
     }
 
 
 def _fit_sentence(specimen: Specimen) -> str:
     """Sentence on the fit, its method, and what it leaves."""
     model, sampler = specimen.model, specimen.sampler
-    count, degree = model.branches, model.stiffness_degree
+    branches = counted(model.branches, "branch", "es")
     rmse = f"{number(specimen.nrmsd.rmse_N, 3)} {specimen.units.force}"
     drawn = f"; {sampler.name}, {sampler.draws:,} draws" if sampler else "; nothing sampled"
-    law = (
-        f"Static force a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = "
-        f"{_FOLD[degree]}"
-    )
+    law = f"Static force a_1 x + a_2 x² + a_3 x³, {branches} with K(x) = {_FOLD[model.stiffness_degree]}"
     if model.key != "kelvin-voigt":
         law = f"Model {model.key}"
     return (
@@ -156,9 +155,9 @@ def _range_sentence(specimen: Specimen) -> str:
     """Depths, speeds and holds that the numbers are of."""
     valid, length = specimen.validity, specimen.units.length
     slow, fast = (number(value, 3) for value in valid.speeds_mm_s)
-    deep = f"{number(valid.depth_mm, 3)} mm" if length == "mm" else f"a strain of {number(valid.depth_mm, 3)}"
     windows = [row.window_s[1] - row.window_s[0] for row in specimen.relaxation]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
+    deep = depth_words(valid.depth_mm, specimen.units)
     return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
 
 
@@ -178,11 +177,6 @@ def window_words(specimen: Specimen) -> str:
     if slope + EFFECTIVE_SD * error <= EFFECTIVE_SLOPE:
         return f"{said}: not the window's"
     return said
-
-
-def _window_sentence(specimen: Specimen) -> str:
-    said = window_words(specimen)
-    return f" One relaxation time: {said}." if said else ""
 
 
 def _sampler_sentence(specimen: Specimen) -> str:

@@ -68,10 +68,6 @@ class FolderWatch:
         ready.sort(key=lambda path: (changed[path][1], path.name))
         return Look(tuple(ready), tuple(gone), tuple(self._growing))
 
-    def know(self, paths: Mapping[Path, Fingerprint]) -> None:
-        """Take recordings for judged already."""
-        self.known |= paths
-
 
 def fingerprint(path: Path) -> Fingerprint | None:
     """Size and time of a file; ``None`` where it is gone, or empty as yet."""
