@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import Ended, run, write_log
+from command_line import Ended, read_json, run, write_log, write_study
 
 from tissueid.population.members import thawed_among_fresh
 from tissueid.store.bundle import load_bundle
@@ -22,15 +21,15 @@ TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
 
 def a_study(folder: Path, times: tuple[float, ...], storage: tuple[str, ...] = ()) -> Path:
     """One log a specimen, the same but for its force (and its storage)."""
-    lines = ['schema = "tissueid/study/1"']
+    tables = []
     for number, factor in enumerate(times, 1):
         write_log(folder / f"{number}.csv", label=None, force_times=factor)
-        lines += [
+        tables += [
             f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number}',
             *([f'storage = "{storage[number - 1]}"'] if storage else []),
             f'[[trial]]\nfile = "{number}.csv"\nspecimen = "head {number}"',
         ]
-    (folder / "study.toml").write_text("\n".join(lines), encoding="utf-8")
+    write_study(folder, *tables)
     return folder
 
 
@@ -47,7 +46,7 @@ def files_of(out: Path) -> dict[str, bytes]:
 
 def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None:
     out, ended = cohort
-    document: dict[str, Any] = json.loads((out / "population.json").read_text(encoding="utf-8"))
+    document: dict[str, Any] = read_json(out / "population.json")
     assert "population of 5 specimens" in ended.stdout
     assert sorted(document["specimens_used"]) == [f"head {number}" for number in range(1, 6)]
     assert (out / "cohort.html").is_file()
@@ -56,7 +55,7 @@ def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None
 
 def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple[Path, Ended]) -> None:
     out, _ = cohort
-    rows = json.loads((out / "population.json").read_text(encoding="utf-8"))["population"]["quantities"]
+    rows = read_json(out / "population.json")["population"]["quantities"]
     own = load_bundle(out / "bundle-head_3.h5")
     typical = load_bundle(out / "population.h5")
     geometric_mean = float(np.exp(np.mean(np.log(TIMES))))

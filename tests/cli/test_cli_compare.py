@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run, write_log
+from command_line import read_json, run, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.store.bundle import write_bundle
@@ -31,15 +30,14 @@ def test_a_stiffer_tissue_differs_and_could_be_felt(tmp_path: Path) -> None:
     assert ended.code == 0, ended.stderr
     assert "kidney and liver: differ" in ended.stdout
     assert "a hand could tell: force" in ended.stdout
-    document = json.loads(target.read_text(encoding="utf-8"))
+    document = read_json(target)
     check(document, "contrast", where="contrast.json")
     assert document["pairs"][0]["difference"]["different"] is True
 
 
 def test_a_tissue_beside_itself_is_not_shown_to_differ(tmp_path: Path) -> None:
     path = bundle(tmp_path, "kidney")
-    ended = run("compare", path, path)
-    assert "kidney (1) and kidney (2): not shown to differ" in ended.stdout
+    ended = run("compare", path, path, shown="kidney (1) and kidney (2): not shown to differ")
     assert "a hand would hardly tell" in ended.stdout
 
 
@@ -50,7 +48,7 @@ def test_a_tissue_beside_itself_is_not_shown_to_differ(tmp_path: Path) -> None:
 def test_document_and_page_are_written_together(tmp_path: Path, named: str, written: str) -> None:
     one, other = bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5)
     assert run("compare", one, other, "-o", tmp_path / named, "-q").code == 0
-    check(json.loads((tmp_path / f"{written}.json").read_bytes()), "contrast", where="contrast.json")
+    check(read_json(tmp_path / f"{written}.json"), "contrast", where="contrast.json")
     page = (tmp_path / f"{written}.html").read_text(encoding="utf-8")
     assert "kidney and liver differ" in page
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
@@ -116,7 +114,7 @@ def test_recordings_of_one_program_are_compared(tmp_path: Path) -> None:
     ended = run("compare", one, other, "--json", "-o", target)
     document = ended.json()
     check(document, "measured-contrast", where="pair.json")
-    assert json.loads(target.read_bytes()) == document
+    assert read_json(target) == document
     (pair,) = document["pairs"]
     rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
     assert rows["peak", None]["ratio"] == pytest.approx(1.5, rel=0.01)

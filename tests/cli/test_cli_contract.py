@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import HEADER_LINES, LOG, QUICK, Ended, run, write_log
+from command_line import HEADER_LINES, LOG, QUICK, Ended, read_json, run, write_log
 
 from tissueid.store.schema import first_problem
 
@@ -94,8 +93,7 @@ def test_inspect_is_valid_with_refusals_in_their_place(tmp_path: Path) -> None:
 
 
 def test_inspect_for_people_says_the_same(rows: list[tuple[float, float, float]]) -> None:
-    ended = run("inspect", LOG, "-v")
-    assert f"{len(rows)}, compression is positive displacement" in ended.stdout
+    ended = run("inspect", LOG, "-v", shown=f"{len(rows)}, compression is positive displacement")
     for word in ("ramp", "hold", "bluehill-csv", "Extension", "paper-a"):
         assert word in ended.stdout
     assert run("inspect", LOG, "-q", "-v").stdout == ""
@@ -105,7 +103,7 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Pat
     ended, out = fitted
     assert ended.code == 0
     assert first_problem(ended.json(), "identification") is None
-    assert ended.json() == json.loads((out / "identification.json").read_bytes())
+    assert ended.json() == read_json(out / "identification.json")
     assert ended.json()["exit"] == {"code": 0, "reasons": []}
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
     bundles = {"bundle-paper-a.h5", "bundle.h5"}
@@ -189,9 +187,9 @@ def test_same_inputs_options_and_seed_give_the_same_bytes(fitted: tuple[Ended, P
 
 def test_export_and_report_need_the_output_folder_alone(fitted: tuple[Ended, Path], tmp_path: Path) -> None:
     _, out = fitted
-    assert run("export", out).json() == json.loads((out / "identification.json").read_bytes())
+    assert run("export", out).json() == read_json(out / "identification.json")
     run("export", out, "-o", tmp_path / "copy.json")
-    assert json.loads((tmp_path / "copy.json").read_bytes()) == run("export", out).json()
+    assert read_json(tmp_path / "copy.json") == run("export", out).json()
     assert run("report", out, "-o", tmp_path / "page.html").code == 0
     assert (tmp_path / "page.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html")
     # written anew in its folder, the set stays whole

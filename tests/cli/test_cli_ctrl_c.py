@@ -7,7 +7,6 @@ and ``watch``, which wait for something, are interrupted from outside in the tes
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import signal
@@ -15,20 +14,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import QUICK, REPOSITORY, run, write_log
+from command_line import QUICK, REPOSITORY, read_json, run, write_bundles, write_log
 from identify_stand_ins import of_prior
-from rendered_tissues import PAPER_A, bundle_of
 from test_cli_calibrate import RECIPE
-
-from tissueid.store.bundle import write_bundle
 
 SAID = "tissueid: interrupted; what was finished is kept\n"
 #: Command, and at which report of its progress the signal comes.
@@ -70,9 +64,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "ruptures").mkdir()
     for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-01-*.csv"):
         shutil.copy(path, folder / "ruptures")
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * np.random.default_rng(5).standard_normal((200, 5)))
-        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder)
     (folder / "old.json").write_text("what was here before", encoding="ascii")
     return folder
 
@@ -160,7 +152,7 @@ def test_an_interrupted_calibration_goes_on_where_it_was(
     gone_on = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
     assert gone_on[: len(kept)] == kept
     assert run("calibrate", "recipe.toml", "-o", "whole", "--simulations", "20").code in (0, 4, 7)
-    found = [json.loads((place / name / "calibrate.json").read_bytes()) for name in ("cal", "whole")]
+    found = [read_json(place / name / "calibrate.json") for name in ("cal", "whole")]
     for document in found:
         # a time is no result
         del document["simulations"]["median_seconds"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import shlex
 from dataclasses import replace
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, REPOSITORY, run, write_log
+from command_line import QUICK, REPOSITORY, read_json, run, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.store.bundle import write_bundle
@@ -26,7 +25,7 @@ GUESSES = ("--tissue", "tau=0.5~30%", "--tissue", "eta=1.3", "--tissue", "static
 def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path: Path) -> None:
     out = tmp_path / "plan"
     ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", out, code=0)
-    document = json.loads((out / "design.json").read_text(encoding="utf-8"))
+    document = read_json(out / "design.json")
     assert first_problem(document, "design") is None
     names = {"design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml"}
     assert {path.name for path in out.iterdir()} == names

@@ -58,9 +58,7 @@ def homed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_list_names_every_device_found_or_not() -> None:
-    ended = run("devices", "list", code=0)
-    assert "this program" in ended.stdout
-    assert "not found: falcon, forcedimension" in ended.stdout
+    run("devices", "list", code=0, shown=("this program", "not found: falcon, forcedimension"))
     document = run("devices", "list", "--json").json()
     assert first_problem(document, "devices") is None
     assert set(document["known"]) >= {"falcon", "forcedimension", "emulator", "sim", "replay"}
@@ -199,8 +197,7 @@ def test_delay_is_kept_where_it_makes_sense(
 ) -> None:
     found = LinkReport(5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
     monkeypatch.setattr("tissueid.haptics.measure.measure_link", lambda *_: found)
-    ended = run("devices", "test", "--port", port, "--save", code=code)
-    assert "10 unanswered, 0 damaged" in ended.stdout
+    ended = run("devices", "test", "--port", port, "--save", code=code, shown="10 unanswered, 0 damaged")
     if code == 0:
         kept = load_calibration(configuration)
         assert (kept.delay_ticks, kept.delay_measured) == (delay, True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run, write_log
+from command_line import run, write_log, write_study
 from identify_stand_ins import of_prior
 from test_cli_examples import any_path, unfit
 from test_cli_impact import WHOLE, recordings
@@ -188,9 +188,7 @@ def made_ready(page: str, place: Path) -> None:
     if page == "rupture.md":
         for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-0[12]-*.csv"):
             shutil.copy(path, place / "lab_data")
-        (place / "study.toml").write_text(
-            'schema = "tissueid/study/1"\n[[trial]]\nfile = "lab_data/rupture-*.csv"\n', encoding="utf-8"
-        )
+        write_study(place, "[[trial]]", 'file = "lab_data/rupture-*.csv"')
 
 
 def typed(command: Command) -> None:

@@ -6,7 +6,6 @@ import csv
 import hashlib
 import importlib.util
 import io
-import json
 import sys
 import types
 import warnings
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run
+from command_line import read_json, run
 from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit
 from posterior_factory import posterior, sampled
 from rendered_tissues import PAPER_A, bundle_of
@@ -51,6 +50,13 @@ def document(fits: tuple[SpecimenFit, ...] = FITS) -> dict[str, Any]:
     return found
 
 
+def written(folder: Path, *fits: SpecimenFit, refused: bool = False) -> Path:
+    with OutputSet(folder) as outputs:
+        write_results(outputs, identification(fits, refused=refused))
+        outputs.commit()
+    return folder
+
+
 def rows_of(content: bytes) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(content.decode("utf-8"), newline="")))
 
@@ -61,11 +67,7 @@ def table(name: str, given: dict[str, Any] | None = None) -> list[dict[str, str]
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("export") / "out"
-    with OutputSet(folder) as outputs:
-        write_results(outputs, identification(FITS, refused=True))
-        outputs.commit()
-    return folder
+    return written(tmp_path_factory.mktemp("export") / "out", *FITS, refused=True)
 
 
 SILENT = dict.fromkeys(StatedSpecimen.__struct_fields__)
@@ -257,7 +259,7 @@ def test_an_independent_reader_finds_numbers_logicals_and_gaps(out: Path) -> Non
 
 
 def test_numbers_come_back_to_the_last_bit(out: Path) -> None:
-    stored = json.loads((out / "identification.json").read_bytes())
+    stored = read_json(out / "identification.json")
     rows = rows_of(run("export", out, "--format", "specimens").stdout.encode("utf-8"))
     for row, specimen in zip(rows, stored["specimens"], strict=True):
         for estimate in specimen["parameters"]:
@@ -267,10 +269,7 @@ def test_numbers_come_back_to_the_last_bit(out: Path) -> None:
 
 def test_every_row_carries_the_hash_of_the_document(out: Path) -> None:
     digest = hashlib.sha256((out / "identification.json").read_bytes()).hexdigest()
-    assert (
-        json_bytes(json.loads((out / "identification.json").read_bytes()))
-        == (out / "identification.json").read_bytes()
-    )
+    assert json_bytes(read_json(out / "identification.json")) == (out / "identification.json").read_bytes()
     for name in ("specimens", "trials"):
         rows = rows_of(run("export", out, "--format", name).stdout.encode("utf-8"))
         assert {row["identification_sha256"] for row in rows} == {digest}
@@ -299,13 +298,6 @@ def test_the_documentation_names_every_column() -> None:
 
 NO_ARVIZ = importlib.util.find_spec("arviz") is None
 needs_arviz = pytest.mark.skipif(NO_ARVIZ, reason="arviz is not installed: pip install 'tissueid[arviz]'")
-
-
-def _written(folder: Path, *fits: SpecimenFit) -> Path:
-    with OutputSet(folder) as outputs:
-        write_results(outputs, identification(fits))
-        outputs.commit()
-    return folder
 
 
 def _arviz() -> Any:
@@ -373,7 +365,7 @@ def test_without_total_draws_there_are_no_total_variables(monkeypatch: pytest.Mo
 
 def test_without_arviz_the_way_out_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "arviz", None)
-    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    out = written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
     ended = run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=2)
     assert "pip install 'tissueid[arviz]'" in ended.stderr
     assert not (tmp_path / "chains.nc").exists()
@@ -390,12 +382,12 @@ def test_a_library_for_netcdf_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_netcdf_is_not_printed(tmp_path: Path) -> None:
-    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    out = written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
     run("export", out, "--format", "netcdf", code=2, said="name a file with -o")
 
 
 def test_a_fit_without_a_posterior_has_no_draws(tmp_path: Path) -> None:
-    out = _written(tmp_path / "out", specimen_fit("kidney 3", samples=60))
+    out = written(tmp_path / "out", specimen_fit("kidney 3", samples=60))
     ended = run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=2)
     assert "no posterior was sampled" in ended.stderr
 
@@ -405,7 +397,7 @@ def test_a_fit_without_a_posterior_has_no_draws(tmp_path: Path) -> None:
 def test_arviz_reads_the_draws_of_each_specimen(tmp_path: Path) -> None:
     arviz = _arviz()
     fits = [sampled(specimen_fit(name, samples=60)) for name in ("kidney 3", "liver/left")]
-    out = _written(tmp_path / "out", *fits)
+    out = written(tmp_path / "out", *fits)
     run("export", out, "--format", "netcdf", "-o", tmp_path / "chains.nc", code=0)
     assert sorted(path.name for path in tmp_path.glob("*.nc")) == [
         "chains-kidney_3.nc",
@@ -426,7 +418,7 @@ def test_arviz_reads_the_draws_of_each_specimen(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore::FutureWarning")
 def test_one_specimen_has_the_file_that_was_named(tmp_path: Path) -> None:
     arviz = _arviz()
-    out = _written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
+    out = written(tmp_path / "out", sampled(specimen_fit("kidney 3", samples=60)))
     run("export", out, "--format", "netcdf", "-o", tmp_path / "mine.nc", code=0)
     summary = arviz.summary(arviz.from_netcdf(str(tmp_path / "mine.nc"))["unconstrained_posterior"])
     assert summary.loc["ln_tau_1", "r_hat"] < 1.01
@@ -444,8 +436,7 @@ def bundle(tmp_path: Path) -> Path:
     [("c-header", "paper_a_step("), ("febio", '<material id="1"'), ("abaqus", "*VISCOELASTIC, TIME=PRONY")],
 )
 def test_a_bundle_is_written_for_another_program(bundle: Path, form: str, said: str) -> None:
-    ended = run("export", bundle, "--format", form, code=0)
-    assert said in ended.stdout
+    run("export", bundle, "--format", form, code=0, shown=said)
 
 
 def test_a_matlab_file_is_written_where_it_is_asked_for(bundle: Path, tmp_path: Path) -> None:
@@ -467,10 +458,7 @@ def test_what_cannot_be_written_is_refused(bundle: Path, args: tuple[str, ...], 
 
 
 def test_of_several_specimens_one_is_chosen(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with OutputSet(out) as outputs:
-        write_results(outputs, identification([specimen_fit("kidney 3"), specimen_fit("spleen 1")]))
-        outputs.commit()
+    out = written(tmp_path / "out", specimen_fit("kidney 3"), specimen_fit("spleen 1"))
     run("export", out, "--format", "c-header", code=2, said="--specimen")
     run("export", out, "--format", "c-header", "--specimen", "nobody", code=2, said="nobody")
     assert "kidney_3_step(" in run("export", out, "--format", "c-header", "--specimen", "kidney 3").stdout

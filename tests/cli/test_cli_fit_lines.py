@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import QUICK, run, write_log
+from command_line import QUICK, read_json, run, write_log
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
@@ -263,7 +263,7 @@ def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_pat
     assert ended.code in (0, 4)
     lines = [line for line in ended.stdout.splitlines() if line.startswith(("  measured", "  modulus"))]
     assert [line.split()[0] for line in lines] == ["modulus", "measured,"]
-    specimen = json.loads((out / "identification.json").read_text())["specimens"][0]
+    specimen = read_json(out / "identification.json")["specimens"][0]
     asked = {
         entry["at"]["frequency_Hz"]: entry
         for entry in specimen["quoted"]["model"]

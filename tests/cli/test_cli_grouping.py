@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import QUICK, run, write_log
+from command_line import QUICK, read_json, run, write_log
 
 from tissueid.ingest import RECIPES, forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, SyntheticLog, simulate
@@ -140,7 +139,7 @@ def test_auto_prints_the_candidates_it_chose_from(tmp_path: Path) -> None:
     assert (1, 0) in tried
     assert chosen["branches"] == one["model"]["branches"]
     assert chosen["stiffness_degree"] == one["model"]["stiffness_degree"]
-    options = json.loads((tmp_path / "out" / "identification.json").read_bytes())["provenance"]["options"]
+    options = read_json(tmp_path / "out" / "identification.json")["provenance"]["options"]
     assert options["branches"] == options["stiffness_degree"] == "auto"
 
 

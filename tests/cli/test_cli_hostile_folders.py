@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, REPOSITORY, Ended, log_text, run, start, write_log
+from command_line import QUICK, REPOSITORY, Ended, log_text, read_json, run, start, write_log
 
 from tissueid.synth import DIALECTS, Hold, Log, Move, SyntheticLog, bluehill_csv, recipe, simulate
 
@@ -39,7 +39,7 @@ def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_li
             text for text in lines if text.startswith(start_of_line) and (name in text or "ramp" in name)
         )
         assert word in said
-    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    document = read_json(out / "identification.json")
     assert document["exit"]["code"] == 7
     used = [entry["path"] for entry in document["provenance"]["inputs"]]
     assert len(used) == sound + 1
@@ -100,7 +100,7 @@ def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path
     assert "\x1b[31m" not in shown.stdout
     few = [folder / NAMES[key] for key in ("composed", "decomposed", "emoji", "line break", "html", "long")]
     run("fit", *few, "-o", out, *QUICK, code={0, 4})
-    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    document = read_json(out / "identification.json")
     # names that differ in nothing but their normal form are two files and two specimens
     assert len({one["specimen"] for one in document["specimens"]}) == len(few)
     assert run("validate", out).code == 0

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import openpyxl
 import pytest
-from command_line import LOG, REPOSITORY, Ended, run, write_log
+from command_line import LOG, REPOSITORY, run, write_csv, write_log, write_study
 
 from tissueid.store.schema import first_problem
 
@@ -59,24 +59,22 @@ def test_entries_name_files_as_seen_from_the_folder_of_the_study(tmp_path: Path)
     run("inspect", tmp_path / "data", "--html", page, "-q")
     assert {entry["file"] for entry in page_entries(page)} == {"pig 1/läuft [3].csv"}
     # a study above the folder is the one that is meant
-    (tmp_path / "study.toml").write_text('schema = "tissueid/study/1"\n', encoding="utf-8")
+    write_study(tmp_path)
     run("inspect", tmp_path / "data" / "pig 1", "--html", page, "-q")
     assert {entry["file"] for entry in page_entries(page)} == {"data/pig 1/läuft [3].csv"}
 
 
 def inspected(*args: str | Path) -> dict[str, Any]:
-    ended: Ended = run("inspect", *args, "--json", code=0)
-    (document,) = ended.json()
+    (document,) = run("inspect", *args, "--json", code=0).json()
     return dict(document)
 
 
 def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path: Path) -> None:
     write_log(tmp_path / "läuft [3].csv")
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n'
-        '[[override]]\nfile = "läuft [3].csv"\ncontact_mm = 0.5\nbecause = "seen by eye"\n'
-        '[[exclude]]\nfile = "läuft [3].csv"\nbecause = "slipped"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[override]]\nfile = "läuft [3].csv"\ncontact_mm = 0.5\nbecause = "seen by eye"',
+        '[[exclude]]\nfile = "läuft [3].csv"\nbecause = "slipped"',
     )
     followed = inspected(tmp_path)
     assert followed["contact"]["displacement_mm"] == 0.5
@@ -197,10 +195,8 @@ def test_the_command_line_takes_them_and_says_so(tmp_path: Path) -> None:
     time = np.arange(0.0, 14.0, 0.02)
     depth = np.minimum(time, 4.0)
     force = 2.0 * depth + 3.0 * np.where(time < 4.0, depth, 4.0 * np.exp(-(time - 4.0) / 2.0))
-    lines = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time, depth, force, strict=True)]
     for name in ("one.csv", "two.csv"):
-        rows = "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *lines])
-        (tmp_path / name).write_text(rows + "\n", encoding="utf-8")
+        write_csv(tmp_path / name, time, depth, force)
     ended = run("inspect", str(tmp_path), "--hold-from", "4.5", "--exclude", "two.csv", "--json")
     one, two = ended.json()
     assert [phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"] == [pytest.approx(4.5)]
@@ -217,10 +213,10 @@ def test_a_served_page_takes_no_other_output(tmp_path: Path, other: tuple[str, .
 
 def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("x", encoding="ascii")
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"\n'
-        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"',
+        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"',
     )
     run("inspect", str(tmp_path), code=3, said="line 2: one.csv: hold_from_s = 5 is not before end_s = 4")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import run, write_study
 
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -64,7 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out: Path = tmp_path_factory.mktemp("study")
     for number, branches in enumerate((2, 2, 1)):
         recording(out / f"s{number}.csv", branches, number)
-    (out / "study.toml").write_text('schema = "tissueid/study/1"\n\n[study]\ntitle = "orders"\n')
+    write_study(out, "[study]", 'title = "orders"')
     return out
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import Ended, run
+from command_line import Ended, read_json, run
 
 from tissueid.store.bundle import load_bundle
 from tissueid.store.results import validate_outputs
@@ -33,7 +32,7 @@ def test_the_population_joins_the_set_of_the_fit(ended: Ended, out: Path) -> Non
     assert {"population.json", "population.h5", "cohort.html", "identification.json", "report.html"} - {
         "report.html"
     } <= {path.name for path in out.iterdir()}
-    assert ended.json() == json.loads((out / "population.json").read_text(encoding="utf-8"))
+    assert ended.json() == read_json(out / "population.json")
     check(ended.json(), "population", where="stdout")
 
 

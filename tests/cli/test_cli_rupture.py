@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import REPOSITORY, Ended, run
+from command_line import REPOSITORY, Ended, read_json, run, write_study
 
 from tissueid.cli.rupture_command import ASKED as OFFERED
 from tissueid.haptics.states import Lamp
@@ -21,15 +20,6 @@ from tissueid.store.schema import first_problem
 from tissueid.store.session_log import read_session_log
 
 SET = REPOSITORY / "datasets_synthetic" / "rupture-18"
-STUDY = """schema = "tissueid/study/1"
-
-[study]
-title = "ruptures"
-
-[[exclude]]
-file = "rupture-02-rupture-0600-1.csv"
-because = "the tool slipped"
-"""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +28,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ended, Path]:
     folder = tmp_path_factory.mktemp("recordings")
     for path in [*SET.glob("rupture-01-*.csv"), *SET.glob("rupture-02-*.csv")]:
         shutil.copy(path, folder)
-    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    write_study(folder, '[[exclude]]\nfile = "rupture-02-rupture-0600-1.csv"\nbecause = "the tool slipped"')
     out = tmp_path_factory.mktemp("out") / "rupture"
     return run("rupture", folder, "-o", out, "--criterion", "work", "--json"), out
 
@@ -51,9 +41,8 @@ def test_it_prints_rupture_json_and_it_is_valid(done: tuple[Ended, Path]) -> Non
     ended, out = done
     assert ended.code == 0
     assert first_problem(ended.json(), "rupture") is None
-    assert json.loads((out / "rupture.json").read_text(encoding="utf-8")) == ended.json()
+    assert read_json(out / "rupture.json") == ended.json()
     assert "work" in (out / "rupture.html").read_text(encoding="utf-8")
-    ended, out = done
     document = ended.json()
     work = next(row for row in document["criteria"] if row["criterion"] == "work")
     assert document["taken"] == "work"
@@ -68,7 +57,7 @@ def test_it_prints_rupture_json_and_it_is_valid(done: tuple[Ended, Path]) -> Non
 
 
 def test_force_depth_and_work_at_failure_are_those_of_the_truth(done: tuple[Ended, Path]) -> None:
-    truth = {row["file"]: row for row in json.loads((SET / "truth.json").read_text())["logs"]}
+    truth = {row["file"]: row for row in read_json(SET / "truth.json")["logs"]}
     tests = done[0].json()["tests"]
     assert len(tests) == 5
     for one in tests:

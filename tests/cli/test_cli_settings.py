@@ -196,8 +196,6 @@ def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.Mon
 
 
 def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder: Path) -> None:
-    ended = run("config")
-    assert "nothing is set" in ended.stdout
-    assert str(Path.home() / ".config" / "tissueid" / "config.toml") in ended.stdout
+    run("config", shown=("nothing is set", str(Path.home() / ".config" / "tissueid" / "config.toml")))
     assert "there is no such command" in refused("config", "fti")
     assert "there is no such command" in refused("config", "fit", "more")

@@ -5,17 +5,13 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from command_line import QUICK, Terminal, run, run_on, write_log
-from rendered_tissues import PAPER_A, bundle_of
+from command_line import QUICK, Terminal, run, run_on, write_bundles, write_log
 
 from tissueid.cli.flags import walk
 from tissueid.cli.main import cli
-from tissueid.store.bundle import write_bundle
 
 COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:[34]\d|9[0-7]|10[0-7])(?:;\d+)*m")
 #: A press that takes no time.
@@ -71,10 +67,7 @@ def prepared(fitted_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     write_log(folder / "other" / "log.csv")
     (folder / "bad.csv").write_text("Dear colleague\n", encoding="ascii")
     assert run("study", "init", folder / "lab", "-q").code == 0
-    chance = np.random.default_rng(5)
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
-        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder)
     return folder
 
 

@@ -6,17 +6,13 @@ import io
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from command_line import QUICK, Ended, Terminal, log_text, run_on
+from command_line import QUICK, Ended, Terminal, log_text, run_on, write_bundles
 from openpyxl import Workbook
-from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.cli.output import echo, terminal_line
-from tissueid.store.bundle import write_bundle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="such names are no file names there")
 
@@ -69,10 +65,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ended = run_on(Terminal, "fit", lab, folder / "meat.xlsx", "-o", folder / "out", "--no-study", *QUICK)
     assert ended.code in (0, 4, 7), ended.stderr
     assert_harmless(ended)
-    chance = np.random.default_rng(5)
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
-        write_bundle(bundle_of(replace(PAPER_A, name=f"{name}{LABEL}"), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder, LABEL)
     return folder
 
 

@@ -58,9 +58,7 @@ def test_attempts_are_measured_and_learning_is_found(tmp_path: Path) -> None:
     assert all(row["complete"] for row in document["attempts"])
     (curve,) = [one for one in document["learning"] if one["measure"] == "end_error_mm"]
     assert curve["exponent"] == pytest.approx(-1.0, abs=1e-6)
-    shown = run("training", tmp_path)
-    assert "P7" in shown.stdout
-    assert "attempt^-1.00" in shown.stdout
+    run("training", tmp_path, shown=("P7", "attempt^-1.00"))
 
 
 def test_a_log_without_an_attempt_does_not_stop_the_others(tmp_path: Path) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import read_json, run
 from test_cli_laws import STUDY, recorded
 
 import tissueid as ti
@@ -71,7 +70,7 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
         ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--json", code=0)
     document = ended.json()
     check(document, "twin")
-    assert document == json.loads((out / "twin.json").read_text(encoding="utf-8"))
+    assert document == read_json(out / "twin.json")
     falcon, simulated = document["devices"]
     for one in (falcon, simulated):
         assert one["nrmsd_model"] < 0.02

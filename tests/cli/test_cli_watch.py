@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import log_text, run, start, write_log
+from command_line import log_text, run, start, until, write_log, write_study
 
 from tissueid.errors import InputError
 from tissueid.ingest import find_inputs, read_each
@@ -319,12 +319,9 @@ def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
 def test_text_is_the_line_of_inspect(tmp_path: Path) -> None:
     write_log(tmp_path / "one.csv")
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run("watch", tmp_path, *ONCE, "--bell")
-    assert "one.csv  " in ended.stdout
-    assert "keep" in ended.stdout
-    assert "refused (" in ended.stdout
-    assert "\a" in ended.stderr
-    assert "2 tests: " in ended.stderr
+    ended = run(
+        "watch", tmp_path, *ONCE, "--bell", said=("\a", "2 tests: "), shown=("one.csv  ", "keep", "refused (")
+    )
     assert "refused: " in ended.stderr
 
 
@@ -351,12 +348,12 @@ def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path:
 def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
     for name in ("one.csv", "two.csv"):
         write_log(tmp_path / name, label=None, force_times=1.0 if name == "one.csv" else 1.1)
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n[[specimen]]\nname = "kidney"\n'
-        '[[trial]]\nfile = "*.csv"\nspecimen = "kidney"\n'
-        '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"\n'
-        '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[specimen]]\nname = "kidney"',
+        '[[trial]]\nfile = "*.csv"\nspecimen = "kidney"',
+        '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"',
+        '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"',
     )
     lines = [json.loads(line) for line in run("watch", tmp_path, *ONCE, "--json").stdout.splitlines()]
     told = {Path(one["path"]).name: one for one in lines}
@@ -369,13 +366,6 @@ def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:
     ended = run("watch", tmp_path / "nowhere", *ONCE)
     assert (ended.code, ended.stdout) == (2, "")
     assert "there is no such folder" in ended.stderr
-
-
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "nothing happened in time"
-        time.sleep(0.05)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")

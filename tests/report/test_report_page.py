@@ -255,8 +255,5 @@ def test_a_figure_is_saved_as_svg_on_white_and_the_tables_as_a_workbook(browser:
     book = openpyxl.load_workbook(io.BytesIO(Path(saved.value.path()).read_bytes()))
     assert book.sheetnames[0] == "Parameters"
     rows = list(book["Parameters"].values)
-    assert rows[1][:7] == (
-        *("kidney 3", "Relaxation time", "relaxation_time_s", "tau", "s", True),
-        1.5,
-    )
+    assert rows[1][:7] == (*("kidney 3", "Relaxation time", "relaxation_time_s", "tau", "s", True), 1.5)
     assert said == []
