@@ -24,7 +24,6 @@ NOT_CONVERGED = 4
 
 
 class _CohortFlags(OutputFlags):
-    # fmt: off
     out: str = argument(type=FOLDER_THERE)
     group_by: str | None = option("Covariate of the study whose groups are compared.", metavar="KEY")
     covariates: tuple[str, ...] = option("Covariate to allow for.", "--covariate", metavar="KEY")
@@ -34,7 +33,6 @@ class _CohortFlags(OutputFlags):
     mix_states: bool = option("Pool thawed specimens with fresh ones.")
     seed: int = option("Seed of the chains.", type=FROM_0, default=0)
     no_held_out: bool = option("Leave out the prediction of each specimen from the others.")
-    # fmt: on
 
 
 @subcommand("cohort", EXAMPLES)

@@ -1,8 +1,4 @@
-"""``tissueid config``, and defaults of options from configuration files or the environment.
-
-Keys are the long options without their dashes, in a table named as the command is.  An unknown key and a
-value that does not fit are refused with file and line; nothing is skipped in silence.
-"""
+"""``tissueid config``, and options from configuration files and the environment, none skipped in silence."""
 
 from __future__ import annotations
 

@@ -61,7 +61,6 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
 class QuotingFlags(Flags):
     """Flags that say which numbers are quoted beside those of the model."""
 
-    # fmt: off
     unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
     frequencies: str | None = option(
         "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
@@ -75,7 +74,6 @@ class QuotingFlags(Flags):
     poisson: float = option(
         "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
     )
-    # fmt: on
 
 
 class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):

@@ -41,17 +41,18 @@ SECONDS_PER_MINUTE = 60.0
 
 
 class _InspectFlags(ReadingFlags, OutputFlags):
-    # fmt: off
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     html: str | None = option(
         "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
-        type=FILE, metavar="FILE",
+        type=FILE,
+        metavar="FILE",
     )
     csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
     xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
     study: str | None = option(
         "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
-        type=PATH, metavar="FILE",
+        type=PATH,
+        metavar="FILE",
     )
     no_study: bool = option("Leave the folder's study.toml aside.")
     serve: bool = option(
@@ -61,7 +62,6 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     viewer_port: int | None = option(
         "With --serve: its port. [default: 8765, or a free one]", type=PORT, metavar="N"
     )
-    # fmt: on
 
 
 @subcommand("inspect", EXAMPLES)

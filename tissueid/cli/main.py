@@ -1,9 +1,4 @@
-"""``tissueid``: the group of sub-commands, loaded one at a time, and the shell around them.
-
-``tissueid --help`` costs click and nothing else; every sub-command imports what it needs when it runs.
-The shell turns every deliberate failure into one message and its exit code, and never shows a
-traceback unless ``-v`` asks for one.
-"""
+"""``tissueid``: sub-commands that are imported one at a time, when they run, and the shell around them."""
 
 from __future__ import annotations
 

@@ -36,7 +36,6 @@ DECIMALS = {"point": ".", "comma": ","}
 class ReadingFlags(Flags):
     """Flags that say how recordings are read and cut."""
 
-    # fmt: off
     columns: str | None = option(
         'Which column is what: "time=Zeit,displacement=Weg,force=Kraft".', metavar="MAP"
     )
@@ -50,7 +49,8 @@ class ReadingFlags(Flags):
     )
     recipe: str | None = option(
         "Reader to use, not the detected one; a KEY that is none lists them.",
-        metavar="KEY", shell_complete=readers,
+        metavar="KEY",
+        shell_complete=readers,
     )
     sheet: str | None = option(
         "Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one file.",
@@ -76,7 +76,6 @@ class ReadingFlags(Flags):
     exclude: tuple[str, ...] = option(
         "Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).", metavar="PATTERN"
     )
-    # fmt: on
 
 
 def _pairs(text: str | None, flag: str) -> dict[str, str]:

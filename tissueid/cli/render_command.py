@@ -395,10 +395,7 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
 
 
 def keyboard(*, switches: bool) -> Callable[[], Wish]:
-    """Wishes typed since the last call, never waited for: Enter for the next tissue, q and Enter for the end.
-
-    Where there is no terminal, none.
-    """
+    """Wishes typed since the last call, never waited for: Enter is the next tissue, q and Enter the end."""
     from tissueid.rendering.session import Wish
 
     heard = sys.stdin is not None and sys.stdin.isatty()

@@ -21,17 +21,17 @@ FILES = ("reproduction.json", "reproduction.html")
 
 
 class _ReproduceFlags(OutputFlags):
-    # fmt: off
     paper: Literal["sadeghnejad", "pires", "all"] = argument()
     out: str = option(
         "Folder for reproduction.json and reproduction.html.",
-        "-o", type=FOLDER, default="tissueid-reproduction",
+        "-o",
+        type=FOLDER,
+        default="tissueid-reproduction",
     )
     settings: tuple[str, ...] = option(
         "Read a lost equation otherwise; the page lists names and choices.", "--set", metavar="NAME=CHOICE"
     )
     seed: int | None = option("Seed of everything random. [default: fixed]", type=FROM_0)
-    # fmt: on
 
 
 @subcommand("reproduce", EXAMPLES)

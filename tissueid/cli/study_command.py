@@ -170,17 +170,17 @@ def _changed(manifest: Path, named: str, flags: OutputFlags, message: str) -> in
 
 
 class _ExportFlags(ReadingFlags, OutputFlags):
-    # fmt: off
     study: str = argument(type=THERE)
     crate: str = option(
         "Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
-        required=True, type=FOLDER, metavar="OUT",
+        required=True,
+        type=FOLDER,
+        metavar="OUT",
     )
     anonymise: bool = option(
         "Without names of people, places and animals, dates and ethics number; recordings without headers."
     )
     date: str | None = option("Day of publication, YYYY-MM-DD. [default: today]")
-    # fmt: on
 
 
 @subcommand(

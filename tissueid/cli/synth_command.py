@@ -35,7 +35,6 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
 
 
 class _SynthFlags(OutputFlags):
-    # fmt: off
     list_dialects: None = option(
         "List the dialects and leave.", "--dialects", is_flag=True, is_eager=True, callback=_list_dialects
     )
@@ -45,9 +44,10 @@ class _SynthFlags(OutputFlags):
     rate: float | None = option("Sampling rate, where not the recipe's.", metavar="HZ")
     dialect: str = option(
         "How each log is written: a locale or option of Bluehill, or another machine's format.",
-        metavar="NAME", default="bare", shell_complete=dialects,
+        metavar="NAME",
+        default="bare",
+        shell_complete=dialects,
     )
-    # fmt: on
 
 
 @subcommand("synth", EXAMPLES)

@@ -144,5 +144,4 @@ def render_contrast(document: Contrast, *, created: str | None = None) -> str:
         probability=_probability,
         payload=[one.payload() for pair in document.pairs for one in _figures(document, pair)],
         created=created,
-        scripts=["plain.js"],
     )

@@ -151,5 +151,4 @@ def render_design(document: Design, *, created: str | None = None) -> str:
         figures=figures,
         payload=[one.payload() for one in figures],
         created=created,
-        scripts=["plain.js"],
     )

@@ -1,11 +1,8 @@
-"""Every decision on a recording, and the lines of study.toml that would change it.
-
-Each entry is whole: pasted into study.toml as it stands it parses, names the recording and asks for a reason.
-Units alone must be filled in first: the unit of a column is not known here, and a wrong one would rescale it.
-"""
+"""Every decision on a recording, and the whole entry of study.toml that would change it."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -60,14 +57,8 @@ def toml_string(text: str) -> str:
     >>> print(toml_string('a "b"'))
     "a \"b\""
     """
-    plain = {"\\": "\\\\", '"': '\\"', "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
-    escaped = (
-        plain.get(char, char)
-        if ord(char) >= 0x20 and ord(char) != 0x7F
-        else plain.get(char, f"\\u{ord(char):04x}")
-        for char in text
-    )
-    return f'"{"".join(escaped)}"'
+    # escapes are those of JSON, and the delete character has one
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def toml_value(value: Any) -> str:
@@ -89,10 +80,7 @@ def _entry(
 
 
 def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
-    """The decisions on a recording, in the order in which they were taken.
-
-    ``file``: its path relative to the folder of study.toml.
-    """
+    """The decisions on a recording, in their order; ``file``: its path from the folder of study.toml."""
     sheet = recording.sheet
 
     def override(**values: Any) -> str:

@@ -1,15 +1,11 @@
-"""The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions.
-
-A recording is thinned as soon as it was segmented, so that a folder of large files needs the memory of one;
-extremes, edges and corners are kept.  The page shares a fixed number of samples among all recordings, so that
-it stays below 10 MB.
-"""
+"""The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -27,7 +23,8 @@ from tissueid.report.wording import LEVELS, remark_title, trial_label, whole_lab
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
-#: Samples of one recording that are kept for drawing at the most.
+#: Samples of one recording that are kept for drawing at the most: a folder of large files then needs the
+#: memory of one.
 MOST_OF_ONE = 8_000
 #: Samples on each side of a corner or event that are kept as they are.
 _AROUND = 6
@@ -168,10 +165,7 @@ class CorrectionRow:
 def corrections(
     recording: TrialDocument, standing: Mapping[str, tuple[Any, str]]
 ) -> tuple[CorrectionRow, ...]:
-    """The rows of one recording.
-
-    ``standing``: what the user decided: value and reason by key.
-    """
+    """The rows of one recording; ``standing``: what the user decided: value and reason by key."""
     contact = recording.contact
     holds = [phase for phase in recording.phases if phase.kind in ("hold", "creep")]
     hold = max(holds, key=lambda phase: phase.end_s - phase.start_s, default=None)
@@ -362,12 +356,7 @@ def _phase(phase: Phase) -> dict[str, str]:
 
 def _program(phases: Sequence[Phase]) -> str:
     """The phases in a few words: ``approach, ramp, hold`` or ``3 × cycle``."""
-    words: list[list[Any]] = []
-    for phase in phases:
-        if words and words[-1][0] == phase.kind:
-            words[-1][1] += 1
-        else:
-            words.append([phase.kind, 1])
+    words = [(kind, len(list(alike))) for kind, alike in groupby(phase.kind for phase in phases)]
     shown = [kind if count == 1 else f"{count} × {kind}" for kind, count in words[:6]]
     return ", ".join(shown) + (" ..." if len(words) > len(shown) else "")
 

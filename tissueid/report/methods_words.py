@@ -193,10 +193,7 @@ def _result_words(specimen: Specimen) -> str:
 
 
 def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
-    """Methods paragraph of one specimen.
-
-    Returns ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
-    """
+    """Methods paragraph ``before`` and ``after`` the equations, their ``degree``, and all as ``plain``."""
     made, key = run.provenance, specimen.model.key
     recordings = f"{_recordings(specimen, run)} Contact force was described by"
     ended = [_sampling_words(specimen, made), _result_words(specimen)]

@@ -95,7 +95,7 @@ def page_environment() -> Environment:
 def render_page(
     template: str,
     *,
-    scripts: Sequence[str],
+    scripts: Sequence[str] = ("plain.js",),
     style: str = "",
     data: str = "payload",
     script_file: str | None = None,
@@ -130,10 +130,7 @@ def asset(name: str) -> Markup:
 
 
 def plotly_script() -> Markup:
-    """The drawing library, whole: a page asks the network for nothing.
-
-    Raises UsageError: tissueid runs from a folder that was never installed.
-    """
+    """The drawing library, whole; UsageError where tissueid runs from a folder that was never installed."""
     ours = resources.files("tissueid.report") / "static" / "plotly.min.js"
     if not ours.is_file() and find_spec("plotly") is not None:
         ours = resources.files("plotly") / "package_data" / "plotly.min.js"

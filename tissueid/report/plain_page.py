@@ -76,7 +76,6 @@ def render_plain(title: str, sections: Sequence[Section], *, created: str | None
         payload=[one.payload() for one in figures],
         data="figures",
         created=created,
-        scripts=["plain.js"],
     )
 
 

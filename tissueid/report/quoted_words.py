@@ -1,7 +1,4 @@
-"""Tables of the numbers people quote and of the load-unload loops, ready to be printed.
-
-A cell is text: a number with its standard error, or why there is none.
-"""
+"""Tables of the numbers people quote and of the load-unload loops, in printed cells."""
 
 from __future__ import annotations
 

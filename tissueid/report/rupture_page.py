@@ -122,5 +122,4 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
             _reached(document).payload(),
         ],
         created=created,
-        scripts=["plain.js"],
     )

@@ -153,5 +153,4 @@ def render_selfcheck(document: SelfCheck, *, created: str | None = None) -> str:
         prior_words=_words,
         payload=[one.payload() for checked in document.parameters for one in _figures(document, checked)],
         created=created,
-        scripts=["plain.js"],
     )

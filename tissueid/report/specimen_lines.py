@@ -1,9 +1,4 @@
-"""Lines that the command and the library print of a fitted specimen: parameters, measured numbers, warnings.
-
-The model is a block of lines, each value with its widest 95 % interval; where the residuals contradict the
-model, or nothing is identified, none stands.  A warning is at most 25 words: what was seen, with its number,
-and the way out.  ``-v`` leaves nothing out.
-"""
+"""Lines that command and library print of a fitted specimen: parameters, measured numbers, warnings."""
 
 from __future__ import annotations
 
@@ -274,11 +269,7 @@ def _shared_line(specimens: Sequence[Specimen], code: str) -> str:
 def warning_lines(
     specimen: Specimen, *, shared: Sequence[str] = (), verbose: int = 0, alarms: int = 0
 ) -> list[tuple[str, str]]:
-    """Warnings of a specimen with their level, the worst first.
-
-    ``shared``: codes that are counted once for the batch; ``alarms``: lines that are said already, of the
-    few.
-    """
+    """Warnings with their level, the worst first, less ``shared`` codes; ``alarms`` of the few are said."""
     found = remarks(specimen, holds=verbose > 0)
     hidden = frozenset() if verbose else UNREMARKABLE | frozenset(shared)
     kept = [one for one in found if one.code not in hidden]

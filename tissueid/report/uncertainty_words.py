@@ -1,8 +1,4 @@
-"""Uncertainty of a result, in words: intervals, sampler, noise, priors, sources, other models, checks.
-
-Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them no
-interval stands on the first screen.  What is not identified has no number.
-"""
+"""Uncertainty in words: intervals, sampler, noise, priors, sources, other models, checks."""
 
 from __future__ import annotations
 
@@ -80,10 +76,7 @@ def reported_order(parameters: Sequence[Estimate]) -> list[Estimate]:
 
 
 def _rows(specimen: Specimen, columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
-    """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
-
-    ``bare``: whether even standard errors are left out.
-    """
+    """Parameters with these intervals, ``bare`` without any error; what is not identified shares a row."""
     rows: list[IntervalRow] = []
     unknown: dict[str, list[str]] = {}
     for entry in reported_order(specimen.parameters):

@@ -1,7 +1,4 @@
-"""Words of the report: remarks, the verdict, sentences on the tissue, events, numbers with errors and units.
-
-A number that the data do not determine is never printed as a value: it is "not identified".
-"""
+"""Words of the report: remarks, verdicts, sentences on tissues, events, numbers with errors and units."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on.
-
-A file is whole when size and time stay the same from one look to the next and it can be opened; a machine
-that still writes, or a spreadsheet that locks it, delays it and no more.
-"""
+"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on."""
 
 from __future__ import annotations
 
