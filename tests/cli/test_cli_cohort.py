@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import Ended, read_json, run, write_log, write_study
+from command_line import read_json, run, write_log, write_study
 
 from tissueid.population.members import thawed_among_fresh
 from tissueid.store.bundle import load_bundle
@@ -34,7 +34,7 @@ def a_study(folder: Path, times: tuple[float, ...], storage: tuple[str, ...] = (
 
 
 @pytest.fixture(scope="module")
-def cohort(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
+def cohort(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cohort")
     ended = run("fit", a_study(folder / "heads", TIMES), "-o", folder / "out", *SMALL)
     return folder / "out", ended
@@ -44,7 +44,7 @@ def files_of(out: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in {".h5", ".json", ".csv"}}
 
 
-def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None:
+def test_a_study_of_five_gets_its_population(cohort):
     out, ended = cohort
     document: dict[str, Any] = read_json(out / "population.json")
     assert "population of 5 specimens" in ended.stdout
@@ -53,7 +53,7 @@ def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None
     assert run("validate", out).code == 0
 
 
-def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple[Path, Ended]) -> None:
+def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort):
     out, _ = cohort
     rows = read_json(out / "population.json")["population"]["quantities"]
     own = load_bundle(out / "bundle-head_3.h5")
@@ -69,7 +69,7 @@ def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple
     assert low < float(np.std(np.log(TIMES), ddof=1)) < high
 
 
-def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, Ended]) -> None:
+def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort):
     out, _ = cohort
     before = files_of(out)
     ended = run("cohort", out, "--tails", "normal", "--covariate", "age_years", "--no-held-out", "--json")
@@ -81,12 +81,12 @@ def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, En
     assert "population.json" in changed
 
 
-def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_has_no_cohort(tmp_path):
     (tmp_path / "empty").mkdir()
     run("cohort", tmp_path / "empty", code=6, said="tissueid fit")
 
 
-def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path: Path) -> None:
+def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path):
     folder = a_study(tmp_path / "heads", TIMES[:3], ("fresh, 4 C", "frozen at -20 C", "fresh"))
     ended = run("fit", folder, "-o", tmp_path / "out", *SMALL, "--population", "yes", code=4)
     assert "head 2 thawed among 2 fresh" in ended.stderr
@@ -108,7 +108,7 @@ def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_
         ({}, None),
     ],
 )
-def test_the_state_is_read_from_storage_and_cycles(covariates: dict[str, Any], state: str | None) -> None:
+def test_the_state_is_read_from_storage_and_cycles(covariates, state):
     one: Any = SimpleNamespace(specimen="a", covariates=covariates)
     found = dict(zip(("thawed", "fresh"), thawed_among_fresh([one]), strict=True))
     assert found == {name: ["a"] if name == state else [] for name in ("thawed", "fresh")}

@@ -53,7 +53,7 @@ IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ctrl-c")
     write_log(folder / "lab" / "log.csv")
     write_log(folder / "lab" / "second.csv", label="other")
@@ -70,7 +70,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def place(prepared, tmp_path, monkeypatch):
     """A copy of the prepared folder to work in; Ctrl-C is what it is in a shell."""
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
@@ -109,9 +109,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(("args", "step"), AT_A_STEP, ids=lambda value: str(value)[:40])
-def test_at_a_step_of_the_work(
-    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], step: int
-) -> None:
+def test_at_a_step_of_the_work(place, monkeypatch, args, step):
     before = contents(place)
     interrupt_at(monkeypatch, args[0], step)
     ended = run(*args)
@@ -126,9 +124,7 @@ def test_at_a_step_of_the_work(
 
 
 @pytest.mark.parametrize(("args", "function"), IN_A_FUNCTION, ids=lambda value: str(value)[:40])
-def test_in_the_middle_of_a_function(
-    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], function: str
-) -> None:
+def test_in_the_middle_of_a_function(place, monkeypatch, args, function):
     before = contents(place)
 
     def interrupted(*_args: Any, **_named: Any) -> None:
@@ -140,9 +136,7 @@ def test_in_the_middle_of_a_function(
     assert contents(place) == before
 
 
-def test_an_interrupted_calibration_goes_on_where_it_was(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_calibration_goes_on_where_it_was(place, monkeypatch):
     with monkeypatch.context() as patched:
         interrupt_at(patched, "calibrate", 8)
         assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code == 130
@@ -159,9 +153,7 @@ def test_an_interrupted_calibration_goes_on_where_it_was(
     assert found[0] == found[1]
 
 
-def test_an_interrupted_fit_keeps_its_finished_specimens(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_fit_keeps_its_finished_specimens(place, monkeypatch):
     fit = ("fit", "lab", "-o", "new", "--workers", "1", *QUICK)
     step = 0
     while not list((place / "new").rglob("specimens/*.h5")) and step < 40:
@@ -177,7 +169,7 @@ def test_an_interrupted_fit_keeps_its_finished_specimens(
     assert run("validate", "new").code == 0
 
 
-def test_while_it_is_still_being_loaded(tmp_path: Path) -> None:
+def test_while_it_is_still_being_loaded(tmp_path):
     # a module that is imported first of all, and in which the signal comes
     (tmp_path / "click").mkdir()
     (tmp_path / "click" / "__init__.py").write_text(

@@ -29,7 +29,7 @@ class Prepared:
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kill")
     log = write_log(folder / "log.csv")
     numbers = []
@@ -70,17 +70,17 @@ def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> i
     return whole
 
 
-def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared, tmp_path):
     assert survived_kills(prepared, tmp_path, kills=3, seed=20) == 3
 
 
 @pytest.mark.slow
-def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared, tmp_path):
     assert survived_kills(prepared, tmp_path, kills=20, seed=21) == 20
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
-def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets: Path, tmp_path: Path) -> None:
+def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets, tmp_path):
     out = tmp_path / "out"
     run("fit", write_log(tmp_path / "log.csv"), "-o", out, "-q", *QUICK)
     before = (out / "identification.json").read_bytes()
@@ -99,7 +99,7 @@ def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets: Path, tmp_path: P
     assert set((out / ".runs").iterdir()) == runs
 
 
-def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared, tmp_path):
     out = tmp_path / "out"
     with start("fit", prepared.log, "-o", out, "-q", *RUNS[1]) as process:
         until((out / ".runs").exists)
@@ -117,7 +117,7 @@ PATIENCE_S = 600.0
 
 
 @pytest.mark.slow
-def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_run(tmp_path: Path) -> None:
+def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_run(tmp_path):
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     command = ("fit", LOG, *QUICK, "--sampler", "emcee", "--draws", DRAWS, "--seed", "7", "-o")
     process = start(*command, killed)

@@ -68,7 +68,7 @@ def recorded(name: str, path: Path) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_law_is_fitted_written_felt_and_told(name: str, tmp_path: Path) -> None:
+def test_a_law_is_fitted_written_felt_and_told(name, tmp_path):
     truth = recorded(name, tmp_path / "log.csv")
     out = tmp_path / "out"
     (tmp_path / "study.toml").write_text(STUDY, encoding="ascii")
@@ -97,7 +97,7 @@ def test_a_law_is_fitted_written_felt_and_told(name: str, tmp_path: Path) -> Non
         assert abs(truth[key] - 0.5 * (low + high)) <= high - low, key
 
 
-def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path: Path) -> None:
+def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     for name, said in (
         ("cubic * prony", "there are exponential, flat"),
@@ -109,7 +109,7 @@ def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path: Path) -> 
     assert "says it already" in ended.stderr
 
 
-def test_models_lists_every_law_flat() -> None:
+def test_models_lists_every_law_flat():
     rows = json.loads(run("models", "--json").stdout)
     assert {row["key"] for row in rows} >= {*known_laws(), "kelvin-voigt"}
     assert all(isinstance(row["parameters"], list) for row in rows)
@@ -117,7 +117,7 @@ def test_models_lists_every_law_flat() -> None:
     assert run("models", "nope").code == 2
 
 
-def test_another_law_is_exported(tmp_path: Path) -> None:
+def test_another_law_is_exported(tmp_path):
     recorded("power * fractional", tmp_path / "log.csv")
     out = tmp_path / "out"
     quick = ("--sampler", "none", "--no-study", "-q")
@@ -127,7 +127,7 @@ def test_another_law_is_exported(tmp_path: Path) -> None:
         assert any(tmp_path.glob(f"{form}*")), form
 
 
-def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path: Path) -> None:
+def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path):
     recorded("power * fung", tmp_path / "log.csv")
     (tmp_path / "study.toml").write_text(STUDY, encoding="ascii")
     asked = ("--study", tmp_path / "study.toml", "-q", "--draws", "300")
@@ -143,7 +143,7 @@ def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path: Path) -> Non
     assert "relaxation time, longest [s]" in rows
 
 
-def test_a_protocol_is_planned_for_the_tissue_of_another_law(tmp_path: Path) -> None:
+def test_a_protocol_is_planned_for_the_tissue_of_another_law(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     out = tmp_path / "out"
     quick = ("--sampler", "none", "--no-study", "-q")

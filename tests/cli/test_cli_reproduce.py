@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 from command_line import read_json, run
@@ -12,7 +11,7 @@ from tissueid.store.schema import check
 
 
 @pytest.mark.needs_jit
-def test_both_papers_are_recomputed_and_written(tmp_path: Path) -> None:
+def test_both_papers_are_recomputed_and_written(tmp_path):
     run("reproduce", "all", "-o", tmp_path / "out", "-q", "--set", "stiffness=linear", code=0)
     document = read_json(tmp_path / "out" / "reproduction.json")
     check(document, "reproduction", where="reproduction.json")
@@ -22,7 +21,7 @@ def test_both_papers_are_recomputed_and_written(tmp_path: Path) -> None:
         assert rows[name]["agrees"], rows[name]
 
 
-def test_a_paper_is_recomputed_and_written(tmp_path: Path) -> None:
+def test_a_paper_is_recomputed_and_written(tmp_path):
     ended = run("reproduce", "pires", "-o", tmp_path / "out", "--json", "--set", "surface=cone", code=0)
     document = json.loads(ended.stdout)
     check(document, "reproduction", where="reproduction.json")

@@ -59,7 +59,7 @@ def names(paths: Iterable[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path: Path) -> None:
+def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     assert folder.look().ready == ()
     path.write_text("half", encoding="ascii")
@@ -70,7 +70,7 @@ def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path: Path) -> None
     assert folder.look().ready == ()
 
 
-def test_an_empty_file_waits_for_its_content(tmp_path: Path) -> None:
+def test_an_empty_file_waits_for_its_content(tmp_path):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     path.touch()
     for _ in range(3):
@@ -80,7 +80,7 @@ def test_an_empty_file_waits_for_its_content(tmp_path: Path) -> None:
     assert names(folder.look().ready) == ["a.csv"]
 
 
-def test_a_file_that_can_not_be_opened_yet_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_can_not_be_opened_yet_waits(tmp_path, monkeypatch):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     path.write_text("locked", encoding="ascii")
     opened = Path.open
@@ -97,7 +97,7 @@ def test_a_file_that_can_not_be_opened_yet_waits(tmp_path: Path, monkeypatch: py
     assert names(folder.look().ready) == ["a.csv"]
 
 
-def test_files_come_in_the_order_of_their_times(tmp_path: Path) -> None:
+def test_files_come_in_the_order_of_their_times(tmp_path):
     for age, name in ((10, "z.csv"), (30, "m.csv"), (20, "a.csv")):
         (tmp_path / name).write_text(name, encoding="ascii")
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
@@ -106,7 +106,7 @@ def test_files_come_in_the_order_of_their_times(tmp_path: Path) -> None:
     assert names(folder.look().ready) == ["m.csv", "a.csv", "z.csv"]
 
 
-def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path: Path) -> None:
+def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path):
     inside = tmp_path / "drive"
     inside.mkdir()
     (inside / "a.csv").write_text("whole", encoding="ascii")
@@ -143,7 +143,7 @@ class Bench:
         return [happening.kind for _ in range(looks) for happening in self.session.step()]
 
 
-def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp_path: Path) -> None:
+def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp_path):
     bench = Bench(tmp_path)
     write_log(tmp_path / "one.csv")
     assert bench.happenings() == ["verdict"]
@@ -156,7 +156,7 @@ def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp
     assert said["reason"].startswith("25 % softer than the last push")
 
 
-def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path):
     text = log_text()
     bench = Bench(tmp_path)
     path = tmp_path / "slow.csv"
@@ -169,7 +169,7 @@ def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path: Path) ->
     assert bench.session.verdicts[0]["measured"] != half["measured"]
 
 
-def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path: Path) -> None:
+def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path):
     bench = Bench(tmp_path)
     path = write_log(tmp_path / "one.csv")
     bench.happenings()
@@ -181,7 +181,7 @@ def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path: Path) -
     assert len(bench.judged) == 1
 
 
-def test_a_file_saved_again_without_change_is_passed_over(tmp_path: Path) -> None:
+def test_a_file_saved_again_without_change_is_passed_over(tmp_path):
     bench = Bench(tmp_path)
     path = write_log(tmp_path / "one.csv")
     bench.happenings()
@@ -189,7 +189,7 @@ def test_a_file_saved_again_without_change_is_passed_over(tmp_path: Path) -> Non
     assert bench.happenings(3) == []
 
 
-def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path: Path) -> None:
+def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path):
     bench = Bench(tmp_path)
     for name, factor in (("one.csv", 1.0), ("two.csv", 1.1)):
         write_log(tmp_path / name, force_times=factor)
@@ -201,7 +201,7 @@ def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path: Path) -> None:
     assert bench.judged[-1] == ("three.csv", ["two.csv"])
 
 
-def test_a_session_goes_on_from_its_log(tmp_path: Path) -> None:
+def test_a_session_goes_on_from_its_log(tmp_path):
     data, log = tmp_path / "data", tmp_path / "watch.jsonl"
     write_log(data / "one.csv")
     (data / "bad.csv").write_text("no table here\n", encoding="ascii")
@@ -220,7 +220,7 @@ def test_a_session_goes_on_from_its_log(tmp_path: Path) -> None:
     assert all(first_problem(one, "watch") is None for one in load_log(log))
 
 
-def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path: Path) -> None:
+def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path):
     def broken(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
         raise ZeroDivisionError("for the test")
 
@@ -234,7 +234,7 @@ def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_an_interrupt_within_the_judge_ends_the_session(tmp_path: Path, wrapped: bool) -> None:
+def test_an_interrupt_within_the_judge_ends_the_session(tmp_path, wrapped):
     def interrupted(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
         if wrapped:
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
@@ -250,7 +250,7 @@ def test_an_interrupt_within_the_judge_ends_the_session(tmp_path: Path, wrapped:
 # --- the verdict ----------------------------------------------------------------------------------
 
 
-def test_a_verdict_is_what_inspect_says() -> None:
+def test_a_verdict_is_what_inspect_says():
     trial = ramp_hold()
     found = judge(trial)
     assert first_problem(found, "watch") is None
@@ -264,7 +264,7 @@ def test_a_verdict_is_what_inspect_says() -> None:
     assert hold["tau"]["single_s"] == pytest.approx(0.5, rel=0.02)
 
 
-def test_a_fit_comes_after_the_line(tmp_path: Path) -> None:
+def test_a_fit_comes_after_the_line(tmp_path):
     write_log(tmp_path / "one.csv")
     told: list[str] = []
 
@@ -281,7 +281,7 @@ def test_a_fit_comes_after_the_line(tmp_path: Path) -> None:
     assert session.verdicts[0]["fit"] == {"nrmsd": 0.1, "parameters": []}
 
 
-def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
+def test_a_quick_fit_finds_the_parameters_of_the_truth():
     found = quick_fit(ramp_hold(), None)
     assert found is not None
     viscosity = {one["name"]: one for one in found["parameters"]}["viscosity_N_s_per_mm"]
@@ -290,7 +290,7 @@ def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
     assert first_problem(judge(ramp_hold()) | {"fit": found}, "watch") is None
 
 
-def test_only_equal_tests_of_one_specimen_are_compared() -> None:
+def test_only_equal_tests_of_one_specimen_are_compared():
     first = judge(ramp_hold("a.csv"))
     softer = {"gain": 0.8}
     for other in (ramp_hold("b.csv", specimen="liver", **softer), ramp_hold("c.csv", speed=8.0, **softer)):
@@ -304,7 +304,7 @@ def test_only_equal_tests_of_one_specimen_are_compared() -> None:
 # --- the command ----------------------------------------------------------------------------------
 
 
-def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
+def test_once_judges_what_is_there_and_ends(tmp_path):
     write_log(tmp_path / "data" / "one.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
     ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out", code=7)
@@ -316,7 +316,7 @@ def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
     assert again.stdout == ""
 
 
-def test_text_is_the_line_of_inspect(tmp_path: Path) -> None:
+def test_text_is_the_line_of_inspect(tmp_path):
     write_log(tmp_path / "one.csv")
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
     ended = run(
@@ -325,12 +325,12 @@ def test_text_is_the_line_of_inspect(tmp_path: Path) -> None:
     assert "refused: " in ended.stderr
 
 
-def test_recordings_of_a_session_before_may_be_passed_over(tmp_path: Path) -> None:
+def test_recordings_of_a_session_before_may_be_passed_over(tmp_path):
     write_log(tmp_path / "old.csv")
     assert run("watch", tmp_path, *ONCE, "--json", "--new-only").stdout == ""
 
 
-def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path: Path) -> None:
+def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path):
     for name, factor in (("one.csv", 1.0), ("two.csv", 0.5)):
         path = write_log(tmp_path / name, label=None, force_times=factor)
         os.utime(path, (1e9 + factor, 1e9 + (name == "two.csv")))
@@ -345,7 +345,7 @@ def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path:
     assert "50 % softer" in together[1]
 
 
-def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
+def test_the_study_of_the_folder_is_followed(tmp_path):
     for name in ("one.csv", "two.csv"):
         write_log(tmp_path / name, label=None, force_times=1.0 if name == "one.csv" else 1.1)
     write_study(
@@ -362,14 +362,14 @@ def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
     assert "slipped" in told["two.csv"]["excluded"]
 
 
-def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path):
     ended = run("watch", tmp_path / "nowhere", *ONCE)
     assert (ended.code, ended.stdout) == (2, "")
     assert "there is no such folder" in ended.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
-def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: Path) -> None:
+def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path):
     data, log = tmp_path / "data", tmp_path / "out" / "watch.jsonl"
     data.mkdir()
     arguments = ("watch", data, "-o", tmp_path / "out", "--interval", "0.1")
@@ -392,7 +392,7 @@ def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: 
     assert out.count("F(1 s)") in (1, 2)
 
 
-def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path: Path) -> None:
+def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path):
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
     (item,) = read_each(tmp_path / "bad.csv")
     assert isinstance(item, InputError)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,7 +10,7 @@ CHROMIUM = Path("/usr/bin/chromium")
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     if not CHROMIUM.exists():
         pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
     playwright = pytest.importorskip("playwright.sync_api")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,17 @@ render_report = typed_call(render_report)
 def document_of(*fits: SpecimenFit, refused: bool = False) -> dict[str, Any]:
     """identification.json of these fits."""
     return plain_json(identification(fits, refused=refused).as_json())
+
+
+def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
+    """A fit as one of the specimens of identification.json."""
+    return plain_json(fit.as_json())
+
+
+def payload_of(html: str, name: str) -> Any:
+    """What a page carries for its script."""
+    (text,) = re.findall(rf'<script type="application/json" id="{name}">(.*?)</script>', html, re.DOTALL)
+    return json.loads(text)
 
 
 def page(*fits: SpecimenFit, refused: bool = False, **more: Any) -> str:

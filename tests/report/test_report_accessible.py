@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,7 +42,7 @@ DEVICE = {"sensible": (1400, 900), "tablet": (800, 1000), "telephone": (400, 800
 
 
 @pytest.fixture(scope="module")
-def whole() -> str:
+def whole():
     """A page with every part that a report can have."""
     fit = sampled(specimen_fit(trials=3, samples=120, identified=False))
     specimen = document_of(fit)["specimens"][0]
@@ -86,7 +85,7 @@ BY_DEFAULT = {("telephone", "dark")}
         for scheme in ("light", "dark")
     ],
 )
-def test_axe_finds_no_serious_issue(browser: Any, tmp_path: Path, whole: str, scheme: str, size: str) -> None:
+def test_axe_finds_no_serious_issue(browser, tmp_path, whole, scheme, size):
     width, height = DEVICE[size]
     tab, said = opened(browser, tmp_path, whole, width=width, height=height, color_scheme=scheme)
     assert draw_all(tab) == 8
@@ -95,14 +94,14 @@ def test_axe_finds_no_serious_issue(browser: Any, tmp_path: Path, whole: str, sc
     assert said == []
 
 
-def test_axe_would_find_a_serious_issue(browser: Any, tmp_path: Path, whole: str) -> None:
+def test_axe_would_find_a_serious_issue(browser, tmp_path, whole):
     tab, _ = opened(browser, tmp_path, whole)
     tab.evaluate("document.querySelector('.verdict-line').style.color = '#ddd'")
     tab.evaluate("document.querySelector('select').removeAttribute('id')")
     assert {"color-contrast", "select-name"} <= {name for name, *_ in violations(tab)}
 
 
-def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, tmp_path: Path, whole: str) -> None:
+def test_every_control_is_reached_and_seen_by_the_keyboard(browser, tmp_path, whole):
     tab, said = opened(browser, tmp_path, whole)
     open_all(tab)
     tab.keyboard.press("Tab")
@@ -122,7 +121,7 @@ def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, tmp_pat
     assert said == []
 
 
-def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, tmp_path: Path, whole: str) -> None:
+def test_paper_is_white_and_whole_even_from_a_dark_screen(browser, tmp_path, whole):
     tab, said = opened(browser, tmp_path, whole, color_scheme="dark")
     pages = tab.pdf(format="A4")
     assert pages.startswith(b"%PDF")
@@ -142,7 +141,7 @@ def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, tmp_path
     assert said == []
 
 
-def test_series_are_told_apart_without_colour(browser: Any, tmp_path: Path, whole: str) -> None:
+def test_series_are_told_apart_without_colour(browser, tmp_path, whole):
     tab, _ = opened(browser, tmp_path, whole)
     draw_all(tab)
     dashes = tab.evaluate(

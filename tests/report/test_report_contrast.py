@@ -35,7 +35,7 @@ def compared(*tissues: Compared) -> dict[str, Any]:
     return plain_json(contrast_document(tissues, clamp_N=5.0))
 
 
-def test_the_page_asks_the_network_for_nothing_and_says_its_numbers() -> None:
+def test_the_page_asks_the_network_for_nothing_and_says_its_numbers():
     document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
     words = self_contained(partial(render_contrast, document)).partition("<script>")[0]
     assert "kidney and liver differ." in words
@@ -46,14 +46,14 @@ def test_the_page_asks_the_network_for_nothing_and_says_its_numbers() -> None:
         assert row["name"] in words
 
 
-def test_equal_tissues_are_not_called_equal() -> None:
+def test_equal_tissues_are_not_called_equal():
     words = contrast_verdict(compared(tissue("kidney", 1.0), tissue("kidnez", 1.0)))
     assert "not shown to differ" in words.title
     assert "no proof of being equal" in words.text
     assert "a hand would hardly tell" in words.text
 
 
-def test_several_pairs_are_counted_against_chance() -> None:
+def test_several_pairs_are_counted_against_chance():
     document = compared(tissue("a", 1.0), tissue("bb", 1.0), tissue("ccc", 1.5))
     words = contrast_verdict(document)
     assert words.text.startswith(
@@ -68,7 +68,7 @@ def test_several_pairs_are_counted_against_chance() -> None:
     )
 
 
-def test_a_name_is_text() -> None:
+def test_a_name_is_text():
     wild = replace(tissue("x", 1.0), name="<script>alert(1)</script>")
     page = render_contrast(compared(wild, tissue("liver", 1.5)))
     assert "<script>alert" not in page
@@ -77,7 +77,7 @@ def test_a_name_is_text() -> None:
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (800, "dark"), (400, "light")])
-def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, scheme: Any) -> None:
+def test_a_browser_draws_the_document(browser, tmp_path, width, scheme):
     document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
     tab, said = opened(
         browser, tmp_path, render_contrast(document), width=width, height=4000, color_scheme=scheme
@@ -109,7 +109,7 @@ def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, 
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_gallery_can_be_read_by_everybody(browser: Any, scheme: Any) -> None:
+def test_the_gallery_can_be_read_by_everybody(browser, scheme):
     path = Path(__file__).resolve().parents[2] / "reports" / "gallery" / "index.html"
     page = browser.new_page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
     page.goto(path.as_uri())

@@ -40,7 +40,7 @@ def made(machine_name: str) -> dict[str, Any]:
     return document
 
 
-def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
+def test_page_recommends_and_says_what_the_given_protocol_takes():
     document = made("paper-a")
     page = self_contained(partial(render_design, document))
     best, other = document["protocols"][0], document["against"]["protocol"]
@@ -55,7 +55,7 @@ def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
     assert "The frame is taken as rigid" in page
 
 
-def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it() -> None:
+def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it():
     document = made("slow-logger")
     page = render_design(document)
     assert "<strong>None on this machine.</strong>" in page
@@ -103,7 +103,7 @@ def expected(document: dict[str, Any], want: int) -> dict[str, list[list[float]]
 
 
 @pytest.mark.browser
-def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> None:
+def test_figures_hold_the_points_of_the_tables(browser, tmp_path):
     document = made("paper-a")
     for want, figure in enumerate(figures_of(browser, tmp_path, render_design(document))):
         assert (figure["x"], figure["y"]) == ("log", "log")
@@ -118,7 +118,7 @@ def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> 
 
 
 @pytest.mark.browser
-def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(browser: Any, tmp_path: Path) -> None:
+def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(browser, tmp_path):
     document = made("paper-a")
     wrong = deepcopy(document)
     wrong["protocols"][0]["precision"][0]["assured"] *= 1.5

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
-
 import pytest
-from report_pages import opened
+from report_pages import opened, payload_of
 
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
@@ -23,21 +19,21 @@ def page() -> str:
     )
 
 
-def test_words_are_escaped_and_numbers_stand_in_the_page() -> None:
+def test_words_are_escaped_and_numbers_stand_in_the_page():
     text = page()
     assert "A &lt;title&gt;" in text
     assert "<td>&lt;2&gt;</td>" in text
-    (figure,) = json.loads(text.split('id="figures">')[1].split("</script>")[0])
+    (figure,) = payload_of(text, "figures")
     assert (figure["x"], figure["traces"]) == ("x [mm]", [LINE, DOTS, PLAIN])
 
 
-def test_a_page_without_figures_carries_no_script() -> None:
+def test_a_page_without_figures_carries_no_script():
     assert "<script" not in render_plain("Empty", [Section("One", "Words.")])
 
 
 @pytest.mark.browser
 @pytest.mark.slow
-def test_a_browser_draws_every_trace_in_the_pages_colours(browser: Any, tmp_path: Path) -> None:
+def test_a_browser_draws_every_trace_in_the_pages_colours(browser, tmp_path):
     tab, said = opened(browser, tmp_path, page())
     tab.locator("[data-drawn=yes] .scatterlayer .trace").nth(2).wait_for(state="attached")
     colours = tab.evaluate("document.querySelector('[data-figure]').data.map((one) => one.line?.color)")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +22,7 @@ render_reproduction = typed_call(render_reproduction)
 
 
 @pytest.fixture(scope="module")
-def document() -> dict[str, Any]:
+def document():
     readings = Readings()
     ledger = Ledger(SADEGHNEJAD)
     items, figures = [ledger.item("table-2/tau", 0.0234, judge=rounded(3))], []
@@ -55,7 +54,7 @@ def document() -> dict[str, Any]:
     return found
 
 
-def test_every_row_says_its_kind_in_words_and_asks_the_network_for_nothing(document: dict[str, Any]) -> None:
+def test_every_row_says_its_kind_in_words_and_asks_the_network_for_nothing(document):
     page = self_contained(partial(render_reproduction, document))
     for item in document["items"]:
         row = page.partition(f'data-item="{item["item"]}"')[2].partition("</tr>")[0]
@@ -63,7 +62,7 @@ def test_every_row_says_its_kind_in_words_and_asks_the_network_for_nothing(docum
         assert ("not printed" in row) is (item["published"] is None)
 
 
-def test_a_number_that_differs_comes_first(document: dict[str, Any]) -> None:
+def test_a_number_that_differs_comes_first(document):
     page = render_reproduction(document)
     assert "Not everything agrees" in page
     assert "Differing: Relaxation time." in page
@@ -72,7 +71,7 @@ def test_a_number_that_differs_comes_first(document: dict[str, Any]) -> None:
 
 
 @pytest.mark.browser
-def test_figures_are_drawn_from_the_document(browser: Any, document: dict[str, Any], tmp_path: Path) -> None:
+def test_figures_are_drawn_from_the_document(browser, document, tmp_path):
     page, said = opened(browser, tmp_path, render_reproduction(document), width=1200, height=6000)
     wait_for_figures(page, 3)
     traces = {figure["key"]: drawn(page, figure["key"]) for figure in document["figures"]}

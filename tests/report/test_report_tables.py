@@ -37,7 +37,7 @@ def names(tab: Any) -> list[str]:
 
 
 @pytest.fixture
-def tab(browser: Any, tmp_path: Path) -> Any:
+def tab(browser, tmp_path):
     found, _ = opened(browser, tmp_path, page(specimen_fit(trials=12, samples=60)), width=1200)
     # what is folded is opened as a reader would
     for part in ("specimen-1-trials", "cite"):
@@ -46,7 +46,7 @@ def tab(browser: Any, tmp_path: Path) -> Any:
 
 
 @pytest.mark.browser
-def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab: Any) -> None:
+def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab):
     unsorted = [f"run_{i}.csv" for i in range(1, 13)]
     assert names(tab) == unsorted
     speeds = f"{TABLE} thead th:nth-child(2) button"
@@ -72,7 +72,7 @@ def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab: Any) -> None:
 
 
 @pytest.mark.browser
-def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
+def test_a_filter_leaves_the_rows_that_carry_its_words(tab):
     tab.get_by_label("Filter by name or remark").fill("RUN_1")
     assert names(tab) == ["run_1.csv", "run_10.csv", "run_11.csv", "run_12.csv"]
     assert tab.text_content(f"{TABLE}-shown") == "4 of 12 rows"
@@ -82,7 +82,7 @@ def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
     assert len(names(tab)) == 12
 
 
-def test_methods_say_what_this_run_did_with_equations() -> None:
+def test_methods_say_what_this_run_did_with_equations():
     fit = specimen_fit()
     document = document_of(fit)
     told = methods_view(document["specimens"][0], document)
@@ -165,8 +165,8 @@ VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4
     [(1, 0, ("auto", "auto")), (2, 1, (2, "auto")), (3, 2, ("auto", 2)), (2, 2, (2, 2))],
 )
 def test_methods_are_read_back_as_the_options_of_the_run(
-    noise: str, sampler: str, wanted: int, seed: int, branches: int, degree: int, given: tuple[Any, Any]
-) -> None:
+    noise, sampler, wanted, seed, branches, degree, given
+):
     fit = specimen_fit()
     made = fit if sampler == "none" else sampled(fit, seed=seed)
     made = replace(made, model=replace(made.model, branches=branches, stiffness_degree=degree))
@@ -206,13 +206,13 @@ def test_methods_are_read_back_as_the_options_of_the_run(
         assert "no posterior was sampled" in text
 
 
-def test_an_index_is_set_below_and_a_name_is_left_alone() -> None:
+def test_an_index_is_set_below_and_a_name_is_left_alone():
     assert str(subscripted("F_s and η_j of kidney_3 & s_j")) == (
         "F<sub>s</sub> and η<sub>j</sub> of kidney_3 &amp; s<sub>j</sub>"
     )
 
 
-def test_the_citation_is_that_of_the_citation_file() -> None:
+def test_the_citation_is_that_of_the_citation_file():
     text = (Path(__file__).parents[2] / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r'^title: "(.*)"', text, re.MULTILINE)[1] == TITLE  # type: ignore[index]
     assert re.search(r"name: (.*)", text)[1] == AUTHORS  # type: ignore[index]
@@ -220,7 +220,7 @@ def test_the_citation_is_that_of_the_citation_file() -> None:
     assert "{{The tissueid developers}}" in citation("0.1.0")["bibtex"]
 
 
-def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
+def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page():
     scale = Scale(
         force_scale=0.0066, motion_scale=5.0, felt_force_is_measured_over=152.0,
         felt_stiffness_is_measured_over=760.0, peak_force_N=1.8, clamp_N=2.0, required_damping_N_s_per_m=0.3,
@@ -252,7 +252,7 @@ def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
 
 
 @pytest.mark.browser
-def test_a_text_is_copied_or_where_that_is_forbidden_selected(tab: Any) -> None:
+def test_a_text_is_copied_or_where_that_is_forbidden_selected(tab):
     button = tab.locator("button[data-copies=cite-text]")
     button.click()
     tab.wait_for_function(
