@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import log_text, run, start, until, write_log, write_study
+from msgspec import structs
 
+from tissueid.documents import plain
+from tissueid.documents.inspect import Fit, Watch
 from tissueid.errors import InputError
 from tissueid.ingest import find_inputs, read_each
 from tissueid.inspection import describe_trial
@@ -124,6 +127,10 @@ def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path):
 # --- a session ------------------------------------------------------------------------------------
 
 
+def valid(verdict: Watch) -> bool:
+    return first_problem(plain(verdict), "watch") is None
+
+
 class Bench:
     """A session on a folder, its judge counted."""
 
@@ -134,9 +141,9 @@ class Bench:
             FolderWatch(lambda: find_inputs([folder])), read_each, self.judge, log, earlier
         )
 
-    def judge(self, trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+    def judge(self, trial: Trial, earlier: Iterable[Watch]) -> Watch:
         earlier = list(earlier)
-        self.judged.append((Path(trial.source.path).name, [Path(one["path"]).name for one in earlier]))
+        self.judged.append((Path(trial.source.path).name, [Path(one.path).name for one in earlier]))
         return judge(trial, earlier)
 
     def happenings(self, looks: int = 2) -> list[str]:
@@ -150,10 +157,10 @@ def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp
     write_log(tmp_path / "two.csv", force_times=0.75)
     assert bench.happenings(4) == ["verdict"]
     assert bench.judged == [("one.csv", []), ("two.csv", ["one.csv"])]
-    said = bench.session.verdicts[1]["verdict"]
-    assert said["level"] == "look"
+    said = bench.session.verdicts[1].verdict
+    assert said.level == "look"
     # every force is a quarter smaller
-    assert said["reason"].startswith("25 % softer than the last push")
+    assert said.reason.startswith("25 % softer than the last push")
 
 
 def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path):
@@ -166,7 +173,7 @@ def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path):
     path.write_text(text, encoding="ascii")
     assert bench.happenings() == ["replaced"]
     assert len(bench.session.verdicts) == 1
-    assert bench.session.verdicts[0]["measured"] != half["measured"]
+    assert bench.session.verdicts[0].measured != half.measured
 
 
 def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path):
@@ -175,7 +182,7 @@ def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path):
     bench.happenings()
     path.rename(tmp_path / "kidney 1.csv")
     assert sorted(bench.happenings()) == ["gone", "renamed"]
-    assert names(Path(one["path"]) for one in bench.session.verdicts) == ["kidney 1.csv"]
+    assert names(Path(one.path) for one in bench.session.verdicts) == ["kidney 1.csv"]
     (tmp_path / "copy.csv").write_bytes((tmp_path / "kidney 1.csv").read_bytes())
     assert bench.happenings() == ["copy"]
     assert len(bench.judged) == 1
@@ -216,26 +223,26 @@ def test_a_session_goes_on_from_its_log(tmp_path):
     assert second.judged == [("two.csv", ["one.csv", "bad.csv"])] or second.judged == [
         ("two.csv", ["bad.csv", "one.csv"])
     ]
-    assert second.session.verdicts[-1]["verdict"]["reason"].startswith("20 % softer than the last push")
-    assert all(first_problem(one, "watch") is None for one in load_log(log))
+    assert second.session.verdicts[-1].verdict.reason.startswith("20 % softer than the last push")
+    assert all(valid(one) for one in load_log(log))
 
 
 def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path):
-    def broken(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+    def broken(trial: Trial, earlier: Iterable[Watch]) -> Watch:
         raise ZeroDivisionError("for the test")
 
     write_log(tmp_path / "one.csv")
     session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, broken)
     (happening,) = [one for _ in range(2) for one in session.step()]
     assert happening.verdict is not None
-    assert happening.verdict["verdict"]["level"] == "refused"
-    assert "ZeroDivisionError" in happening.verdict["verdict"]["reason"]
-    assert first_problem(happening.verdict, "watch") is None
+    assert happening.verdict.verdict.level == "refused"
+    assert "ZeroDivisionError" in happening.verdict.verdict.reason
+    assert valid(happening.verdict)
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_an_interrupt_within_the_judge_ends_the_session(tmp_path, wrapped):
-    def interrupted(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+    def interrupted(trial: Trial, earlier: Iterable[Watch]) -> Watch:
         if wrapped:
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         raise KeyboardInterrupt
@@ -252,8 +259,8 @@ def test_an_interrupt_within_the_judge_ends_the_session(tmp_path, wrapped):
 
 def test_a_verdict_is_what_inspect_says():
     trial = ramp_hold()
-    found = judge(trial)
-    assert first_problem(found, "watch") is None
+    assert valid(judge(trial))
+    found = plain(judge(trial))
     said = describe_trial(trial)
     assert isinstance(said, dict)
     assert {name: found[name] for name in ("measured", "verdict", "flags")} == {
@@ -268,9 +275,9 @@ def test_a_fit_comes_after_the_line(tmp_path):
     write_log(tmp_path / "one.csv")
     told: list[str] = []
 
-    def fit(trial: Trial) -> dict[str, Any]:
+    def fit(trial: Trial) -> Fit:
         told.append("fit")
-        return {"nrmsd": 0.1, "parameters": []}
+        return Fit(0.1, ())
 
     session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, judge, fit=fit)
     for _ in range(2):
@@ -278,27 +285,26 @@ def test_a_fit_comes_after_the_line(tmp_path):
         for happening in session.step():
             told.append(happening.kind)  # noqa: PERF401
     assert told == ["verdict", "fit", "fitted"]
-    assert session.verdicts[0]["fit"] == {"nrmsd": 0.1, "parameters": []}
+    assert plain(session.verdicts[0].fit) == {"nrmsd": 0.1, "parameters": []}
 
 
 def test_a_quick_fit_finds_the_parameters_of_the_truth():
     found = quick_fit(ramp_hold(), None)
     assert found is not None
-    viscosity = {one["name"]: one for one in found["parameters"]}["viscosity_N_s_per_mm"]
+    viscosity = {one.name: one.value for one in found.parameters}["viscosity_N_s_per_mm"]
     # of a machine of which nothing was stated, whose filter and frame may be anything
-    assert viscosity["value"] == pytest.approx(20.0 * 0.5, rel=0.01)
-    assert first_problem(judge(ramp_hold()) | {"fit": found}, "watch") is None
+    assert viscosity == pytest.approx(20.0 * 0.5, rel=0.01)
+    assert valid(structs.replace(judge(ramp_hold()), fit=found))
 
 
 def test_only_equal_tests_of_one_specimen_are_compared():
     first = judge(ramp_hold("a.csv"))
     softer = {"gain": 0.8}
     for other in (ramp_hold("b.csv", specimen="liver", **softer), ramp_hold("c.csv", speed=8.0, **softer)):
-        assert judge(other, [first])["verdict"]["level"] == "good"
-    assert (
-        judge(ramp_hold("d.csv", **softer), [first | {"excluded": "slipped"}])["verdict"]["level"] == "good"
-    )
-    assert "20 % softer" in judge(ramp_hold("e.csv", **softer), [first])["verdict"]["reason"]
+        assert judge(other, [first]).verdict.level == "good"
+    slipped = structs.replace(first, excluded="slipped")
+    assert judge(ramp_hold("d.csv", **softer), [slipped]).verdict.level == "good"
+    assert "20 % softer" in judge(ramp_hold("e.csv", **softer), [first]).verdict.reason
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -311,7 +317,7 @@ def test_once_judges_what_is_there_and_ends(tmp_path):
     lines = [json.loads(line) for line in ended.stdout.splitlines()]
     assert {Path(one["path"]).name: one["verdict"]["level"] for one in lines}["bad.csv"] == "refused"
     assert all(first_problem(one, "watch") is None for one in lines)
-    assert load_log(tmp_path / "out" / "watch.jsonl") == lines
+    assert [plain(one) for one in load_log(tmp_path / "out" / "watch.jsonl")] == lines
     again = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
     assert again.stdout == ""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -51,22 +50,6 @@ def self_contained(render: Callable[..., str]) -> str:
     assert "Written" not in html
     assert "Written 2026-01-01." in render(created="2026-01-01")
     return html
-
-
-def opened(
-    browser: Any, folder: Path, html: str, *, width: int = 1400, height: int = 900, **context: Any
-) -> tuple[Any, list[str]]:
-    """A tab that shows a page, and all it says: errors, warnings, requests beyond the page itself."""
-    path = folder / "page.html"
-    path.write_text(html, encoding="utf-8")
-    tab = browser.new_context(viewport={"width": width, "height": height}, **context).new_page()
-    said: list[str] = []
-    tab.on("console", lambda one: said.append(one.text) if one.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: said.append(str(error)))
-    own = (path.as_uri(), "data:", "blob:")
-    tab.on("request", lambda one: None if one.url.startswith(own) else said.append(one.url))
-    tab.goto(path.as_uri())
-    return tab, said
 
 
 def open_all(tab: Any) -> None:

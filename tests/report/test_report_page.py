@@ -14,16 +14,7 @@ import openpyxl
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
-from report_pages import (
-    document_of,
-    drawn,
-    opened,
-    page,
-    payload_of,
-    render_report,
-    self_contained,
-    wide,
-)
+from report_pages import document_of, drawn, page, payload_of, render_report, self_contained, wide
 
 from tissueid.report.figures import curve_bytes, kept_samples, thinned
 from tissueid.report.page import plotly_script
@@ -129,9 +120,9 @@ def test_every_sample_of_an_ordinary_recording_reaches_the_page():
 
 
 @pytest.mark.browser
-def test_figures_show_the_curves_and_the_page_is_silent(browser, tmp_path):
+def test_figures_show_the_curves_and_the_page_is_silent(opened):
     fit = specimen_fit(trials=3, samples=400)
-    tab, said = opened(browser, tmp_path, page(fit))
+    tab = opened(page(fit))
     traces = drawn(tab, "main")
     for name, values in (("recorded", "force_N"), ("model", "model_N")):
         # three trials against time, then three against depth
@@ -152,17 +143,16 @@ def test_figures_show_the_curves_and_the_page_is_silent(browser, tmp_path):
     tab.select_option("select[data-choice]", "1")
     data = next(trace for trace in drawn(tab, "main") if trace["name"] == "recorded")
     assert data["y"] == pytest.approx(fit.trials[1].curve.force_N, rel=1e-7, abs=1e-9)
-    assert said == []
 
 
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1400, 800, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_page_fits_the_screen_in_both_colour_schemes(browser, tmp_path, width, scheme):
+def test_page_fits_the_screen_in_both_colour_schemes(opened, width, scheme):
     # on a light screen sampled, and the residuals contradict the model
     fit = specimen_fit("x" * 60, samples=100, identified=False)
     html = page(sampled(fit, misfit=True) if scheme == "light" else fit, refused=True)
-    tab, said = opened(browser, tmp_path, html, width=width, color_scheme=scheme)
+    tab = opened(html, width=width, color_scheme=scheme)
     drawn(tab, "main")
     assert wide(tab) == width
     paper = tab.evaluate("getComputedStyle(document.body).backgroundColor")
@@ -170,29 +160,26 @@ def test_page_fits_the_screen_in_both_colour_schemes(browser, tmp_path, width, s
     # the picture of the result begins on the first screen of a desk
     if width == 1400:
         assert tab.locator('[data-figure="main"]').bounding_box()["y"] < 300
-    assert said == []
 
 
 @pytest.mark.browser
-def test_a_link_of_the_overview_opens_its_specimen(browser, tmp_path):
+def test_a_link_of_the_overview_opens_its_specimen(opened):
     fits = [specimen_fit(f"s {i}", trials=1, samples=100, seed=i) for i in range(4)]
-    tab, said = opened(browser, tmp_path, page(*fits))
+    tab = opened(page(*fits))
     assert len(drawn(tab, "overview")[0]["y"]) == 4
     tab.click("a[href='#specimen-3']")
     assert drawn(tab, "main", specimen=2)[0]["y"] == pytest.approx(
         fits[2].trials[0].curve.force_N, rel=1e-7, abs=1e-9
     )
-    assert said == []
 
 
 @pytest.mark.browser
-def test_a_printed_report_shows_every_specimen(browser, tmp_path):
+def test_a_printed_report_shows_every_specimen(opened):
     html = page(*(specimen_fit(f"s{i}", trials=1, samples=100) for i in range(2)))
-    tab, said = opened(browser, tmp_path, html)
+    tab = opened(html)
     assert tab.pdf().startswith(b"%PDF")
     assert tab.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
     assert tab.evaluate("[...document.querySelectorAll('[data-figure]')].every(b => b.dataset.drawn)")
-    assert said == []
 
 
 @pytest.mark.parametrize(("specimens", "trials"), [(1, 30), (30, 10), (60, 2)])
@@ -204,9 +191,8 @@ def test_a_page_of_sampled_specimens_stays_below_seven_megabytes(specimens, tria
 
 
 @pytest.mark.browser
-def test_the_library_is_inflated_whole(browser, tmp_path):
-    tab, said = opened(browser, tmp_path, page(specimen_fit(samples=60)))
-    assert said == []
+def test_the_library_is_inflated_whole(opened):
+    tab = opened(page(specimen_fit(samples=60)))
     # what stands in the page is the library that is installed, to its last character
     whole = str(plotly_script())
     assert tab.evaluate("[...document.head.querySelectorAll('script')].map((s) => s.textContent)") == [whole]
@@ -218,10 +204,10 @@ MOST_UNFOLDED = 8_000
 
 
 @pytest.mark.browser
-def test_a_page_of_one_specimen_shows_its_numbers_before_anything_is_opened(browser, tmp_path):
+def test_a_page_of_one_specimen_shows_its_numbers_before_anything_is_opened(opened):
     fit = sampled(specimen_fit(trials=30, samples=60, identified=False), misfit=True, converged=False)
     html = render_report(document_of(fit, refused=True), curves_of_fits([fit]))
-    tab, said = opened(browser, tmp_path, html)
+    tab = opened(html)
     text = tab.evaluate("document.body.innerText")
     assert len(text) <= MOST_UNFOLDED
     assert tab.evaluate("[...document.querySelectorAll('details')].every((one) => !one.open)")
@@ -230,12 +216,11 @@ def test_a_page_of_one_specimen_shows_its_numbers_before_anything_is_opened(brow
     for folded in ("shrinkage", "R-hat", "renderer", "SHA-256"):
         assert folded not in text, folded
     assert tab.locator(".first .remarks > li, .first .alarm").count() <= 5 + len(fit.flags)
-    assert said == []
 
 
 @pytest.mark.browser
-def test_a_figure_is_saved_as_svg_on_white_and_the_tables_as_a_workbook(browser, tmp_path):
-    tab, said = opened(browser, tmp_path, page(specimen_fit(trials=2, samples=80)), color_scheme="dark")
+def test_a_figure_is_saved_as_svg_on_white_and_the_tables_as_a_workbook(opened):
+    tab = opened(page(specimen_fit(trials=2, samples=80)), color_scheme="dark")
     drawn(tab, "main")
     with tab.expect_download() as saved:
         tab.locator('[data-figure="main"] + button.save').click()
@@ -253,4 +238,3 @@ def test_a_figure_is_saved_as_svg_on_white_and_the_tables_as_a_workbook(browser,
     assert book.sheetnames[0] == "Parameters"
     rows = list(book["Parameters"].values)
     assert rows[1][:7] == (*("kidney 3", "Relaxation time", "relaxation_time_s", "tau", "s", True), 1.5)
-    assert said == []

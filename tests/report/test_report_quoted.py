@@ -111,7 +111,7 @@ def test_a_run_without_quoted_numbers_has_no_such_section():
 def test_spectrum_is_told_by_decades():
     tables = {table.title: table for table in quoted_tables(numbers().as_json())}
     spectrum = tables["Relaxation spectrum"]
-    assert spectrum.head == ("Hold of", "0.1 to 1 s", "1 to 10 s", "Plateau [N]")
+    assert spectrum.heads == ("Hold of", "0.1 to 1 s", "1 to 10 s", "Plateau [N]")
     assert spectrum.rows == (("hold.csv", "50", "50", "5.00"),)
 
 

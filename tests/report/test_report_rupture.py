@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from fit_factory import identification
-from report_pages import opened, self_contained, wait_for_figures, wide
+from report_pages import self_contained, wait_for_figures, wide
 from rupture_cohorts import known_cohort, typical_threshold
 from typed_call import typed_call
 
@@ -80,11 +80,10 @@ def test_a_cohort_that_can_not_tell_says_so():
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_figures_draw_themselves_without_an_error(browser, failures, document, tmp_path):
-    tab, said = opened(browser, tmp_path, render_rupture(document), width=1200, height=5000)
+def test_figures_draw_themselves_without_an_error(opened, failures, document):
+    tab = opened(render_rupture(document), width=1200, height=5000)
     wait_for_figures(tab, 3)
     traces = tab.evaluate("document.querySelectorAll('.scatterlayer .trace').length")
-    assert said == []
     # specimens that ruptured and the mean, twice; work and depth of the four criteria
     specimens = len({one.specimen for one in failures if one.ruptured})
     assert traces == 2 * (specimens + 1) + 2

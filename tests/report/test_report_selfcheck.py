@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_pages import opened, self_contained, wait_for_figures
+from report_pages import self_contained, wait_for_figures
 from typed_call import typed_call
 
 from tissueid.report.selfcheck_page import render_selfcheck
@@ -73,10 +73,9 @@ def test_page_says_which_number_is_not_calibrated_and_why():
 
 
 @pytest.mark.browser
-def test_figures_draw_themselves_without_an_error(browser, tmp_path):
-    page, said = opened(browser, tmp_path, render_selfcheck(document()), width=1200, height=4000)
+def test_figures_draw_themselves_without_an_error(opened):
+    page = opened(render_selfcheck(document()), width=1200, height=4000)
     page.wait_for_selector(".js-plotly-plot .scatterlayer", timeout=60_000)
     wait_for_figures(page, 6)
     bars = page.evaluate("document.querySelectorAll('.barlayer .point').length")
-    assert said == []
     assert bars == 3 * 20

@@ -11,7 +11,7 @@ import pytest
 from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import sampled
-from report_pages import document_of, opened, page
+from report_pages import document_of, page
 from typed_call import typed_call
 
 from tissueid.documents import typed
@@ -37,8 +37,8 @@ def names(tab: Any) -> list[str]:
 
 
 @pytest.fixture
-def tab(browser, tmp_path):
-    found, _ = opened(browser, tmp_path, page(specimen_fit(trials=12, samples=60)), width=1200)
+def tab(opened):
+    found = opened(page(specimen_fit(trials=12, samples=60)), width=1200)
     # what is folded is opened as a reader would
     for part in ("specimen-1-trials", "cite"):
         found.click(f"#{part} > summary")

@@ -12,7 +12,7 @@ import pytest
 from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import SHARES, SOURCES, posterior, sampled
-from report_pages import drawn, open_all, opened, page, payload_of, specimen_of
+from report_pages import drawn, open_all, page, payload_of, specimen_of
 from typed_call import typed_call
 
 from tissueid.digits import together
@@ -231,9 +231,9 @@ def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit(
 
 
 @pytest.mark.browser
-def test_figures_show_bands_densities_and_draws(browser, tmp_path):
+def test_figures_show_bands_densities_and_draws(opened):
     fit = sampled(specimen_fit(trials=2, samples=200))
-    tab, errors = opened(browser, tmp_path, page(fit))
+    tab = opened(page(fit))
     # a band about each of two logs would hide the other
     assert not [trace for trace in drawn(tab, "main") if trace["name"] == "predicted"]
     tab.select_option("select[data-choice]", "1")
@@ -262,4 +262,3 @@ def test_figures_show_bands_densities_and_draws(browser, tmp_path):
         # a density: its sum times the width of a bin is one
         assert sum(density["y"]) * width == pytest.approx(1.0, rel=1e-3)
     assert len(drawn(tab, "trace")) == 4 * len(posterior().chain_names)
-    assert errors == []

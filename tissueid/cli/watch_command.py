@@ -17,7 +17,7 @@ from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subc
 from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
-from tissueid.documents import typed
+from tissueid.documents import plain
 from tissueid.documents.inspect import Watch
 from tissueid.errors import InputError, UsageError
 
@@ -85,7 +85,7 @@ def command(flags: _WatchFlags) -> int:
         note("", quiet=flags.quiet)
     if not flags.as_json and not flags.quiet:
         _summary(session)
-    refused = [one["verdict"]["level"] == "refused" for one in session.verdicts]
+    refused = [one.verdict.level == "refused" for one in session.verdicts]
     return (3 if all(refused) else 7) if flags.once and any(refused) else 0
 
 
@@ -142,10 +142,10 @@ def _trials(
 
 
 def _tell(happening: Happening, flags: _WatchFlags) -> None:
-    if happening.verdict is None:
+    verdict = happening.verdict
+    if verdict is None:
         note(happening.text, quiet=flags.quiet)
         return
-    verdict = typed(happening.verdict, Watch)
     level = verdict.verdict.level
     loud = flags.quiet < 1 or level in {"repeat", "refused"}
     if happening.kind == "fitted" and not flags.as_json:
@@ -153,7 +153,7 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
             _print_fit(verdict)
         return
     if flags.as_json:
-        echo_json_text(json.dumps(happening.verdict, ensure_ascii=False, allow_nan=False))
+        echo_json_text(json.dumps(plain(verdict), ensure_ascii=False, allow_nan=False))
     elif loud:
         _print(verdict, flags, again=happening.kind == "replaced")
     if flags.bell and happening.kind != "fitted":
@@ -188,12 +188,11 @@ def _print_fit(one: Watch) -> None:
 def _summary(session: WatchSession) -> None:
     from tissueid.cli.inspect_command import recording_name
 
-    verdicts = [typed(one, Watch) for one in session.verdicts]
-    count = {level: sum(one.verdict.level == level for one in verdicts) for level in COLOURS}
+    count = {level: sum(one.verdict.level == level for one in session.verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
     told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
     note(f"{len(session.verdicts)} tests: {told}" if told else "no test was seen")
-    for one in verdicts:
+    for one in session.verdicts:
         level = one.verdict.level
         if level in {"repeat", "refused"}:
             note(f"  {words[level]}: {recording_name(one)}")

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from tissueid.digits import number
 from tissueid.documents.design import Asked, Design, Front, Protocol
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure
+from tissueid.report.parts import Figure
 from tissueid.report.wording import Verdict, counted, parameter_words
 
 MINUTE, HOUR = 60.0, 3600.0

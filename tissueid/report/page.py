@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -27,6 +27,7 @@ from tissueid.report.figures import curve_payload, curves_by_trial, posterior_pa
 from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
+from tissueid.report.parts import Section
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
 from tissueid.report.study_words import study_view
@@ -48,9 +49,6 @@ from tissueid.report.wording import (
 from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
-
-if TYPE_CHECKING:
-    from tissueid.report.plain_page import Section
 
 #: Reasons of a verdict that are seen at once.
 MOST_REASONS = 5
@@ -252,22 +250,11 @@ def render_report(
     """
     specimens = identification.specimens
     units = _common_units(specimens)
-    groups: list[dict[str, Any]] = []
-    if units is not None and len(specimens) > 1:
-        groups = curve_groups(curves_by_trial(specimens, curves), units)
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
     views = [
         _view(position, specimen, identification, rendering)
         for position, (specimen, rendering) in enumerate(zip(specimens, shown, strict=True))
     ]
-    payload = {
-        "specimens": curve_payload(specimens, curves, posteriors),
-        "posteriors": posterior_payload(specimens, posteriors),
-        "laws": law_payload(specimens, curves, posteriors),
-        "groups": groups,
-        "units": [plain(specimen.units) for specimen in specimens],
-        "overview": _overview(specimens),
-    }
     return render_page(
         "report",
         title=_title(specimens),
@@ -275,7 +262,7 @@ def render_report(
         unfitted=cycle_table(identification.unfitted_cycles),
         views=views,
         workbook=base64.b64encode(report_workbook(identification, digest)).decode("ascii"),
-        payload=payload,
+        payload=_payload(specimens, curves, posteriors, units if len(specimens) > 1 else None),
         common_units=units,
         overview_sentence=overview_sentence(specimens),
         counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
@@ -288,6 +275,23 @@ def render_report(
         scripts=_SCRIPTS,
         script_file=script_file,
     )
+
+
+def _payload(
+    specimens: Sequence[Specimen],
+    curves: Sequence[TrialCurve],
+    posteriors: Sequence[StoredPosterior],
+    shared: Units | None,
+) -> dict[str, Any]:
+    """Numbers behind all figures; curves of several specimens stand together in units that they share."""
+    return {
+        "specimens": curve_payload(specimens, curves, posteriors),
+        "posteriors": posterior_payload(specimens, posteriors),
+        "laws": law_payload(specimens, curves, posteriors),
+        "groups": curve_groups(curves_by_trial(specimens, curves), shared) if shared else [],
+        "units": [plain(specimen.units) for specimen in specimens],
+        "overview": _overview(specimens),
+    }
 
 
 def _common_units(specimens: Sequence[Specimen]) -> Units | None:

@@ -10,7 +10,7 @@ from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.reproduction import Figure, Item, Paper, Reproduction
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import band
+from tissueid.report.parts import band
 from tissueid.report.wording import Verdict
 
 #: Kind -> class of its look, mark, and what it means: told apart by more than colour.

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from tissueid.digits import number
 from tissueid.documents.selfcheck import Parameter, SelfCheck
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure, band
+from tissueid.report.parts import Figure, band
 from tissueid.report.wording import Verdict, counted, parameter_words
 
 _KINDS = {"recipe": "Recipe", "study": "Study", "bundle": "Bundle"}
