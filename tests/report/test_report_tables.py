@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,27 +100,8 @@ def test_methods_say_what_this_run_did_with_equations():
     assert "F<sub>s</sub>" in block
 
 
-@dataclass(frozen=True)
-class Done:
-    """What a run did, as its methods paragraph tells it: read back from the text alone."""
-
-    noise: str | None
-    noise_found: bool
-    sampler: str | None
-    draws: int | None
-    wanted: int | None
-    seed: int | None
-    branches: int
-    static_degree: int
-    stiffness_degree: int
-    chosen: tuple[bool, bool]
-    unloading: bool
-    contact_mm: float | None
-    versions: dict[str, str]
-
-
-def read_back(text: str) -> Done:
-    """Parse a methods paragraph, as a reader who repeats the run would."""
+def read_back(text: str) -> dict[str, Any]:
+    """What a run did, read from its methods paragraph alone, as whoever repeats the run would."""
 
     def one(pattern: str) -> str | None:
         found = re.search(pattern, text)
@@ -136,21 +117,21 @@ def read_back(text: str) -> Done:
     chosen = one(r"([^.]*) chosen by predicting data that were held out") or ""
     drawn = re.search(r"sampled by (\w+) \(([\d,]+) draws, for ([\d,]+) effective ones; seed (\d+)", text)
     contact = one(r"Contact was set at (\S+) mm")
-    return Done(
-        noise=noises[one(r"under ([a-z -]+?) of the force") or ""],
-        noise_found="of the force (found from the residuals)" in text,
-        sampler=None if drawn is None else drawn[1],
-        draws=None if drawn is None else int(drawn[2].replace(",", "")),
-        wanted=None if drawn is None else int(drawn[3].replace(",", "")),
-        seed=None if drawn is None else int(drawn[4]),
-        branches=words[one(r"(\w+) relaxing branch") or ""],
-        static_degree=int(one(r"static force of degree (\d)") or -1),
-        stiffness_degree=int(one(r"in depth \(degree (\d)\)|constant \(degree 0\)") or 0),
-        chosen=("number of branches" in chosen, "degree of K" in chosen),
-        unloading="Retracts and cycles were fitted as well" in text,
-        contact_mm=None if contact is None else float(contact),
-        versions=versions,
-    )
+    return {
+        "noise": noises[one(r"under ([a-z -]+?) of the force") or ""],
+        "noise_found": "of the force (found from the residuals)" in text,
+        "sampler": None if drawn is None else drawn[1],
+        "draws": None if drawn is None else int(drawn[2].replace(",", "")),
+        "wanted": None if drawn is None else int(drawn[3].replace(",", "")),
+        "seed": None if drawn is None else int(drawn[4]),
+        "branches": words[one(r"(\w+) relaxing branch") or ""],
+        "static_degree": int(one(r"static force of degree (\d)") or -1),
+        "stiffness_degree": int(one(r"in depth \(degree (\d)\)|constant \(degree 0\)") or 0),
+        "chosen": ("number of branches" in chosen, "degree of K" in chosen),
+        "unloading": "Retracts and cycles were fitted as well" in text,
+        "contact_mm": None if contact is None else float(contact),
+        "versions": versions,
+    }
 
 
 VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4.6", "scipy": "1.17.1"}
@@ -186,22 +167,22 @@ def test_methods_are_read_back_as_the_options_of_the_run(
     }  # fmt: skip
     text = methods_view(document["specimens"][0], document)["plain"]
     known = sampler != "none"
-    assert read_back(text) == Done(
+    assert read_back(text) == {
         # without a posterior the noise is the one of the fit itself
-        noise=noise if known else "white",
-        noise_found=seed == 0,
-        sampler=sampler if known else None,
-        draws=4_000 if known else None,
-        wanted=wanted if known else None,
-        seed=seed if known else None,
-        branches=branches,
-        static_degree=3,
-        stiffness_degree=degree,
-        chosen=(given[0] == "auto", given[1] == "auto"),
-        unloading=set_by_hand,
-        contact_mm=-1.25 if set_by_hand else None,
-        versions={"tissueid": "0.1.0", **VERSIONS},
-    )
+        "noise": noise if known else "white",
+        "noise_found": seed == 0,
+        "sampler": sampler if known else None,
+        "draws": 4_000 if known else None,
+        "wanted": wanted if known else None,
+        "seed": seed if known else None,
+        "branches": branches,
+        "static_degree": 3,
+        "stiffness_degree": degree,
+        "chosen": (given[0] == "auto", given[1] == "auto"),
+        "unloading": set_by_hand,
+        "contact_mm": -1.25 if set_by_hand else None,
+        "versions": {"tissueid": "0.1.0", **VERSIONS},
+    }
     if not known:
         assert "no posterior was sampled" in text
 
