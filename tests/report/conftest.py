@@ -16,13 +16,9 @@ def browser():
         pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as engine:
-        quiet = (
-            "--no-sandbox",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-        )
-        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--no-first-run"])
+        off = [f"--disable-{part}" for part in ("background-networking", "component-update", "sync")]
+        quiet = ["--no-sandbox", "--no-first-run", *off]
+        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=quiet)
         yield running
         running.close()
 

@@ -142,13 +142,6 @@ def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
             refuse(f"{path} is read and -o {out} is the same folder: name another with -o, as -o results")
 
 
-def read_in_order(
-    paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
-) -> Iterator[Trial | Refusal]:
-    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
-    return _read(inputs_in_order(paths, study), options, study)
-
-
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
     """Files of all paths with the sheet that was named; a refusal stands where something was refused."""
     from tissueid.ingest.manifest import unmatched_files
@@ -181,12 +174,15 @@ def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
         yield Refusal.of(error)
 
 
-def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:
+def read_in_order(
+    paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
+) -> Iterator[Trial | Refusal]:
+    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
     by_pattern = PatternCheck(options.specimen_by, study)
-    for one in found:
+    for one in inputs_in_order(paths, study):
         if isinstance(one, Refusal):
             yield one
             continue
