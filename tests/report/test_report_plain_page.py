@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from report_pages import payload_of
 
+from tissueid.report.page import render_plain
 from tissueid.report.parts import Figure, Section, Table
-from tissueid.report.plain_page import render_plain
 
 LINE = {"x": [0, 1], "y": [1, 2], "mode": "lines", "line": {"ink": "data", "width": 3}}
 DOTS = {"x": [0, 1], "y": [2, 1], "mode": "markers", "marker": {"ink": "model"}}

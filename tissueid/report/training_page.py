@@ -8,8 +8,8 @@ import numpy as np
 
 from tissueid.digits import number
 from tissueid.documents.session import Attempt, Learning, Training
+from tissueid.report.page import render_plain
 from tissueid.report.parts import Figure, Section, Table
-from tissueid.report.plain_page import render_plain
 
 #: Measures that practice is looked for in: words and unit.
 LEARNED = {

@@ -10,8 +10,8 @@ import numpy as np
 
 from tissueid.digits import number
 from tissueid.documents import twin as document
+from tissueid.report.page import render_plain
 from tissueid.report.parts import Figure, Section, Table
-from tissueid.report.plain_page import render_plain
 
 if TYPE_CHECKING:
     from tissueid.twin.twin import Twin
