@@ -136,8 +136,6 @@ def judge(
 #: Name of the log in the output folder.
 LOG = "watch.jsonl"
 
-Key = tuple[str, str | None]
-
 
 @dataclass(frozen=True, slots=True)
 class Happening:
