@@ -7,9 +7,11 @@ makes the force at any depth grow with speed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
+
+from tissueid.documents import plain, typed
 
 #: Unit of a threshold, by criterion.
 THRESHOLD_UNITS: Mapping[str, str] = MappingProxyType(
@@ -52,11 +54,9 @@ class RuptureLaw:
 
     def as_json(self) -> dict[str, Any]:
         """The ``rupture`` object of ``schemas/bundle.schema.json``."""
-        return asdict(self) | {"unit": self.unit, "population_ci95": list(self.population_ci95)}
+        return plain(self) | {"unit": self.unit}  # type: ignore[no-any-return]
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> RuptureLaw:
         """Inverse of :meth:`as_json`."""
-        low, high = document["population_ci95"]
-        said = {key: value for key, value in document.items() if key != "unit"}
-        return cls(**{**said, "population_ci95": (low, high)})
+        return typed(document, cls)

@@ -9,12 +9,19 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Collection
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from rendered_tissues import PAPER_A, bundle_of
+
+from tissueid.arrays import FloatArray
 from tissueid.cli.main import main
+from tissueid.store.bundle import write_bundle
+from tissueid.store.schema import first_problem
 
 #: One branch, constant K and no posterior: the quickest fit.
 QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
@@ -31,20 +38,28 @@ class Ended:
     stdout: str
     stderr: str
 
-    def json(self) -> Any:
-        return json.loads(self.stdout)
+    def json(self, schema: str | None = None) -> Any:
+        """The document on stdout, valid by a schema where one is named."""
+        document = json.loads(self.stdout)
+        assert schema is None or first_problem(document, schema) is None
+        return document
 
 
-def run(*args: Any, code: int | Collection[int] = (), said: str | tuple[str, ...] = ()) -> Ended:
+Words = str | tuple[str, ...]
+
+
+def run(*args: Any, code: int | Collection[int] = (), said: Words = (), shown: Words = ()) -> Ended:
     """``tissueid ARGS`` in this process; whatever happens, no traceback, colour or progress in a pipe.
 
-    ``code``: with which it must end, where that is told; ``said``: words that must stand on stderr.
+    ``code``: with which it must end, where that is told; ``said``, ``shown``: words that must stand on stderr
+    and on stdout.
     """
     ended = run_on(io.TextIOWrapper, *args)
     allowed = {code} if isinstance(code, int) else code
     assert not allowed or ended.code in allowed, (args, ended.code, ended.stderr)
-    for words in (said,) if isinstance(said, str) else said:
-        assert words in ended.stderr, args
+    for expected, stream in ((said, ended.stderr), (shown, ended.stdout)):
+        for words in (expected,) if isinstance(expected, str) else expected:
+            assert words in stream, args
     assert "Traceback" not in ended.stderr
     assert not {"\x1b", "\r"} & {*ended.stdout.replace("\r\n", "\n"), *ended.stderr}
     return ended
@@ -97,3 +112,37 @@ def write_log(path: Path, **options: Any) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(log_text(**options), encoding="ascii")
     return path
+
+
+def write_study(folder: Path, *tables: str) -> Path:
+    """study.toml of a folder, with some tables."""
+    path = folder / "study.toml"
+    path.write_text("\n".join(['schema = "tissueid/study/1"', *tables, ""]), encoding="utf-8")
+    return path
+
+
+def write_csv(path: Path, time_s: FloatArray, travel_mm: FloatArray, force_N: FloatArray) -> Path:
+    """Samples to 1 ms, 0.01 um and 0.01 mN."""
+    rows = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time_s, travel_mm, force_N, strict=True)]
+    path.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows, ""]), encoding="ascii")
+    return path
+
+
+def write_bundles(folder: Path, ending: str = "") -> None:
+    """``a.h5`` and ``b.h5``: paper A's tissue under two names, with draws of 1 %."""
+    chance = np.random.default_rng(5)
+    for name in ("a", "b"):
+        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
+        write_bundle(bundle_of(replace(PAPER_A, name=name + ending), draws=draws), folder / f"{name}.h5")
+
+
+def read_json(path: Path) -> Any:
+    return json.loads(path.read_bytes())
+
+
+def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    """Wait for what another process does."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened in time"
+        time.sleep(0.01)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +22,7 @@ class EmptyUsb:
 
 
 @pytest.fixture
-def empty_usb(monkeypatch: pytest.MonkeyPatch) -> None:
+def empty_usb(monkeypatch):
     """No Falcon, whatever is plugged in and whether or not libusb is installed here.
 
     A library that a test names itself is loaded.
@@ -37,7 +36,7 @@ def empty_usb(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def fitted_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fitted_once(tmp_path_factory):
     """A folder with ``lab/log.csv`` and its quickest fit ``out``; nobody writes into it."""
     folder = tmp_path_factory.mktemp("fitted")
     ended = run("fit", write_log(folder / "lab" / "log.csv"), "-o", folder / "out", "-q", *QUICK)
@@ -46,6 +45,6 @@ def fitted_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def fitted_log(fitted_once: Path, tmp_path: Path) -> Path:
+def fitted_log(fitted_once, tmp_path):
     """A copy of them, to spoil."""
     return shutil.copytree(fitted_once, tmp_path / "fitted", symlinks=True)

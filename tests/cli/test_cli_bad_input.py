@@ -7,7 +7,6 @@ import stat
 import sys
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from command_line import QUICK, log_text, run, start, write_log
@@ -48,7 +47,7 @@ BAD_FILES: dict[str, bytes] = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_bad_file_is_told_and_is_no_bug(tmp_path: Path, name: str) -> None:
+def test_a_bad_file_is_told_and_is_no_bug(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(BAD_FILES[name])
     inspected = run("inspect", path)
@@ -59,7 +58,7 @@ def test_a_bad_file_is_told_and_is_no_bug(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["nan.csv", "infinite.csv", "text.csv", "ragged.csv", "backwards.csv"])
-def test_a_bad_cell_is_refused_with_its_line(tmp_path: Path, name: str) -> None:
+def test_a_bad_cell_is_refused_with_its_line(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(BAD_FILES[name])
     ended = run("inspect", path, "--json", code=3)
@@ -67,7 +66,7 @@ def test_a_bad_cell_is_refused_with_its_line(tmp_path: Path, name: str) -> None:
     assert one["error"]["line"] == 40
 
 
-def test_an_empty_workbook_is_refused(tmp_path: Path) -> None:
+def test_an_empty_workbook_is_refused(tmp_path):
     path = tmp_path / "empty.xlsx"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "nothing")
@@ -91,20 +90,20 @@ def test_an_empty_workbook_is_refused(tmp_path: Path) -> None:
         (["--specimen-by", "zzz"], {2}),
     ],
 )
-def test_a_doubtful_option_ends_cleanly(tmp_path: Path, args: list[str], codes: set[int]) -> None:
+def test_a_doubtful_option_ends_cleanly(tmp_path, args, codes):
     log = write_log(tmp_path / "log.csv")
     ended = run("fit", log, *args, "-o", tmp_path / "out", *QUICK, code=codes)
     assert ended.stderr.strip() or ended.code == 0
 
 
-def test_an_output_folder_that_is_a_file_is_refused_before_work(tmp_path: Path) -> None:
+def test_an_output_folder_that_is_a_file_is_refused_before_work(tmp_path):
     log = write_log(tmp_path / "log.csv")
     for args in (["fit", log], ["synth", "paper-a-hold-100Hz"]):
         run(*args, "-o", log, code=2, said="is a file")
     assert log.read_text(encoding="ascii") == log_text()
 
 
-def test_an_output_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+def test_an_output_folder_below_a_file_is_refused(tmp_path):
     log = write_log(tmp_path / "log.csv")
     assert run("fit", log, "-o", log / "out", *QUICK).code == 6
     assert run("synth", "paper-a-hold-100Hz", "-o", log / "out").code == 2
@@ -113,7 +112,7 @@ def test_an_output_folder_below_a_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.skipif(
     sys.platform == "win32" or os.geteuid() == 0, reason="rights do not bind the superuser, or this system"
 )
-def test_rights_that_are_missing_are_told(tmp_path: Path) -> None:
+def test_rights_that_are_missing_are_told(tmp_path):
     log, out = write_log(tmp_path / "log.csv"), tmp_path / "out"
     out.mkdir()
     out.chmod(stat.S_IRUSR | stat.S_IXUSR)
@@ -122,14 +121,14 @@ def test_rights_that_are_missing_are_told(tmp_path: Path) -> None:
     run("fit", log, "-o", tmp_path / "other", code=3, said="log.csv")
 
 
-def test_results_can_only_be_written_where_there_is_a_folder(fitted_log: Path, tmp_path: Path) -> None:
+def test_results_can_only_be_written_where_there_is_a_folder(fitted_log, tmp_path):
     out = fitted_log / "out"
     for command in ("export", "report"):
         run(command, out, "-o", tmp_path / "none" / "file", code=2, said="can't be written")
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "null", '{"schema": "tissueid/identification/1"}'])
-def test_a_spoilt_set_is_refused_by_every_command(fitted_log: Path, content: str) -> None:
+def test_a_spoilt_set_is_refused_by_every_command(fitted_log, content):
     out = fitted_log / "out"
     for path in (out / "identification.json", *out.glob(".runs/*/identification.json")):
         path.write_text(content, encoding="utf-8")
@@ -137,7 +136,7 @@ def test_a_spoilt_set_is_refused_by_every_command(fitted_log: Path, content: str
         assert run(command, out).code == 6, command
 
 
-def test_a_second_fit_repairs_a_spoilt_set(fitted_log: Path) -> None:
+def test_a_second_fit_repairs_a_spoilt_set(fitted_log):
     out, log = fitted_log / "out", fitted_log / "lab" / "log.csv"
     (out / "bundle.h5").write_bytes(b"spoilt")
     assert run("validate", out).code == 6
@@ -145,21 +144,19 @@ def test_a_second_fit_repairs_a_spoilt_set(fitted_log: Path) -> None:
     assert run("validate", out).code == 0
 
 
-def test_an_output_inside_the_data_folder_is_not_read_as_data(tmp_path: Path) -> None:
+def test_an_output_inside_the_data_folder_is_not_read_as_data(tmp_path):
     write_log(tmp_path / "lab" / "log.csv")
     for _ in range(2):
         ended = run("fit", tmp_path / "lab", "-o", tmp_path / "lab" / "out", "--json", *QUICK, code={0, 4})
         assert len(ended.json()["provenance"]["inputs"]) == 1
 
 
-def test_a_file_named_twice_is_read_once(tmp_path: Path) -> None:
+def test_a_file_named_twice_is_read_once(tmp_path):
     log = write_log(tmp_path / "lab" / "log.csv")
     assert len(run("inspect", log, tmp_path / "lab", log, "--json").json()) == 1
 
 
-def test_a_file_that_changes_between_the_passes_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_changes_between_the_passes_is_refused(tmp_path, monkeypatch):
     from tissueid import collection, pipeline
 
     monkeypatch.setattr(collection, "CACHE_BYTES", 0)
@@ -177,7 +174,7 @@ def test_a_file_that_changes_between_the_passes_is_refused(
 
 
 @pytest.mark.parametrize("args", [["--help"], ["inspect", "LOG"], ["inspect", "LOG", "--json"]])
-def test_a_closed_pipe_is_no_error(tmp_path: Path, args: list[str]) -> None:
+def test_a_closed_pipe_is_no_error(tmp_path, args):
     log = write_log(tmp_path / "log.csv")
     process = start(*[str(log) if arg == "LOG" else arg for arg in args])
     assert process.stdout is not None

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import run, write_log
+from command_line import read_json, run, write_log, write_study
 from identify_stand_ins import of_prior, too_sure
 
 from tissueid.priors import SpreadPrior
@@ -35,21 +34,26 @@ moves = [{to_mm = 4.0, speed_mm_min = 480.0}, {hold_s = 1.0}]
 
 
 @pytest.fixture
-def instant(monkeypatch: pytest.MonkeyPatch) -> None:
+def recipe(tmp_path):
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def instant(monkeypatch):
     """Every simulation is identified in no time, by the truth's prior: calibrated by construction."""
     monkeypatch.setattr("tissueid.selfcheck.tissue.identify", of_prior)
 
 
 def document_of(folder: Path) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads((folder / "calibrate.json").read_text(encoding="utf-8"))
+    document: dict[str, Any] = read_json(folder / "calibrate.json")
     assert first_problem(document, "selfcheck") is None
     return document
 
 
 @pytest.mark.slow
-def test_a_recipe_is_checked_by_what_identifies_recordings(tmp_path: Path) -> None:
-    recipe = tmp_path / "recipe.toml"
-    recipe.write_text(RECIPE, encoding="utf-8")
+def test_a_recipe_is_checked_by_what_identifies_recordings(tmp_path, recipe):
     ended = run("calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--seed", "4")
     document = document_of(tmp_path / "out")
     assert ended.code == 0, ended.stderr
@@ -69,9 +73,8 @@ def test_a_recipe_is_checked_by_what_identifies_recordings(tmp_path: Path) -> No
     assert "relaxation_time_s: log-normal, median 0.2, sd of ln 0.4" in ended.stdout
 
 
-def test_a_second_call_goes_on_and_another_check_is_refused(tmp_path: Path, instant: None) -> None:
-    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
-    recipe.write_text(RECIPE, encoding="utf-8")
+def test_a_second_call_goes_on_and_another_check_is_refused(tmp_path, recipe, instant):
+    out = tmp_path / "out"
     assert run("calibrate", recipe, "-o", out, "--simulations", FEWEST).code == 0
     first = (out / "calibrate.jsonl").read_bytes()
     assert run("calibrate", recipe, "-o", out, "--simulations", "25").code == 0
@@ -82,11 +85,8 @@ def test_a_second_call_goes_on_and_another_check_is_refused(tmp_path: Path, inst
     assert run("calibrate", recipe, "-o", out).code == 2
 
 
-def test_intervals_that_are_too_narrow_end_with_a_code_of_their_own(
-    tmp_path: Path, instant: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
-    recipe.write_text(RECIPE, encoding="utf-8")
+def test_intervals_that_are_too_narrow_end_with_a_code_of_their_own(tmp_path, recipe, instant, monkeypatch):
+    out = tmp_path / "out"
     monkeypatch.setattr("tissueid.selfcheck.tissue.identify", too_sure)
     ended = run("calibrate", recipe, "-o", out, "--simulations", "60", code=4)
     assert "not calibrated: relaxation_time_s: ranks leave the family-wise 99 % band" in ended.stderr
@@ -94,9 +94,7 @@ def test_intervals_that_are_too_narrow_end_with_a_code_of_their_own(
     assert "Not calibrated." in (out / "calibrate.html").read_text(encoding="utf-8")
 
 
-def test_json_is_the_document_and_nothing_else(tmp_path: Path, instant: None) -> None:
-    recipe = tmp_path / "recipe.toml"
-    recipe.write_text(RECIPE, encoding="utf-8")
+def test_json_is_the_document_and_nothing_else(tmp_path, recipe, instant):
     ended = run(
         "calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--json", "--interval", "total"
     )
@@ -107,13 +105,11 @@ def test_json_is_the_document_and_nothing_else(tmp_path: Path, instant: None) ->
     assert said["frame_compliance_mm_per_N"] == "normal, 0 ± 0.004, not below 0"
 
 
-def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path: Path, instant: None) -> None:
+def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path, instant):
     lab = tmp_path / "lab"
     write_log(lab / "a.csv", label="liver")
     write_log(lab / "b.csv", label="liver", force_times=1.02)
-    (lab / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n[priors.sigma_N]\nmedian = 1.5\nsd_ln = 0.2\n', encoding="utf-8"
-    )
+    write_study(lab, "[priors.sigma_N]", "median = 1.5", "sd_ln = 0.2")
     run("calibrate", lab, "-o", tmp_path / "out", "--simulations", FEWEST, code=0)
     document = document_of(tmp_path / "out")
     assert document["source"]["kind"] == "study"
@@ -126,7 +122,7 @@ def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path: Path, instan
     assert SpreadPrior(1.5, 0.2).median == 1.5
 
 
-def test_several_specimens_are_named(tmp_path: Path, instant: None) -> None:
+def test_several_specimens_are_named(tmp_path, instant):
     write_log(tmp_path / "lab" / "a.csv", label="liver")
     write_log(tmp_path / "lab" / "b.csv", label="heart")
     ended = run("calibrate", tmp_path / "lab", "-o", tmp_path / "out", code=2)
@@ -135,9 +131,7 @@ def test_several_specimens_are_named(tmp_path: Path, instant: None) -> None:
     assert "holds no specimen 'lung'; there are liver, heart" in ended.stderr
 
 
-def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(
-    tmp_path: Path, instant: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(tmp_path, instant, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "lab" / "a.csv", label="liver")
     quick = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none", "-q")
@@ -154,11 +148,10 @@ def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(
     assert gone["protocol"]["depth_mm"] == pytest.approx(there["protocol"]["depth_mm"], rel=0.02)
 
 
-def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path: Path, instant: None) -> None:
+def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path, recipe, instant):
     write_log(tmp_path / "a.csv")
     assert "--rate is for recipes" in run("calibrate", tmp_path / "a.csv", "--rate", "10").stderr
-    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
-    recipe.write_text(RECIPE, encoding="utf-8")
+    out = tmp_path / "out"
     out.mkdir()
     (out / "calibrate.html").write_text("mine", encoding="utf-8")
     run("calibrate", recipe, "-o", out, code=2)
@@ -174,9 +167,6 @@ def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path: Path, instant: N
         (("stiffness = [60.0]", "stiffness = [60.0, 1.0, 1.0, 1.0]"), "degree 3 of K is not offered"),
     ],
 )
-def test_a_recipe_that_no_posterior_has_is_refused(
-    tmp_path: Path, change: tuple[str, str], says: str
-) -> None:
-    recipe = tmp_path / "recipe.toml"
+def test_a_recipe_that_no_posterior_has_is_refused(tmp_path, recipe, change, says):
     recipe.write_text(RECIPE.replace(*change), encoding="utf-8")
     run("calibrate", recipe, "-o", tmp_path / "out", code=3, said=says)

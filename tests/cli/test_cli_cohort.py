@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import Ended, run, write_log
+from command_line import read_json, run, write_log, write_study
 
 from tissueid.population.members import thawed_among_fresh
 from tissueid.store.bundle import load_bundle
@@ -22,20 +21,20 @@ TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
 
 def a_study(folder: Path, times: tuple[float, ...], storage: tuple[str, ...] = ()) -> Path:
     """One log a specimen, the same but for its force (and its storage)."""
-    lines = ['schema = "tissueid/study/1"']
+    tables = []
     for number, factor in enumerate(times, 1):
         write_log(folder / f"{number}.csv", label=None, force_times=factor)
-        lines += [
+        tables += [
             f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number}',
             *([f'storage = "{storage[number - 1]}"'] if storage else []),
             f'[[trial]]\nfile = "{number}.csv"\nspecimen = "head {number}"',
         ]
-    (folder / "study.toml").write_text("\n".join(lines), encoding="utf-8")
+    write_study(folder, *tables)
     return folder
 
 
 @pytest.fixture(scope="module")
-def cohort(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
+def cohort(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cohort")
     ended = run("fit", a_study(folder / "heads", TIMES), "-o", folder / "out", *SMALL)
     return folder / "out", ended
@@ -45,18 +44,18 @@ def files_of(out: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in {".h5", ".json", ".csv"}}
 
 
-def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None:
+def test_a_study_of_five_gets_its_population(cohort):
     out, ended = cohort
-    document: dict[str, Any] = json.loads((out / "population.json").read_text(encoding="utf-8"))
+    document: dict[str, Any] = read_json(out / "population.json")
     assert "population of 5 specimens" in ended.stdout
     assert sorted(document["specimens_used"]) == [f"head {number}" for number in range(1, 6)]
     assert (out / "cohort.html").is_file()
     assert run("validate", out).code == 0
 
 
-def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple[Path, Ended]) -> None:
+def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort):
     out, _ = cohort
-    rows = json.loads((out / "population.json").read_text(encoding="utf-8"))["population"]["quantities"]
+    rows = read_json(out / "population.json")["population"]["quantities"]
     own = load_bundle(out / "bundle-head_3.h5")
     typical = load_bundle(out / "population.h5")
     geometric_mean = float(np.exp(np.mean(np.log(TIMES))))
@@ -70,7 +69,7 @@ def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple
     assert low < float(np.std(np.log(TIMES), ddof=1)) < high
 
 
-def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, Ended]) -> None:
+def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort):
     out, _ = cohort
     before = files_of(out)
     ended = run("cohort", out, "--tails", "normal", "--covariate", "age_years", "--no-held-out", "--json")
@@ -82,12 +81,12 @@ def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, En
     assert "population.json" in changed
 
 
-def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_has_no_cohort(tmp_path):
     (tmp_path / "empty").mkdir()
     run("cohort", tmp_path / "empty", code=6, said="tissueid fit")
 
 
-def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path: Path) -> None:
+def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path):
     folder = a_study(tmp_path / "heads", TIMES[:3], ("fresh, 4 C", "frozen at -20 C", "fresh"))
     ended = run("fit", folder, "-o", tmp_path / "out", *SMALL, "--population", "yes", code=4)
     assert "head 2 thawed among 2 fresh" in ended.stderr
@@ -109,7 +108,7 @@ def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_
         ({}, None),
     ],
 )
-def test_the_state_is_read_from_storage_and_cycles(covariates: dict[str, Any], state: str | None) -> None:
+def test_the_state_is_read_from_storage_and_cycles(covariates, state):
     one: Any = SimpleNamespace(specimen="a", covariates=covariates)
     found = dict(zip(("thawed", "fresh"), thawed_among_fresh([one]), strict=True))
     assert found == {name: ["a"] if name == state else [] for name in ("thawed", "fresh")}

@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from command_line import REPOSITORY, run
@@ -38,7 +37,7 @@ def offered(words: str, *, shell: str = "bash") -> list[str]:
     return said.buffer.getvalue().decode("utf-8").splitlines()  # type: ignore[attr-defined]
 
 
-def test_a_process_offers_the_same_and_says_nothing_else() -> None:
+def test_a_process_offers_the_same_and_says_nothing_else():
     words = "tissueid fit --sampler e"
     done = subprocess.run(
         [sys.executable, "-m", "tissueid"],
@@ -50,7 +49,7 @@ def test_a_process_offers_the_same_and_says_nothing_else() -> None:
     assert (done.stdout.splitlines(), done.stderr) == (offered(words), "")
 
 
-def test_commands_are_offered_with_what_they_do() -> None:
+def test_commands_are_offered_with_what_they_do():
     assert offered("tissueid ") == [f"plain,{name}" for name in COMMANDS]
     assert offered("tissueid calibrate-") == ["plain,calibrate-frame"]
     lines = offered("tissueid insp", shell="zsh")
@@ -80,11 +79,11 @@ def test_commands_are_offered_with_what_they_do() -> None:
         ("tissueid --ver", "plain,--version"),
     ],
 )
-def test_what_can_follow_is_offered(typed: str, expected: str) -> None:
+def test_what_can_follow_is_offered(typed, expected):
     assert expected in offered(typed)
 
 
-def test_fish_asks_in_its_own_way() -> None:
+def test_fish_asks_in_its_own_way():
     assert any(
         line.startswith("plain,") and "--sampler" in line
         for line in offered("tissueid fit --samp", shell="fish")
@@ -99,14 +98,11 @@ def test_fish_asks_in_its_own_way() -> None:
         ("fish", ".config/fish/completions/tissueid.fish"),
     ],
 )
-def test_a_script_is_printed_or_installed_where_the_shell_looks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: str, place: str
-) -> None:
+def test_a_script_is_printed_or_installed_where_the_shell_looks(tmp_path, monkeypatch, shell, place):
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "ZDOTDIR"):
         monkeypatch.delenv(name, raising=False)
-    printed = run("completion", shell, code=0)
-    assert f"_TISSUEID_COMPLETE={shell}_complete" in printed.stdout
+    printed = run("completion", shell, code=0, shown=f"_TISSUEID_COMPLETE={shell}_complete")
     assert list(tmp_path.iterdir()) == []
     installed = run("completion", shell, "--install", code=0)
     assert (tmp_path / place).read_text(encoding="utf-8") == printed.stdout
@@ -114,18 +110,18 @@ def test_a_script_is_printed_or_installed_where_the_shell_looks(
     assert run("completion", shell, "--install", "-q").stderr == ""
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_place_that_cannot_be_written_is_told(tmp_path, monkeypatch):
     (tmp_path / ".zfunc").write_text("a file", encoding="ascii")
     monkeypatch.setenv("ZDOTDIR", str(tmp_path))
     run("completion", "zsh", "--install", code=2, said="print the script and place it yourself")
 
 
-def test_another_shell_is_refused_with_those_there_are() -> None:
+def test_another_shell_is_refused_with_those_there_are():
     run("completion", "tcsh", code=2, said="'bash', 'zsh', 'fish'")
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
-def test_bash_completes_with_the_printed_script(tmp_path: Path) -> None:
+def test_bash_completes_with_the_printed_script(tmp_path):
     command = tmp_path / "tissueid"
     command.write_text(
         f'#!/bin/sh\nPYTHONPATH={REPOSITORY} exec {sys.executable} -m tissueid "$@"\n', encoding="ascii"
@@ -149,7 +145,7 @@ def test_bash_completes_with_the_printed_script(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_accept_the_script(tmp_path: Path, shell: str) -> None:
+def test_other_shells_accept_the_script(tmp_path, shell):
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here")
     path = tmp_path / "script"

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import re
-from pathlib import Path
 
 import pytest
 from command_line import run
 from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.store.bundle import write_bundle
-from tissueid.store.schema import first_problem
 
 pytestmark = pytest.mark.needs_jit
 
 
-def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_path: Path) -> None:
+def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_path):
     path = tmp_path / "bundle.h5"
     write_bundle(bundle_of(PAPER_A), path)
 
-    ended = run("control", path, "--stiffness-scale", "100", "--json", "--seconds", "4", code=0)
-    document = ended.json()
-    assert first_problem(document, "control") is None
+    document = run("control", path, *["--stiffness-scale", "100", "--json", "--seconds", "4"], code=0).json(
+        "control"
+    )
     assert [one["name"] for one in document["runs"]] == ["adaptive", "frozen", "unscaled"]
     assert [one["stiffness_scale"] for one in document["runs"]] == [100.0, 100.0, 1.0]
     assert document["runs"][0]["measures"]["error_rms_mm"] < 0.01
@@ -35,13 +32,9 @@ def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_pa
     assert table["saturation"] == (None, "assumed")
 
 
-def test_what_the_user_states_is_called_stated() -> None:
-    ended = run(
-        "control", "--preset", "paper-a", "--json", "--seconds", "2", "--operator", "2", "5", "100",
-        "--virtual-mass", "3", "--gamma", "1", "2", "3", "--saturation", "50", "--frozen", "--start", "zero",
-    )  # fmt: skip
-
-    document = ended.json()
+def test_what_the_user_states_is_called_stated():
+    stated = "--operator 2 5 100 --virtual-mass 3 --gamma 1 2 3 --saturation 50 --frozen --start zero"
+    document = run(*["control", "--preset", "paper-a", "--json", "--seconds", "2"], *stated.split()).json()
     table = {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
     assert table["operator damping"] == (5.0, "stated")
     assert table["device mass"] == (1.158, "reading")
@@ -52,8 +45,8 @@ def test_what_the_user_states_is_called_stated() -> None:
     assert [one["start"] for one in document["runs"][0]["estimates"]] == [0.0, 0.0, 0.0]
 
 
-def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path: Path) -> None:
-    given = (
+def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path):
+    given = [
         "control",
         "--preset",
         "paper-a",
@@ -63,11 +56,9 @@ def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path: Path) -> None:
         "100",
         "--task",
         "impacts",
-    )
-    noise = ("--seconds", "20", "--noise", "0.05", "--seed", "3")
-
-    kept = run(*given, *noise)
-    lost = run(*given, *noise, "--no-projection")
+    ]
+    noise = ["--seconds", "20", "--noise", "0.05", "--seed", "3"]
+    kept, lost = run(*given, *noise), run(*given, *noise, "--no-projection")
 
     assert kept.code == 0, kept.stderr
     assert "DIVERGED" not in kept.stdout.splitlines()[3]
@@ -75,7 +66,7 @@ def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path: Path) -> None:
     assert re.search(r"^adaptive .*; DIVERGED at \d+\.\d+ s$", lost.stdout, re.MULTILINE)
 
 
-def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused() -> None:
+def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused():
     ended = run("control", "--preset", "paper-a", "--device", "sim", "--seconds", "2", code=0)
     assert re.search(r"^on sim    error 0\.[12]\d\d mm rms", ended.stdout, re.MULTILINE)
     assert "shaped by the guard" in ended.stdout
@@ -83,20 +74,16 @@ def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused() -> No
     run("control", "--preset", "paper-a", "--device", "falcon", code=5, said="falcon has no force sensor")
 
 
-def test_too_little_margin_and_a_tissue_left_behind_are_said() -> None:
+def test_too_little_margin_and_a_tissue_left_behind_are_said():
     ended = run("control", "--preset", "paper-a", "--virtual-mass", "0.5", "--stiffness-scale", "0.02")
 
     assert "less than 1.5 times it" in ended.stdout
     assert "deeper than the 8 mm that were identified" in ended.stdout
 
 
-def test_the_document_is_json_whatever_happens() -> None:
-    ended = run(
-        "control", "--preset", "paper-a", "--environment", "impedance", "--stiffness-scale", "100", "--json",
-        "--device", "sim", "--seconds", "2",
-    )  # fmt: skip
-
-    document = json.loads(ended.stdout)
-    assert first_problem(document, "control") is None
+def test_the_document_is_json_whatever_happens():
+    given = "control --preset paper-a --environment impedance --stiffness-scale 100 --seconds 2"
+    ended = run(*given.split(), "--json", "--device", "sim")
+    document = ended.json("control")
     assert document["device"]["error_rms_mm"] < 0.3
     assert ended.code == (0 if document["runs"][0]["measures"]["diverged_s"] is None else 4)

@@ -7,7 +7,6 @@ and ``watch``, which wait for something, are interrupted from outside in the tes
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import signal
@@ -15,20 +14,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import QUICK, REPOSITORY, run, write_log
+from command_line import QUICK, REPOSITORY, read_json, run, write_bundles, write_log
 from identify_stand_ins import of_prior
-from rendered_tissues import PAPER_A, bundle_of
 from test_cli_calibrate import RECIPE
-
-from tissueid.store.bundle import write_bundle
 
 SAID = "tissueid: interrupted; what was finished is kept\n"
 #: Command, and at which report of its progress the signal comes.
@@ -59,7 +53,7 @@ IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ctrl-c")
     write_log(folder / "lab" / "log.csv")
     write_log(folder / "lab" / "second.csv", label="other")
@@ -70,15 +64,13 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "ruptures").mkdir()
     for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-01-*.csv"):
         shutil.copy(path, folder / "ruptures")
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * np.random.default_rng(5).standard_normal((200, 5)))
-        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder)
     (folder / "old.json").write_text("what was here before", encoding="ascii")
     return folder
 
 
 @pytest.fixture
-def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def place(prepared, tmp_path, monkeypatch):
     """A copy of the prepared folder to work in; Ctrl-C is what it is in a shell."""
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
@@ -117,9 +109,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(("args", "step"), AT_A_STEP, ids=lambda value: str(value)[:40])
-def test_at_a_step_of_the_work(
-    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], step: int
-) -> None:
+def test_at_a_step_of_the_work(place, monkeypatch, args, step):
     before = contents(place)
     interrupt_at(monkeypatch, args[0], step)
     ended = run(*args)
@@ -134,9 +124,7 @@ def test_at_a_step_of_the_work(
 
 
 @pytest.mark.parametrize(("args", "function"), IN_A_FUNCTION, ids=lambda value: str(value)[:40])
-def test_in_the_middle_of_a_function(
-    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], function: str
-) -> None:
+def test_in_the_middle_of_a_function(place, monkeypatch, args, function):
     before = contents(place)
 
     def interrupted(*_args: Any, **_named: Any) -> None:
@@ -148,9 +136,7 @@ def test_in_the_middle_of_a_function(
     assert contents(place) == before
 
 
-def test_an_interrupted_calibration_goes_on_where_it_was(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_calibration_goes_on_where_it_was(place, monkeypatch):
     with monkeypatch.context() as patched:
         interrupt_at(patched, "calibrate", 8)
         assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code == 130
@@ -160,16 +146,14 @@ def test_an_interrupted_calibration_goes_on_where_it_was(
     gone_on = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
     assert gone_on[: len(kept)] == kept
     assert run("calibrate", "recipe.toml", "-o", "whole", "--simulations", "20").code in (0, 4, 7)
-    found = [json.loads((place / name / "calibrate.json").read_bytes()) for name in ("cal", "whole")]
+    found = [read_json(place / name / "calibrate.json") for name in ("cal", "whole")]
     for document in found:
         # a time is no result
         del document["simulations"]["median_seconds"]
     assert found[0] == found[1]
 
 
-def test_an_interrupted_fit_keeps_its_finished_specimens(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_fit_keeps_its_finished_specimens(place, monkeypatch):
     fit = ("fit", "lab", "-o", "new", "--workers", "1", *QUICK)
     step = 0
     while not list((place / "new").rglob("specimens/*.h5")) and step < 40:
@@ -185,7 +169,7 @@ def test_an_interrupted_fit_keeps_its_finished_specimens(
     assert run("validate", "new").code == 0
 
 
-def test_while_it_is_still_being_loaded(tmp_path: Path) -> None:
+def test_while_it_is_still_being_loaded(tmp_path):
     # a module that is imported first of all, and in which the signal comes
     (tmp_path / "click").mkdir()
     (tmp_path / "click" / "__init__.py").write_text(

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import shlex
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, REPOSITORY, run, write_log
+from command_line import QUICK, REPOSITORY, read_json, run, write_log
 from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.store.bundle import write_bundle
@@ -23,10 +21,10 @@ PAGE = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 GUESSES = ("--tissue", "tau=0.5~30%", "--tissue", "eta=1.3", "--tissue", "static_1_N_per_mm=5")
 
 
-def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path: Path) -> None:
+def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path):
     out = tmp_path / "plan"
     ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", out, code=0)
-    document = json.loads((out / "design.json").read_text(encoding="utf-8"))
+    document = read_json(out / "design.json")
     assert first_problem(document, "design") is None
     names = {"design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml"}
     assert {path.name for path in out.iterdir()} == names
@@ -46,11 +44,10 @@ def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path: Path) -> No
     assert run("design", "paper-a-30", "--machine", "bench", "-o", out, "-q").code == 0
 
 
-def test_json_is_the_document_and_nothing_else(tmp_path: Path) -> None:
+def test_json_is_the_document_and_nothing_else(tmp_path):
     wanted = ("--want", "tau=8%", "--want", "eta=5%", "--specimens", "4")
     ended = run("design", *GUESSES, "--max-depth", "6", "--machine", "bench", *wanted, "--json", code=0)
-    document = ended.json()
-    assert first_problem(document, "design") is None
+    document = ended.json("design")
     assert document["asked"]["wants"] == [
         {"name": "relaxation_time_s", "share": 0.08},
         {"name": "viscosity_N_s_per_mm", "share": 0.05},
@@ -62,7 +59,7 @@ def test_json_is_the_document_and_nothing_else(tmp_path: Path) -> None:
     assert max(row["depth_mm"] for row in best["indentations"]) <= 6.0
 
 
-def test_a_machine_on_which_none_can_is_told_so(tmp_path: Path) -> None:
+def test_a_machine_on_which_none_can_is_told_so(tmp_path):
     ended = run("design", "paper-a-30", "--machine", "slow-logger", "-o", tmp_path / "plan", code=4)
     assert "NONE on this machine reaches that; the nearest: tau to " in ended.stdout
     assert "limited by noise" in ended.stdout
@@ -71,7 +68,7 @@ def test_a_machine_on_which_none_can_is_told_so(tmp_path: Path) -> None:
     assert "None on this machine." in (tmp_path / "plan" / "design.html").read_text(encoding="utf-8")
 
 
-def test_a_bundle_is_planned_for_within_its_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bundle_is_planned_for_within_its_depth(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "lab" / "a.csv", label="liver")
     assert run("fit", "lab", "-o", "fitted", *QUICK, "-q").code == 0
@@ -88,7 +85,7 @@ def test_a_bundle_is_planned_for_within_its_depth(tmp_path: Path, monkeypatch: p
     assert any("beyond that its law is a continuation" in said for said in deeper["verdict"]["remarks"])
 
 
-def test_every_draw_of_a_bundle_counts(tmp_path: Path) -> None:
+def test_every_draw_of_a_bundle_counts(tmp_path):
     spread = np.exp(0.3 * np.random.default_rng(5).standard_normal((200, 1)))
     draws = np.repeat(PAPER_A.theta[None], 200, axis=0)
     draws[:, -1:] *= spread
@@ -129,12 +126,12 @@ def test_every_draw_of_a_bundle_counts(tmp_path: Path) -> None:
         ((*GUESSES, "--machine", "bench"), 2, "add --max-depth"),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_the_way_out(args: tuple[str, ...], code: int, says: str) -> None:
+def test_what_makes_no_sense_is_refused_with_the_way_out(args, code, says):
     ended = run("design", *args, code=code, said=says)
     assert code == 0 or len(ended.stderr.strip().splitlines()) == 1
 
 
-def test_files_that_no_plan_wrote_stay(tmp_path: Path) -> None:
+def test_files_that_no_plan_wrote_stay(tmp_path):
     (tmp_path / "study.toml").write_text("mine", encoding="utf-8")
     ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", tmp_path, code=2)
     assert "study.toml that no plan wrote" in ended.stderr
@@ -148,7 +145,7 @@ def blocks(language: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_page_of_documentation_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_of_documentation_runs_as_printed(tmp_path, monkeypatch):
     """Every command block, with the files the page gives; what it prints of their output is in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "140")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run, write_log
+from command_line import run, write_log, write_study
 from identify_stand_ins import of_prior
 from test_cli_examples import any_path, unfit
 from test_cli_impact import WHOLE, recordings
@@ -107,7 +107,7 @@ licence = "CC-BY-4.0"
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prepared(tmp_path_factory):
     """A folder with what the pages name, made once."""
     folder = tmp_path_factory.mktemp("docs")
     (folder / "tissueid.toml").write_text(SETTINGS, encoding="utf-8")
@@ -148,7 +148,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fitted(prepared: Path) -> Path:
+def fitted(prepared):
     """The same with a finished fit: what pages take for granted."""
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(prepared)
@@ -167,7 +167,7 @@ def fitted(prepared: Path) -> Path:
 
 
 @pytest.fixture
-def place(fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def place(fitted, tmp_path, monkeypatch):
     shutil.copytree(fitted, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
@@ -188,9 +188,7 @@ def made_ready(page: str, place: Path) -> None:
     if page == "rupture.md":
         for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-0[12]-*.csv"):
             shutil.copy(path, place / "lab_data")
-        (place / "study.toml").write_text(
-            'schema = "tissueid/study/1"\n[[trial]]\nfile = "lab_data/rupture-*.csv"\n', encoding="utf-8"
-        )
+        write_study(place, "[[trial]]", 'file = "lab_data/rupture-*.csv"')
 
 
 def typed(command: Command) -> None:
@@ -215,7 +213,7 @@ def typed(command: Command) -> None:
 @pytest.mark.slow
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("page", [page.name for page in PAGES])
-def test_commands_of_a_page_run(page: str, place: Path) -> None:
+def test_commands_of_a_page_run(page, place):
     made_ready(page, place)
     run_here = [one for one in commands_of(REPOSITORY / "docs" / page) if one.not_run is None]
     for command in run_here:
@@ -229,13 +227,13 @@ def test_commands_of_a_page_run(page: str, place: Path) -> None:
     [one for page in pages() for one in commands_of(page)],
     ids=lambda one: f"{one.page}:{one.line}",
 )
-def test_a_command_can_be_typed(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_can_be_typed(command, monkeypatch):
     any_path(monkeypatch)
     if command.words[0] == "tissueid" and not re.search(r"\b(FORMAT|PORT)\b", command.text):
         assert unfit(shlex.join(command.words)) is None
 
 
-def test_what_is_not_run_is_said_with_its_reason() -> None:
+def test_what_is_not_run_is_said_with_its_reason():
     index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
     used = {one.not_run for page in pages() for one in commands_of(page)} - {None}
     assert used == set(NOT_RUN)
@@ -243,7 +241,7 @@ def test_what_is_not_run_is_said_with_its_reason() -> None:
         assert f"* {why}" in index, why
 
 
-def test_the_index_names_every_page() -> None:
+def test_the_index_names_every_page():
     index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
     for page in (REPOSITORY / "docs").glob("*.md"):
         assert page.name == "index.md" or f"]({page.name})" in index.replace("\n  ", " "), page.name
@@ -254,14 +252,14 @@ def test_the_index_names_every_page() -> None:
     [*pages(), *(REPOSITORY / "docs" / name for name in ("options.md", "flags.md", "api.md"))],
     ids=lambda page: page.name,
 )
-def test_a_link_leads_somewhere(page: Path) -> None:
+def test_a_link_leads_somewhere(page):
     for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if "://" not in link and not link.startswith("#"):
             target = page.parent / link.partition("#")[0]
             assert target.exists(), link
 
 
-def test_the_table_of_slow_runs_agrees_with_the_files() -> None:
+def test_the_table_of_slow_runs_agrees_with_the_files():
     page = (REPOSITORY / "reports" / "slow" / "README.md").read_text(encoding="utf-8")
     listed = dict(
         re.findall(r"^\| ([\w-]+\.txt) \|.*\| (\d|not run to its end) \|$", page, flags=re.MULTILINE)
@@ -278,7 +276,7 @@ def test_the_table_of_slow_runs_agrees_with_the_files() -> None:
 
 
 @pytest.mark.parametrize("name", ["coverage.txt", "coverage-total.txt", "coverage-frames.txt"])
-def test_coverages_of_the_page_are_those_of_the_files(name: str) -> None:
+def test_coverages_of_the_page_are_those_of_the_files(name):
     page = (REPOSITORY / "docs" / "calibrate.md").read_text(encoding="utf-8")
     text = (REPOSITORY / "reports" / "slow" / name).read_text(encoding="utf-8")
     cases = re.findall(r"^(\S.*): \d+ specimens.*\n.*\n((?:\S.*\n)+?)(?:\.|F)$", text, flags=re.MULTILINE)

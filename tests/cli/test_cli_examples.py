@@ -29,7 +29,7 @@ def any_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _of_examples(monkeypatch: pytest.MonkeyPatch) -> None:
+def _of_examples(monkeypatch):
     any_path(monkeypatch)
 
 
@@ -55,7 +55,7 @@ def unfit(line: str) -> str | None:
 
 
 @pytest.mark.parametrize("name", [name for name, _ in WALKED], ids=" ".join)
-def test_a_command_has_help_and_examples_of_itself(name: tuple[str, ...]) -> None:
+def test_a_command_has_help_and_examples_of_itself(name):
     ended = run(*name, "--help", code=0)
     head, _, examples = ended.stdout.partition("Examples:")
     lines = [line.strip() for line in examples.strip().splitlines()]
@@ -67,7 +67,7 @@ def test_a_command_has_help_and_examples_of_itself(name: tuple[str, ...]) -> Non
 
 
 @pytest.mark.parametrize("line", [line for line, _ in EXAMPLES])
-def test_an_example_can_be_typed(line: str) -> None:
+def test_an_example_can_be_typed(line):
     assert unfit(line) is None
 
 
@@ -84,11 +84,11 @@ def test_an_example_can_be_typed(line: str) -> None:
         "tissueid reproduce everybody",
     ],
 )
-def test_what_cannot_be_typed_is_found(line: str) -> None:
+def test_what_cannot_be_typed_is_found(line):
     assert unfit(line) is not None
 
 
-def test_every_option_has_words() -> None:
+def test_every_option_has_words():
     silent = [
         f"{' '.join(name)} {option.opts[-1]}"
         for name, command in WALKED
@@ -98,6 +98,6 @@ def test_every_option_has_words() -> None:
     assert silent == []
 
 
-def test_the_page_of_options_is_that_of_the_program() -> None:
+def test_the_page_of_options_is_that_of_the_program():
     written = (REPOSITORY / "docs" / "options.md").read_text(encoding="utf-8")
     assert written == options_page(), "run scripts/write-docs"

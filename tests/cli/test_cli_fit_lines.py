@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import QUICK, run, write_log
+from command_line import QUICK, read_json, run, write_log
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
@@ -28,7 +27,6 @@ from tissueid.report.specimen_lines import (
     shared_lines,
     warning_lines,
 )
-from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results
 from tissueid.trial import Axes
@@ -38,7 +36,7 @@ parameter_lines = typed_call(parameter_lines)
 sampling_lines = typed_call(sampling_lines)
 
 
-def test_a_parameter_stands_with_both_intervals_to_one_place() -> None:
+def test_a_parameter_stands_with_both_intervals_to_one_place():
     fit = sampled(specimen_fit())
     known = fit.parameter("viscosity_N_s_per_mm").uncertainty
     assert known is not None
@@ -51,7 +49,7 @@ def test_a_parameter_stands_with_both_intervals_to_one_place() -> None:
     assert " ".join(first.replace("95 %", "").replace("total", "").split()) == f"eta {expected}"
 
 
-def test_sampler_and_noise_are_one_line_each_and_without_them_the_standard_error_stands() -> None:
+def test_sampler_and_noise_are_one_line_each_and_without_them_the_standard_error_stands():
     lines = parameter_lines(specimen_fit().as_json())
     assert lines[0] == "tau    1.500 ± 0.030 s"
     assert "eta    9.00 ± 0.11 N s/mm" in lines
@@ -63,7 +61,7 @@ def test_sampler_and_noise_are_one_line_each_and_without_them_the_standard_error
     ]
 
 
-def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradicted() -> None:
+def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradicted():
     (tau,) = [
         line for line in parameter_lines(sampled(specimen_fit(identified=False)).as_json()) if "tau" in line
     ]
@@ -80,14 +78,14 @@ def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradi
     assert alarm_lines(flagged.as_json()) == []
 
 
-def test_a_sampler_that_stopped_early_is_told_with_its_reason() -> None:
+def test_a_sampler_that_stopped_early_is_told_with_its_reason():
     fit = sampled(specimen_fit(), converged=False)
     (line,) = alarm_lines(fit.as_json())
     assert line.endswith("intervals are rough: R-hat of ln_tau_1 is 1.08 after 20,000 steps")
     assert "not converged" in sampling_lines(fit.as_json())[0]
 
 
-def test_normalised_results_are_said_in_their_units() -> None:
+def test_normalised_results_are_said_in_their_units():
     fit = replace(sampled(specimen_fit(), total=False), axes=Axes("1", "MPa"))
     lines = parameter_lines(fit.as_json())
     assert any(line.startswith("eta    9.00 MPa s") for line in lines)
@@ -99,12 +97,12 @@ def test_normalised_results_are_said_in_their_units() -> None:
     "fit",
     [sampled(specimen_fit()), sampled(specimen_fit(identified=False)), sampled(specimen_fit(), misfit=True)],
 )
-def test_lines_of_numbers_fit_a_terminal_of_a_hundred_columns(fit: SpecimenFit) -> None:
+def test_lines_of_numbers_fit_a_terminal_of_a_hundred_columns(fit):
     for line in (*parameter_lines(fit.as_json()), *sampling_lines(fit.as_json())):
         assert len(line) <= WIDTH
 
 
-def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
+def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print():
     fit = sampled(specimen_fit())
     known = fit.parameters[0].uncertainty
     assert known is not None
@@ -114,7 +112,7 @@ def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
     assert line == "a1     2.500×10⁻⁵ N/mm  95 % [2.400×10⁻⁵, 2.600×10⁻⁵]"
 
 
-def test_a_report_made_again_has_bands_and_draws_from_the_folder_alone(tmp_path: Path) -> None:
+def test_a_report_made_again_has_bands_and_draws_from_the_folder_alone(tmp_path):
     fits = [sampled(specimen_fit(trials=2, samples=60))]
     with OutputSet(tmp_path / "out") as outputs:
         write_results(outputs, identification(fits))
@@ -146,7 +144,7 @@ def document(name: str = "cow", codes: tuple[str, ...] = CODES, **options: Any) 
     return found
 
 
-def test_the_five_of_most_harm_stand_first_and_the_rest_is_counted() -> None:
+def test_the_five_of_most_harm_stand_first_and_the_rest_is_counted():
     lines = warning_lines(document())
     assert len(lines) == MOST_WARNINGS
     said = [line.split()[0] for _, line in lines]
@@ -163,7 +161,7 @@ def test_the_five_of_most_harm_stand_first_and_the_rest_is_counted() -> None:
     assert all(f"{code} was seen" in told for code in CODES)
 
 
-def test_what_most_of_a_batch_shares_is_counted_once() -> None:
+def test_what_most_of_a_batch_shares_is_counted_once():
     names = [f"FF{k}" for k in range(124)]
     batch = [document(name, ("preload",)) for name in names[:-1]] + [document(names[-1], ("gap",))]
     shared = shared_codes(batch)
@@ -177,7 +175,7 @@ def test_what_most_of_a_batch_shares_is_counted_once() -> None:
     assert shared_codes(batch[:2]) == ()
 
 
-def test_a_specimen_takes_few_lines_and_the_block_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_specimen_takes_few_lines_and_the_block_comes_first(capsys):
     _print_specimens([document()], verbose=0)
     blank, head, *lines = capsys.readouterr().out.splitlines()
     assert not blank
@@ -190,7 +188,7 @@ def test_a_specimen_takes_few_lines_and_the_block_comes_first(capsys: pytest.Cap
     assert "95 % [" in capsys.readouterr().out
 
 
-def test_the_block_names_what_is_not_identified_and_wraps_what_is_long() -> None:
+def test_the_block_names_what_is_not_identified_and_wraps_what_is_long():
     lines = block_lines(sampled(specimen_fit(identified=False)).as_json())
     assert any(line.endswith("tau not identified") for line in lines)
     assert all(len(line) <= WIDTH for line in lines)
@@ -216,7 +214,7 @@ ROWS = (
 )
 
 
-def test_a_specimen_among_many_has_one_line_of_its_first_program() -> None:
+def test_a_specimen_among_many_has_one_line_of_its_first_program():
     assert brief_measured_lines(ROWS) == [
         "measured    peak 10.00 ± 0.50 N, F(1 s) 8.00 ± 0.50 N, F(10 s) 6.00 ± 0.50 N, 2 more programs"
     ]
@@ -224,7 +222,7 @@ def test_a_specimen_among_many_has_one_line_of_its_first_program() -> None:
     assert brief_measured_lines([row("peak", None)]) == []
 
 
-def test_a_specimen_alone_shows_two_programs_and_counts_the_others() -> None:
+def test_a_specimen_alone_shows_two_programs_and_counts_the_others():
     lines = measured_lines(ROWS)
     assert lines[0].startswith(
         "measured program 1, no model, ± sd of 3 logs, ramp of 2 s: peak 10.00 ± 0.50 N"
@@ -248,12 +246,12 @@ def test_a_specimen_alone_shows_two_programs_and_counts_the_others() -> None:
         (["--tip", "flat:2", "--poisson", "0.6"], "0.6"),
     ],
 )
-def test_what_cannot_be_understood_is_wrong_usage(tmp_path: Path, args: list[str], said: str) -> None:
+def test_what_cannot_be_understood_is_wrong_usage(tmp_path, args, said):
     run("fit", write_log(tmp_path / "log.csv"), "-o", tmp_path / "out", *args, code=2, said=said)
     assert not (tmp_path / "out").exists()
 
 
-def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_path: Path) -> None:
+def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_path):
     log = write_log(tmp_path / "log.csv", stride=1)
     out = tmp_path / "out"
     ended = run(
@@ -263,7 +261,7 @@ def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_pat
     assert ended.code in (0, 4)
     lines = [line for line in ended.stdout.splitlines() if line.startswith(("  measured", "  modulus"))]
     assert [line.split()[0] for line in lines] == ["modulus", "measured,"]
-    specimen = json.loads((out / "identification.json").read_text())["specimens"][0]
+    specimen = read_json(out / "identification.json")["specimens"][0]
     asked = {
         entry["at"]["frequency_Hz"]: entry
         for entry in specimen["quoted"]["model"]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import QUICK, run, write_log
+from command_line import QUICK, read_json, run, write_log
 
 from tissueid.ingest import RECIPES, forget_readers
-from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, SyntheticLog, simulate
+from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, simulate
 from tissueid.synth.machines import mach1_text, shimadzu_text, zwick_workbook
 
 
@@ -26,7 +25,7 @@ def logs_of(document: dict[str, Any]) -> dict[str, int]:
     return {one["specimen"]: len(one["trials"]) for one in document["specimens"]}
 
 
-def test_files_with_one_header_label_are_one_specimen(tmp_path: Path) -> None:
+def test_files_with_one_header_label_are_one_specimen(tmp_path):
     for number in (1, 2, 3):
         write_log(tmp_path / "lab" / f"log-{number}.csv", label="kidney 7", force_times=1.0 + 0.02 * number)
     document = fit(tmp_path / "out", tmp_path / "lab", *QUICK)
@@ -36,7 +35,7 @@ def test_files_with_one_header_label_are_one_specimen(tmp_path: Path) -> None:
     assert {entry["specimen"] for entry in document["provenance"]["inputs"]} == {"kidney 7"}
 
 
-def test_files_without_label_are_their_own_even_under_one_name(tmp_path: Path) -> None:
+def test_files_without_label_are_their_own_even_under_one_name(tmp_path):
     for day in ("monday", "friday"):
         write_log(tmp_path / "lab" / day / "log.csv", label=None)
     write_log(tmp_path / "lab" / "friday" / "other.csv", label=None)
@@ -49,7 +48,7 @@ def test_files_without_label_are_their_own_even_under_one_name(tmp_path: Path) -
         assert one["model"]["static_pooling"] == "shared"
 
 
-def test_files_that_differ_in_their_suffix_alone_have_two_names(tmp_path: Path) -> None:
+def test_files_that_differ_in_their_suffix_alone_have_two_names(tmp_path):
     write_log(tmp_path / "log.csv", label=None)
     write_log(tmp_path / "log.txt", label=None)
     document = fit(tmp_path / "out", tmp_path / "log.csv", tmp_path / "log.txt", *QUICK)
@@ -57,7 +56,7 @@ def test_files_that_differ_in_their_suffix_alone_have_two_names(tmp_path: Path) 
     assert run("validate", tmp_path / "out").code == 0
 
 
-def test_a_label_and_a_file_of_that_name_stay_apart(tmp_path: Path) -> None:
+def test_a_label_and_a_file_of_that_name_stay_apart(tmp_path):
     write_log(tmp_path / "a.csv", label="log")
     write_log(tmp_path / "log.csv", label=None)
     document = fit(tmp_path / "out", tmp_path / "a.csv", tmp_path / "log.csv", *QUICK)
@@ -67,21 +66,21 @@ def test_a_label_and_a_file_of_that_name_stay_apart(tmp_path: Path) -> None:
     assert run("validate", tmp_path / "out").code == 0
 
 
-def test_specimen_by_groups_by_its_first_group_and_wins_over_the_header(tmp_path: Path) -> None:
+def test_specimen_by_groups_by_its_first_group_and_wins_over_the_header(tmp_path):
     for name in ("cow3_a", "cow3_b", "cow4_a"):
         write_log(tmp_path / "lab" / f"{name}.csv", label=f"label of {name}")
     document = fit(tmp_path / "out", tmp_path / "lab", "--specimen-by", r"(cow\d+)_", *QUICK)
     assert logs_of(document) == {"cow3": 2, "cow4": 1}
 
 
-def test_what_specimen_by_does_not_fit_is_grouped_with_nothing(tmp_path: Path) -> None:
+def test_what_specimen_by_does_not_fit_is_grouped_with_nothing(tmp_path):
     for name in ("x", "y", "cow1_a", "cow1_b"):
         write_log(tmp_path / "lab" / f"{name}.csv", label="same")
     document = fit(tmp_path / "out", tmp_path / "lab", "--specimen-by", r"cow\d", *QUICK)
     assert logs_of(document) == {"cow1": 2, "x": 1, "y": 1}
 
 
-def test_each_sheet_is_its_own_specimen(tmp_path: Path) -> None:
+def test_each_sheet_is_its_own_specimen(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
     book.remove(book.active)
@@ -99,7 +98,7 @@ def test_each_sheet_is_its_own_specimen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pooling", ["scaled", "partial", "shared"])
-def test_the_pooling_asked_for_is_the_one_reported(tmp_path: Path, pooling: str) -> None:
+def test_the_pooling_asked_for_is_the_one_reported(tmp_path, pooling):
     for number in (1, 2):
         write_log(tmp_path / "lab" / f"log-{number}.csv", force_times=1.0 + 0.1 * number)
     document = fit(tmp_path / "out", tmp_path / "lab", "--static", pooling, *QUICK)
@@ -115,9 +114,7 @@ def test_the_pooling_asked_for_is_the_one_reported(tmp_path: Path, pooling: str)
 
 
 @pytest.mark.parametrize(("branches", "degree"), [(1, 2), (2, 1), (3, 0)])
-def test_branches_and_degree_asked_for_are_fitted_and_reported(
-    tmp_path: Path, branches: int, degree: int
-) -> None:
+def test_branches_and_degree_asked_for_are_fitted_and_reported(tmp_path, branches, degree):
     log = write_log(tmp_path / "log.csv")
     args = ["--branches", str(branches), "--stiffness-degree", str(degree), "--sampler", "none"]
     (one,) = fit(tmp_path / "out", log, *args)["specimens"]
@@ -131,7 +128,7 @@ def test_branches_and_degree_asked_for_are_fitted_and_reported(
     assert one["selection"] == []
 
 
-def test_auto_prints_the_candidates_it_chose_from(tmp_path: Path) -> None:
+def test_auto_prints_the_candidates_it_chose_from(tmp_path):
     log = write_log(tmp_path / "log.csv")
     (one,) = fit(tmp_path / "out", log)["specimens"]
     tried = {(row["branches"], row["stiffness_degree"]) for row in one["selection"]}
@@ -140,7 +137,7 @@ def test_auto_prints_the_candidates_it_chose_from(tmp_path: Path) -> None:
     assert (1, 0) in tried
     assert chosen["branches"] == one["model"]["branches"]
     assert chosen["stiffness_degree"] == one["model"]["stiffness_degree"]
-    options = json.loads((tmp_path / "out" / "identification.json").read_bytes())["provenance"]["options"]
+    options = read_json(tmp_path / "out" / "identification.json")["provenance"]["options"]
     assert options["branches"] == options["stiffness_degree"] == "auto"
 
 
@@ -154,7 +151,7 @@ SMALL = Recipe(
 
 
 @pytest.fixture(scope="module")
-def logs() -> list[SyntheticLog]:
+def logs():
     return simulate(SMALL, rng=np.random.default_rng(3))
 
 
@@ -165,7 +162,7 @@ def inspected(*args: str | Path) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory, logs: list[SyntheticLog]) -> dict[str, Path]:
+def files(tmp_path_factory, logs):
     folder = tmp_path_factory.mktemp("sheets")
     found = {name: folder / f"synthetic.{name}" for name in ("xlsx", "txt", "csv", "zip")}
     found["xlsx"].write_bytes(zwick_workbook(logs))
@@ -190,56 +187,54 @@ PICKED = [
 
 
 @pytest.mark.parametrize(("kind", "sheet", "expected"), PICKED)
-def test_one_sheet_is_picked_by_option_or_behind_the_file(
-    files: dict[str, Path], kind: str, sheet: str, expected: list[str]
-) -> None:
+def test_one_sheet_is_picked_by_option_or_behind_the_file(files, kind, sheet, expected):
     assert [one["sheet"] for one in inspected(files[kind], "--sheet", sheet)] == expected
     assert [one["sheet"] for one in inspected(f"{files[kind]}::{sheet}")] == expected
 
 
-def test_a_sheet_that_is_not_there_is_refused_with_those_that_are(files: dict[str, Path]) -> None:
+def test_a_sheet_that_is_not_there_is_refused_with_those_that_are(files):
     ended = run("inspect", f"{files['xlsx']}::nothing", code=3, said="unknown_sheet")
     assert "'synthetic hold-1', 'synthetic hold-2', 'synthetic hold-3'" in ended.stderr
 
 
-def test_a_file_whose_name_has_the_mark_is_that_file(tmp_path: Path, logs: list[SyntheticLog]) -> None:
+def test_a_file_whose_name_has_the_mark_is_that_file(tmp_path, logs):
     path = tmp_path / "a::b.csv"
     path.write_bytes(EXPORTS["bare"].write(logs[0]))
     (one,) = inspected(path)
     assert one["path"] == str(path)
 
 
-def test_one_picked_sheet_is_fitted(files: dict[str, Path], tmp_path: Path) -> None:
+def test_one_picked_sheet_is_fitted(files, tmp_path):
     ended = run("fit", f"{files['txt']}::2", *QUICK, "-o", tmp_path / "out", "--json", code={0, 4})
     (entry,) = ended.json()["provenance"]["inputs"]
     assert (entry["sheet"], entry["recipe"]) == ("2: Stress Relaxation", "mach-1")
 
 
-def test_a_pattern_that_fits_nothing_is_a_wrong_option(files: dict[str, Path], tmp_path: Path) -> None:
+def test_a_pattern_that_fits_nothing_is_a_wrong_option(files, tmp_path):
     for args in (("inspect",), ("fit", *QUICK, "-o", tmp_path / "out")):
         ended = run(*args, files["xlsx"], "--specimen-by", r"cow(\d)", code=2, said="'cow(\\\\d)'")
         assert "synthetic hold-1" in ended.stderr
     assert not (tmp_path / "out" / "identification.json").exists()
 
 
-def test_a_pattern_that_fits_some_names_the_others(files: dict[str, Path]) -> None:
+def test_a_pattern_that_fits_some_names_the_others(files):
     ended = run("inspect", files["xlsx"], "--specimen-by", "hold-[12]", code=0, said="synthetic hold-3")
     assert "synthetic hold-1" not in ended.stderr
 
 
-def test_a_reader_that_is_none_names_every_one(files: dict[str, Path]) -> None:
+def test_a_reader_that_is_none_names_every_one(files):
     ended = run("inspect", files["txt"], "--recipe", "nope", code=2)
     for name in RECIPES:
         assert name in ended.stderr
 
 
-def test_inspect_says_why_a_reader_matched(files: dict[str, Path]) -> None:
+def test_inspect_says_why_a_reader_matched(files):
     ended = run("inspect", files["txt"], "-v")
     assert "Read as mach-1 (sure to 100%)".lower() in ended.stdout.lower()
     assert "because the first line is <Mach-1 File>" in ended.stdout
 
 
-def test_marks_that_the_text_leaves_open_can_be_stated(tmp_path: Path) -> None:
+def test_marks_that_the_text_leaves_open_can_be_stated(tmp_path):
     path = tmp_path / "open.csv"
     rows = "".join(f"{i + 1}.000;{i + 2}.500;{i + 3}.250\n" for i in range(20))
     path.write_text("Time;Extension;Load\n(s);(mm);(N)\n" + rows)
@@ -248,14 +243,14 @@ def test_marks_that_the_text_leaves_open_can_be_stated(tmp_path: Path) -> None:
     assert one["first"]["displacement_mm"] == 2.5
 
 
-def test_every_dialect_is_listed_with_what_it_is() -> None:
+def test_every_dialect_is_listed_with_what_it_is():
     ended = run("synth", "--dialects", code=0)
     for name, export in EXPORTS.items():
         assert f"{name} " in ended.stdout
         assert export.description in ended.stdout
 
 
-def test_a_dialect_of_another_machine_is_written_and_fitted(tmp_path: Path) -> None:
+def test_a_dialect_of_another_machine_is_written_and_fitted(tmp_path):
     folder = tmp_path / "synthetic"
     run("synth", "paper-a-22", "-o", folder, "--rate", "10", "--dialect", "mts-793-de", code=0)
     described = inspected(folder)
@@ -263,9 +258,7 @@ def test_a_dialect_of_another_machine_is_written_and_fitted(tmp_path: Path) -> N
     assert {one["recipe"] for one in described} == {"mts-793"}
 
 
-def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(
-    tmp_path: Path, logs: list[SyntheticLog], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(tmp_path, logs, monkeypatch):
     info = tmp_path / "site" / "broken-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
@@ -282,7 +275,7 @@ def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(
     assert "warning: the installed reader 'mine (no_such_module_at_all:RECIPE)'" in ended.stderr
 
 
-def test_a_mean_curve_is_left_out_with_one_line(tmp_path: Path) -> None:
+def test_a_mean_curve_is_left_out_with_one_line(tmp_path):
     write_log(tmp_path / "Mean.csv")
     write_log(tmp_path / "cow.csv")
     ended = run("fit", tmp_path, "-o", tmp_path / "out", *QUICK, code=0)

@@ -8,20 +8,19 @@ import os
 import subprocess
 import sys
 import unicodedata
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, REPOSITORY, Ended, log_text, run, start, write_log
+from command_line import QUICK, REPOSITORY, Ended, log_text, read_json, run, start, write_log
 
 from tissueid.synth import DIALECTS, Hold, Log, Move, SyntheticLog, bluehill_csv, recipe, simulate
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="rights and names of a POSIX system")
 
 
-def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_lines(tmp_path: Path) -> None:
+def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_lines(tmp_path):
     folder, out, repeats = tmp_path / "lab", tmp_path / "out", 5
     sound = write_lab(folder, repeats=repeats)
     log = sound_logs(repeats)[0]
@@ -39,7 +38,7 @@ def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_li
             text for text in lines if text.startswith(start_of_line) and (name in text or "ramp" in name)
         )
         assert word in said
-    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    document = read_json(out / "identification.json")
     assert document["exit"]["code"] == 7
     used = [entry["path"] for entry in document["provenance"]["inputs"]]
     assert len(used) == sound + 1
@@ -50,9 +49,7 @@ def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_li
     assert "paper-a-02  10 logs" in ended.stdout
 
 
-def test_many_specimens_that_are_not_identified_are_all_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_many_specimens_that_are_not_identified_are_all_named(tmp_path, monkeypatch, capfd):
     from types import SimpleNamespace
 
     from tissueid.cli import fit_command
@@ -88,7 +85,7 @@ NAMES = {
 
 
 @linux_only
-def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path) -> None:
+def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path):
     folder, out = tmp_path / "Ünï 🐄 lab", tmp_path / "oút put"
     folder.mkdir()
     logs = {name: text for name, text in NAMES.items() if not text.startswith(".")}
@@ -100,7 +97,7 @@ def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path
     assert "\x1b[31m" not in shown.stdout
     few = [folder / NAMES[key] for key in ("composed", "decomposed", "emoji", "line break", "html", "long")]
     run("fit", *few, "-o", out, *QUICK, code={0, 4})
-    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    document = read_json(out / "identification.json")
     # names that differ in nothing but their normal form are two files and two specimens
     assert len({one["specimen"] for one in document["specimens"]}) == len(few)
     assert run("validate", out).code == 0
@@ -109,7 +106,7 @@ def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path
 
 
 @linux_only
-def test_a_refusal_of_an_oddly_named_file_stays_on_its_line(tmp_path: Path) -> None:
+def test_a_refusal_of_an_oddly_named_file_stays_on_its_line(tmp_path):
     for key in ("line break", "escape", "override", "tab"):
         (tmp_path / NAMES[key]).write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(60))
     ended = run("inspect", tmp_path, code=3)
@@ -121,7 +118,7 @@ def test_a_refusal_of_an_oddly_named_file_stays_on_its_line(tmp_path: Path) -> N
 
 
 @linux_only
-def test_a_name_that_is_no_unicode_is_refused_and_the_others_are_read(tmp_path: Path) -> None:
+def test_a_name_that_is_no_unicode_is_refused_and_the_others_are_read(tmp_path):
     bad = os.fsdecode(bytes(tmp_path) + b"/caf\xe9.csv")
     Path(bad).write_text(log_text(), encoding="ascii")
     write_log(tmp_path / "good.csv")
@@ -132,7 +129,7 @@ def test_a_name_that_is_no_unicode_is_refused_and_the_others_are_read(tmp_path: 
 
 
 @pytest.fixture(scope="module")
-def comma_locale(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def comma_locale(tmp_path_factory):
     """Environment in which a locale with a decimal comma is installed; compiled for the test where needed."""
     names = ("de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "fr_FR.utf8")
     installed = subprocess.run(["locale", "-a"], capture_output=True, text=True, check=False).stdout.split()
@@ -142,12 +139,8 @@ def comma_locale(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("locales")
     target = folder / "de_DE.UTF-8"
     try:
-        subprocess.run(
-            ["localedef", "-i", "de_DE", "-f", "UTF-8", str(target)],
-            capture_output=True,
-            check=False,
-            timeout=60,
-        )
+        made = ["localedef", "-i", "de_DE", "-f", "UTF-8", str(target)]
+        subprocess.run(made, capture_output=True, check=False, timeout=60)
     except OSError:
         pytest.skip("no locale with a decimal comma is installed, and there is no localedef to compile one")
     if not target.is_dir():
@@ -166,9 +159,7 @@ sys.exit(main(sys.argv[2:]))
 
 @pytest.mark.slow
 @linux_only
-def test_a_locale_with_a_decimal_comma_changes_no_number(
-    tmp_path: Path, comma_locale: dict[str, str]
-) -> None:
+def test_a_locale_with_a_decimal_comma_changes_no_number(tmp_path, comma_locale):
     write_log(tmp_path / "lab" / "points.csv", stride=8)
     text = log_text(label="other", stride=8, force_times=1.2)
     head, body = text.split("(N)\n")
@@ -207,7 +198,7 @@ def run_bound(*args: str | Path) -> Ended:
 
 
 @pytest.fixture
-def locked(tmp_path: Path) -> Iterator[list[Path]]:
+def locked(tmp_path):
     """Paths whose rights are given back, so that the folder can be cleared."""
     paths: list[Path] = []
     yield paths
@@ -217,7 +208,7 @@ def locked(tmp_path: Path) -> Iterator[list[Path]]:
 
 @pytest.mark.slow
 @linux_only
-def test_read_only_recordings_are_fitted_into_another_folder(tmp_path: Path, locked: list[Path]) -> None:
+def test_read_only_recordings_are_fitted_into_another_folder(tmp_path, locked):
     log = write_log(tmp_path / "lab" / "log.csv", stride=8)
     locked += [log, log.parent]
     log.chmod(0o400)
@@ -228,7 +219,7 @@ def test_read_only_recordings_are_fitted_into_another_folder(tmp_path: Path, loc
 
 
 @linux_only
-def test_a_read_only_output_folder_is_6_on_one_line(tmp_path: Path, locked: list[Path]) -> None:
+def test_a_read_only_output_folder_is_6_on_one_line(tmp_path, locked):
     log = write_log(tmp_path / "lab" / "log.csv", stride=8)
     out = tmp_path / "out"
     out.mkdir()
@@ -243,7 +234,7 @@ def test_a_read_only_output_folder_is_6_on_one_line(tmp_path: Path, locked: list
 
 
 @linux_only
-def test_what_may_not_be_read_is_named_and_the_rest_goes_on(tmp_path: Path, locked: list[Path]) -> None:
+def test_what_may_not_be_read_is_named_and_the_rest_goes_on(tmp_path, locked):
     lab = tmp_path / "lab"
     write_log(lab / "good.csv", stride=8)
     secret = write_log(lab / "secret.csv")
@@ -261,9 +252,7 @@ def test_what_may_not_be_read_is_named_and_the_rest_goes_on(tmp_path: Path, lock
         assert "unreadable_file" in line
 
 
-def test_a_slow_folder_shows_progress_and_reads_each_file_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_folder_shows_progress_and_reads_each_file_once(tmp_path, monkeypatch):
     from tissueid.ingest import find_inputs, loading, read_each, read_one
     from tissueid.pipeline import identify
 

@@ -37,7 +37,7 @@ def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
     return folder
 
 
-def test_the_simulated_device_gives_the_force_of_the_law(tmp_path: Path) -> None:
+def test_the_simulated_device_gives_the_force_of_the_law(tmp_path):
     quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
     assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
     ended = run(
@@ -62,19 +62,14 @@ def test_the_simulated_device_gives_the_force_of_the_law(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("variant", ["flores", "exact"])
-def test_the_law_of_recordings_is_written_and_felt_in_a_scene(tmp_path: Path, variant: str) -> None:
+def test_the_law_of_recordings_is_written_and_felt_in_a_scene(tmp_path, variant):
     (tmp_path / "rig").mkdir()
     model = "power * impact" if variant == "flores" else "power * impact-exact"
     options = (
         "--model",
         model,
-        "--sampler",
-        "none",
-        "--specimen-by",
-        "(rig)",
-        "-o",
+        *["--sampler", "none", "--specimen-by", "(rig)", "--json", "-o"],
         tmp_path / "wall",
-        "--json",
     )
     ended = run("fit", recordings(tmp_path / "rig", WHOLE), *options, code=0)
     (specimen,) = ended.json()["specimens"]
@@ -92,7 +87,7 @@ def test_the_law_of_recordings_is_written_and_felt_in_a_scene(tmp_path: Path, va
     assert there == pytest.approx(found["c"]["value"] * 2.0 ** found["n"]["value"], rel=1e-12)
 
 
-def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path: Path) -> None:
+def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path):
     (tmp_path / "rig").mkdir()
     options = (*IMPACT, "--sampler", "none", "--specimen-by", "(rig)", "-o", tmp_path / "wall", "--json")
     ended = run("fit", recordings(tmp_path / "rig", RAMP), *options, code=4)
@@ -110,13 +105,13 @@ def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path: Path) -> 
         load_scene(str(tmp_path / "scene.toml"))
 
 
-def test_a_law_that_is_none_is_refused_with_its_file(tmp_path: Path) -> None:
+def test_a_law_that_is_none_is_refused_with_its_file(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
     with pytest.raises(BundleError, match=r"bundle\.h5"):
         load_scene(str(tmp_path / "scene.toml"))
 
 
-def test_formats_of_exponentials_refuse_a_speed_ratio(tmp_path: Path) -> None:
+def test_formats_of_exponentials_refuse_a_speed_ratio(tmp_path):
     quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
     assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
     for form in ("c-header", "abaqus", "febio"):
@@ -125,6 +120,6 @@ def test_formats_of_exponentials_refuse_a_speed_ratio(tmp_path: Path) -> None:
     assert run("export", tmp_path / "out", "--format", "mat", "-o", tmp_path / "mat").code == 0
 
 
-def test_the_option_that_it_was_names_the_model(tmp_path: Path) -> None:
+def test_the_option_that_it_was_names_the_model(tmp_path):
     ended = run("fit", tmp_path, "--contact-law", "hertz-impact", code=2, said='--model "power * impact"')
     assert len(ended.stderr.strip().splitlines()) == 1

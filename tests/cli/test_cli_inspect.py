@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import openpyxl
 import pytest
-from command_line import LOG, REPOSITORY, Ended, run, write_log
+from command_line import LOG, REPOSITORY, run, write_csv, write_log, write_study
 
 from tissueid.store.schema import first_problem
 
@@ -29,7 +29,7 @@ def page_entries(page: Path) -> list[dict[str, Any]]:
     return [table[0] for text in texts for table in tomllib.loads(unescape(text)).values()]
 
 
-def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path: Path) -> None:
+def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path):
     text = run("inspect", write_log(tmp_path / "log.csv"), "-v").stdout
     (ramp,) = re.findall(r"ramp +\S+ to \S+ s, (\S+) mm/s \((\S+) mm/min\)", text)
     # the log's ramp goes 8 mm at 250 mm/min: 48 samples, its ends known to one
@@ -41,7 +41,7 @@ def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path: Path) -> None:
     assert "because " in text
 
 
-def test_page_and_json_of_one_run_agree(tmp_path: Path) -> None:
+def test_page_and_json_of_one_run_agree(tmp_path):
     write_log(tmp_path / "data" / "one log.csv")
     page = tmp_path / "out.html"
     ended = run("inspect", tmp_path / "data", "--html", page, "--json", code=0)
@@ -53,30 +53,28 @@ def test_page_and_json_of_one_run_agree(tmp_path: Path) -> None:
     assert document["recipe_reason"] in unescape(html)
 
 
-def test_entries_name_files_as_seen_from_the_folder_of_the_study(tmp_path: Path) -> None:
+def test_entries_name_files_as_seen_from_the_folder_of_the_study(tmp_path):
     write_log(tmp_path / "data" / "pig 1" / "läuft [3].csv")
     page = tmp_path / "out.html"
     run("inspect", tmp_path / "data", "--html", page, "-q")
     assert {entry["file"] for entry in page_entries(page)} == {"pig 1/läuft [3].csv"}
     # a study above the folder is the one that is meant
-    (tmp_path / "study.toml").write_text('schema = "tissueid/study/1"\n', encoding="utf-8")
+    write_study(tmp_path)
     run("inspect", tmp_path / "data" / "pig 1", "--html", page, "-q")
     assert {entry["file"] for entry in page_entries(page)} == {"data/pig 1/läuft [3].csv"}
 
 
 def inspected(*args: str | Path) -> dict[str, Any]:
-    ended: Ended = run("inspect", *args, "--json", code=0)
-    (document,) = ended.json()
+    (document,) = run("inspect", *args, "--json", code=0).json()
     return dict(document)
 
 
-def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path: Path) -> None:
+def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path):
     write_log(tmp_path / "läuft [3].csv")
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n'
-        '[[override]]\nfile = "läuft [3].csv"\ncontact_mm = 0.5\nbecause = "seen by eye"\n'
-        '[[exclude]]\nfile = "läuft [3].csv"\nbecause = "slipped"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[override]]\nfile = "läuft [3].csv"\ncontact_mm = 0.5\nbecause = "seen by eye"',
+        '[[exclude]]\nfile = "läuft [3].csv"\nbecause = "slipped"',
     )
     followed = inspected(tmp_path)
     assert followed["contact"]["displacement_mm"] == 0.5
@@ -90,7 +88,7 @@ def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path: P
     assert named["contact"] == followed["contact"]
 
 
-def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path: Path) -> None:
+def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path):
     write_log(tmp_path / "data" / "good.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
     page = tmp_path / "out.html"
@@ -100,17 +98,17 @@ def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path: Path
     assert "Nothing could be read" in page.read_text(encoding="utf-8")
 
 
-def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path):
     log = write_log(tmp_path / "good.csv")
     run("inspect", log, "--html", tmp_path / "no" / "such" / "page.html", code=2, said="can't be written")
 
 
-def test_loops_are_measured(shared_data: Path) -> None:
+def test_loops_are_measured(shared_data):
     text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0", "-v").stdout
     assert len(re.findall(r"^  loop \d", text, flags=re.MULTILINE)) == 3
 
 
-def test_no_command_is_inspect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_command_is_inspect(tmp_path, monkeypatch):
     log = write_log(tmp_path / "one.csv")
     named, plain = run("inspect", log), run(log)
     assert (plain.code, plain.stdout) == (0, named.stdout)
@@ -125,7 +123,7 @@ def test_no_command_is_inspect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "missing.csv" in run("missing.csv").stderr
 
 
-def test_a_command_goes_before_a_file_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_goes_before_a_file_of_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(Path("doctor"))
     assert "F(1 s)" not in run("doctor").stdout
@@ -133,7 +131,7 @@ def test_a_command_goes_before_a_file_of_its_name(tmp_path: Path, monkeypatch: p
     assert "No such command" in run("inspct").stderr
 
 
-def test_a_look_at_a_file_loads_no_compiler(tmp_path: Path) -> None:
+def test_a_look_at_a_file_loads_no_compiler(tmp_path):
     log = write_log(tmp_path / "one.csv")
     code = (
         "import sys; from tissueid.cli.main import main; "
@@ -147,7 +145,7 @@ def test_a_look_at_a_file_loads_no_compiler(tmp_path: Path) -> None:
     assert ended.stdout.strip() == "0 []"
 
 
-def test_every_recording_has_a_line_and_all_a_summary(tmp_path: Path) -> None:
+def test_every_recording_has_a_line_and_all_a_summary(tmp_path):
     for name in ("a.csv", "b.csv"):
         write_log(tmp_path / name)
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
@@ -160,7 +158,7 @@ def test_every_recording_has_a_line_and_all_a_summary(tmp_path: Path) -> None:
     assert "read as bluehill-csv" in run(tmp_path, "-v").stdout
 
 
-def test_tables_hold_what_the_json_says(tmp_path: Path) -> None:
+def test_tables_hold_what_the_json_says(tmp_path):
     log = write_log(tmp_path / "one.csv")
     table, book = tmp_path / "m.csv", tmp_path / "m.xlsx"
     (document,) = run(log, "--json", "--csv", table, "--xlsx", book).json()
@@ -176,7 +174,7 @@ def test_tables_hold_what_the_json_says(tmp_path: Path) -> None:
     assert dict(zip(head, cells, strict=True))["force_1s_N"] == pytest.approx(at[1.0]["after_stop_N"])
 
 
-def test_a_softer_push_is_said(tmp_path: Path) -> None:
+def test_a_softer_push_is_said(tmp_path):
     for number, times in enumerate((1.0, 1.01, 0.99, 0.8)):
         write_log(tmp_path / f"{number}.csv", label="liver", force_times=times)
     verdicts = [one["verdict"] for one in run(tmp_path, "--json").json()]
@@ -184,7 +182,7 @@ def test_a_softer_push_is_said(tmp_path: Path) -> None:
     assert "19 % softer than the last push, spread 1 %" in verdicts[-1]["reason"]
 
 
-def test_sheets_stand_below_their_file(shared_data: Path) -> None:
+def test_sheets_stand_below_their_file(shared_data):
     book = shared_data / "zwick-meat-gpl3" / "230403_C_Indentation_relaxation_500N_force.xlsx"
     lines = run(book).stdout.splitlines()
     assert lines[0] == book.name
@@ -193,14 +191,12 @@ def test_sheets_stand_below_their_file(shared_data: Path) -> None:
     assert "start in contact" in lines[-2] + lines[-1]
 
 
-def test_the_command_line_takes_them_and_says_so(tmp_path: Path) -> None:
+def test_the_command_line_takes_them_and_says_so(tmp_path):
     time = np.arange(0.0, 14.0, 0.02)
     depth = np.minimum(time, 4.0)
     force = 2.0 * depth + 3.0 * np.where(time < 4.0, depth, 4.0 * np.exp(-(time - 4.0) / 2.0))
-    lines = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time, depth, force, strict=True)]
     for name in ("one.csv", "two.csv"):
-        rows = "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *lines])
-        (tmp_path / name).write_text(rows + "\n", encoding="utf-8")
+        write_csv(tmp_path / name, time, depth, force)
     ended = run("inspect", str(tmp_path), "--hold-from", "4.5", "--exclude", "two.csv", "--json")
     one, two = ended.json()
     assert [phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"] == [pytest.approx(4.5)]
@@ -210,22 +206,22 @@ def test_the_command_line_takes_them_and_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", [("--json",), ("--html", "x.html"), ("--no-study",)])
-def test_a_served_page_takes_no_other_output(tmp_path: Path, other: tuple[str, ...]) -> None:
+def test_a_served_page_takes_no_other_output(tmp_path, other):
     (tmp_path / "one.csv").write_text("x", encoding="ascii")
     run("inspect", str(tmp_path), "--serve", *other, code=2, said=other[0])
 
 
-def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path: Path) -> None:
+def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path):
     (tmp_path / "one.csv").write_text("x", encoding="ascii")
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"\n'
-        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"',
+        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"',
     )
     run("inspect", str(tmp_path), code=3, said="line 2: one.csv: hold_from_s = 5 is not before end_s = 4")
 
 
-def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path: Path) -> None:
+def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):
     shutil.copy(LOG, tmp_path / "one.csv")
     serving = subprocess.Popen(
         [sys.executable, "-m", "tissueid", "inspect", str(tmp_path / "one.csv"), "--serve", "--no-browser"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import time
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import LOG, QUICK, run, start, write_log
+from command_line import LOG, QUICK, read_json, run, start, until, write_log
 
 from tissueid.store.files import IDENTIFICATION, POSTERIORS
 from tissueid.store.posteriors import load_posteriors
@@ -30,7 +29,7 @@ class Prepared:
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kill")
     log = write_log(folder / "log.csv")
     numbers = []
@@ -71,26 +70,24 @@ def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> i
     return whole
 
 
-def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared, tmp_path):
     assert survived_kills(prepared, tmp_path, kills=3, seed=20) == 3
 
 
 @pytest.mark.slow
-def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared, tmp_path):
     assert survived_kills(prepared, tmp_path, kills=20, seed=21) == 20
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
-def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets: Path, tmp_path: Path) -> None:
+def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets, tmp_path):
     out = tmp_path / "out"
     run("fit", write_log(tmp_path / "log.csv"), "-o", out, "-q", *QUICK)
     before = (out / "identification.json").read_bytes()
     runs = set((out / ".runs").iterdir())
     with start("fit", datasets / "paper-a-30-10Hz", "-o", out) as process:
         # the new run's folder appears when the work begins, and fitting 30 logs takes seconds from there
-        deadline = time.monotonic() + 60.0
-        while set((out / ".runs").iterdir()) == runs and time.monotonic() < deadline:
-            time.sleep(0.02)
+        until(lambda: set((out / ".runs").iterdir()) != runs)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=60)
@@ -102,17 +99,15 @@ def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets: Path, tmp_path: P
     assert set((out / ".runs").iterdir()) == runs
 
 
-def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared, tmp_path):
     out = tmp_path / "out"
     with start("fit", prepared.log, "-o", out, "-q", *RUNS[1]) as process:
-        deadline = time.monotonic() + 60.0
-        while not (out / ".runs").exists() and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until((out / ".runs").exists)
         process.kill()
     assert run("validate", out).code == 6
     assert not (out / "identification.json").exists()
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[1]).code in (0, 4)
-    assert json.loads((out / "identification.json").read_bytes()) == json.loads(prepared.numbers[1])
+    assert (out / "identification.json").read_bytes() == prepared.numbers[1]
 
 
 #: Enough for some seconds of sampling, so that a chain is on the disk before it ends.
@@ -122,13 +117,11 @@ PATIENCE_S = 600.0
 
 
 @pytest.mark.slow
-def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_run(tmp_path: Path) -> None:
+def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_run(tmp_path):
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     command = ("fit", LOG, *QUICK, "--sampler", "emcee", "--draws", DRAWS, "--seed", "7", "-o")
     process = start(*command, killed)
-    until = time.monotonic() + PATIENCE_S
-    while process.poll() is None and time.monotonic() < until and not any(killed.glob(".sampling/*.npz")):
-        time.sleep(0.02)
+    until(lambda: process.poll() is not None or any(killed.glob(".sampling/*.npz")), PATIENCE_S)
     assert process.poll() is None, "sampled to its end before it could be killed"
     process.kill()
     process.communicate()
@@ -146,7 +139,7 @@ def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_r
     (resumed,), (expected,) = (load_posteriors(out / POSTERIORS) for out in (killed, whole))
     assert np.array_equal(resumed.chain, expected.chain)
     assert np.array_equal(resumed.draws, expected.draws)
-    told = [json.loads((out / IDENTIFICATION).read_bytes())["specimens"] for out in (killed, whole)]
+    told = [read_json(out / IDENTIFICATION)["specimens"] for out in (killed, whole)]
     assert told[0] == told[1]
     # the kill came before the end: kept chains are thinned, their report counts every step
     assert told[0][0]["sampler"]["detail"]["steps"] > steps

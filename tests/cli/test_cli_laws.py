@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import run, write_csv, write_study
 
 import tissueid as ti
 from tissueid.model.base import ContactPath
@@ -63,13 +63,12 @@ def recorded(name: str, path: Path) -> dict[str, float]:
     force = model.force(np.array(list(truth.values())), ContactPath(time, depth))
     force = force + np.random.default_rng([3, *name.encode()]).normal(0.0, 0.15, time.size)
     travel = np.where(time < 0.5, 4.0 * (time - 0.5), depth)
-    rows = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time, travel + 2.0, force, strict=True)]
-    path.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows]) + "\n", encoding="ascii")
+    write_csv(path, time, travel + 2.0, force)
     return truth
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_law_is_fitted_written_felt_and_told(name: str, tmp_path: Path) -> None:
+def test_a_law_is_fitted_written_felt_and_told(name, tmp_path):
     truth = recorded(name, tmp_path / "log.csv")
     out = tmp_path / "out"
     (tmp_path / "study.toml").write_text(STUDY, encoding="ascii")
@@ -98,7 +97,7 @@ def test_a_law_is_fitted_written_felt_and_told(name: str, tmp_path: Path) -> Non
         assert abs(truth[key] - 0.5 * (low + high)) <= high - low, key
 
 
-def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path: Path) -> None:
+def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     for name, said in (
         ("cubic * prony", "there are exponential, flat"),
@@ -110,7 +109,7 @@ def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path: Path) -> 
     assert "says it already" in ended.stderr
 
 
-def test_models_lists_every_law_flat() -> None:
+def test_models_lists_every_law_flat():
     rows = json.loads(run("models", "--json").stdout)
     assert {row["key"] for row in rows} >= {*known_laws(), "kelvin-voigt"}
     assert all(isinstance(row["parameters"], list) for row in rows)
@@ -118,7 +117,7 @@ def test_models_lists_every_law_flat() -> None:
     assert run("models", "nope").code == 2
 
 
-def test_another_law_is_exported(tmp_path: Path) -> None:
+def test_another_law_is_exported(tmp_path):
     recorded("power * fractional", tmp_path / "log.csv")
     out = tmp_path / "out"
     quick = ("--sampler", "none", "--no-study", "-q")
@@ -128,7 +127,7 @@ def test_another_law_is_exported(tmp_path: Path) -> None:
         assert any(tmp_path.glob(f"{form}*")), form
 
 
-def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path: Path) -> None:
+def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path):
     recorded("power * fung", tmp_path / "log.csv")
     (tmp_path / "study.toml").write_text(STUDY, encoding="ascii")
     asked = ("--study", tmp_path / "study.toml", "-q", "--draws", "300")
@@ -144,7 +143,7 @@ def test_tissues_of_two_laws_are_compared_by_their_forces(tmp_path: Path) -> Non
     assert "relaxation time, longest [s]" in rows
 
 
-def test_a_protocol_is_planned_for_the_tissue_of_another_law(tmp_path: Path) -> None:
+def test_a_protocol_is_planned_for_the_tissue_of_another_law(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     out = tmp_path / "out"
     quick = ("--sampler", "none", "--no-study", "-q")
@@ -203,9 +202,7 @@ def test_the_choice_says_how_far_the_mark_is():
 @pytest.mark.system
 def test_it_goes_from_a_recording_to_the_hand(tmp_path):
     trial = pushed(lambda x: 20.0 * x, 2.0, noise=0.3)
-    rows = zip(trial.time_s, trial.displacement_mm, trial.force_N, strict=True)
-    lines = ["time (s),displacement (mm),force (N)", *(f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in rows)]
-    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
+    write_csv(tmp_path / "log.csv", trial.time_s, trial.displacement_mm, trial.force_N)
     out = tmp_path / "out"
     ended = run("fit", tmp_path / "log.csv", "--model", "yardstick", "--json", "-o", out, code=0)
     document = json.loads(ended.stdout)["specimens"][0]
@@ -219,14 +216,12 @@ def test_it_goes_from_a_recording_to_the_hand(tmp_path):
 
 def test_a_study_names_the_model(tmp_path, datasets):
     (tmp_path / "log.csv").write_bytes((datasets / "paper-a-hold-100Hz" / "hold-8-1.csv").read_bytes())
-    study = tmp_path / "study.toml"
-    said = 'schema = "tissueid/study/1"\n[model]\n{}\n'
     quick = ("--sampler", "none", "--json", "-o", tmp_path / "out")
     for line, name in (
         ('name = "power * prony"', "power * prony"),
         ('candidates = ["polynomial * prony:1", "power * fung"]', "polynomial * prony:1"),
     ):
-        study.write_text(said.format(line), encoding="utf-8")
+        write_study(tmp_path, "[model]", line)
         ended = run("fit", tmp_path, *quick, code={0, 4})
         document = json.loads(ended.stdout)
         assert document["specimens"][0]["model"]["name"] == name
@@ -237,5 +232,5 @@ def test_a_study_names_the_model(tmp_path, datasets):
         ('name = "hooke"', "'hooke' is no model"),
         ('name = "auto"\ncandidates = ["auto"]', "one of them"),
     ):
-        study.write_text(said.format(line), encoding="utf-8")
+        write_study(tmp_path, "[model]", line)
         run("fit", tmp_path, *quick, code=3, said=(words, "study.toml"))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import run, write_study
 
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -18,25 +18,25 @@ KV = "kelvin-voigt"
 PLAIN, TWO, BENT = LawOrder(KV, 1, 0), LawOrder(KV, 2, 0), LawOrder(KV, 2, 1)
 
 
-def test_the_simplest_order_within_one_standard_error_over_specimens_is_taken() -> None:
+def test_the_simplest_order_within_one_standard_error_over_specimens_is_taken():
     clear = [{PLAIN: -0.5 + k, TWO: 0.0} for k in (0.1, 0.0, -0.1, 0.05)]
     assert agreed(clear) == TWO
     # as much is gained in one specimen as is lost in another
     assert agreed([{PLAIN: 0.0, TWO: gain} for gain in (0.3, -0.2, 0.25, -0.3)]) == PLAIN
 
 
-def test_an_order_that_is_not_resolved_predicts_as_what_it_contains() -> None:
+def test_an_order_that_is_not_resolved_predicts_as_what_it_contains():
     # of the last specimen two branches are one
     assert agreed([{PLAIN: -0.6, TWO: 0.0}] * 3 + [{PLAIN: 0.0}]) == TWO
 
 
-def test_an_order_that_few_were_tried_with_is_none_of_the_study() -> None:
+def test_an_order_that_few_were_tried_with_is_none_of_the_study():
     tables = [{PLAIN: -0.6, TWO: 0.0}] * 4 + [{PLAIN: -0.9, TWO: -0.8, BENT: 0.0}]
     assert agreed(tables) == TWO
     assert agreed([{TWO: 0.0}, {LawOrder("power * fung", 1, 0): 0.0}]) is None
 
 
-def test_other_laws_are_weighed_where_one_of_them_may_be_taken() -> None:
+def test_other_laws_are_weighed_where_one_of_them_may_be_taken():
     rows = [
         {"branches": 1, "stiffness_degree": 0, "score": -0.3},
         {"model": "power * fung", "branches": 1, "stiffness_degree": 0, "score": 0.0},
@@ -60,11 +60,11 @@ def recording(path: Path, branches: int, seed: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     out: Path = tmp_path_factory.mktemp("study")
     for number, branches in enumerate((2, 2, 1)):
         recording(out / f"s{number}.csv", branches, number)
-    (out / "study.toml").write_text('schema = "tissueid/study/1"\n\n[study]\ntitle = "orders"\n')
+    write_study(out, "[study]", 'title = "orders"')
     return out
 
 
@@ -84,7 +84,7 @@ ASKED = ("--sampler", "none", "--json", "--workers", "1")
 
 
 @pytest.fixture(scope="module")
-def own(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def own(folder, tmp_path_factory):
     """The study with the orders that its specimens take alone."""
     out = tmp_path_factory.mktemp("own") / "out"
     document = run("fit", folder, *ASKED, "--orders", "own", "-o", out).json()
@@ -92,9 +92,7 @@ def own(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_so(
-    folder: Path, own: Path, tmp_path: Path
-) -> None:
+def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_so(folder, own, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(own, out, symlinks=True)
     document = run("fit", folder, *ASKED, "-o", out).json()
@@ -111,14 +109,14 @@ def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_s
     assert (orders(named), flagged(named)) == ([2, 2, 2], [])
 
 
-def test_files_that_are_no_study_keep_their_own_orders(folder: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_study_keep_their_own_orders(folder, tmp_path):
     found = run("fit", folder, *ASKED, "--no-study", "-o", tmp_path / "out").json()
     assert orders(found) == [2, 2, 1]
 
 
 def test_a_specimen_that_the_order_of_its_study_can_not_be_fitted_to_keeps_its_own(
-    folder: Path, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, own, tmp_path, monkeypatch
+):
     def fail(*_: object) -> None:
         raise ArithmeticError
 

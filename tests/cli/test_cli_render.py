@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from command_line import QUICK, run, start
+from command_line import QUICK, read_json, run, start, until
 from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, records_of, summary_of
 
@@ -39,7 +38,7 @@ TAU = PAPER_A.theta[4]
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bundle(tmp_path_factory):
     path = tmp_path_factory.mktemp("bundle") / "bundle.h5"
     spread = 1.0 + 0.02 * np.random.default_rng(3).standard_normal((40, 1))
     write_bundle(bundle_of(PAPER_A, draws=PAPER_A.theta * np.append(np.ones((1, 4)), [[1.0]]) * spread), path)
@@ -47,7 +46,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def log(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(bundle, tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "out.h5"
     run("render", bundle, "--device", "sim", "--script", PRESS, "--virtual", "--log", path, code=0)
     return path
@@ -55,11 +54,11 @@ def log(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def identified(path: Path, out: Path) -> dict[str, Any]:
     run("fit", path, "-o", out, *QUICK, code=0)
-    specimen: dict[str, Any] = json.loads((out / "identification.json").read_text())["specimens"][0]
+    specimen: dict[str, Any] = read_json(out / "identification.json")["specimens"][0]
     return specimen
 
 
-def test_the_log_fits_back_to_the_tissue_that_was_rendered(log: Path, tmp_path: Path) -> None:
+def test_the_log_fits_back_to_the_tissue_that_was_rendered(log, tmp_path):
     specimen = identified(log, tmp_path / "again")
     tau = next(one["value"] for one in specimen["parameters"] if one["name"] == "relaxation_time_s")
     assert tau == pytest.approx(TAU, rel=0.02)
@@ -69,9 +68,7 @@ def test_the_log_fits_back_to_the_tissue_that_was_rendered(log: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("lamp", [Lamp.RAMPING, Lamp.SILENT, Lamp.LATENCY])
-def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(
-    log: Path, monkeypatch: pytest.MonkeyPatch, lamp: Lamp
-) -> None:
+def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(log, monkeypatch, lamp):
     whole = read_session_log(log)
     records = whole.records.copy()
     engaged = np.flatnonzero(records["state"] == State.ENGAGED)
@@ -90,9 +87,7 @@ def test_a_pause_of_the_force_in_contact_is_no_part_of_the_recording(
     assert np.isin(paused.force_N, trial.force_N).all()
 
 
-def test_a_log_without_a_tick_of_the_tissues_force_is_refused(
-    log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_without_a_tick_of_the_tissues_force_is_refused(log, monkeypatch):
     whole = read_session_log(log)
     records = whole.records[whole.records["depth_mm"] > 0.0].copy()
     records["lamps"] |= np.uint32(Lamp.LATENCY)
@@ -101,9 +96,7 @@ def test_a_log_without_a_tick_of_the_tissues_force_is_refused(
         read_trials(log)
 
 
-def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(
-    bundle: Path, tmp_path: Path
-) -> None:
+def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(bundle, tmp_path):
     path = tmp_path / "out.h5"
     ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", path, "--json")
     assert ended.code == 0, ended.stderr
@@ -119,7 +112,7 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
 
 
 @pytest.mark.parametrize("seconds", [1, 20])
-def test_a_simulated_grip_that_nobody_moves_pushes_until_the_time_is_over(bundle: Path, seconds: int) -> None:
+def test_a_simulated_grip_that_nobody_moves_pushes_until_the_time_is_over(bundle, seconds):
     ended = run("render", bundle, "--device", "sim", "--virtual", "--seconds", seconds, "--json", code=0)
     summary = ended.json()["summary"]
     # virtual time ends with a whole block of ticks
@@ -148,7 +141,7 @@ def untouched(records: np.ndarray) -> np.ndarray:
     return records[(records["lamps"] & 0x5A5) == 0]
 
 
-def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, tmp_path: Path) -> None:
+def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle, tmp_path):
     path = tmp_path / "live.h5"
     ended = in_real_time(path, bundle, "--device", "sim", "--script", SHORT)
     assert str(path) in ended.stderr
@@ -163,19 +156,17 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, 
 
 
 @pytest.mark.usefixtures("empty_usb")
-def test_auto_says_what_it_took(bundle: Path) -> None:
+def test_auto_says_what_it_took(bundle):
     ended = run("render", bundle, "--script", SHORT, "--virtual", code=0)
     assert "device sim, simulated: no haptic device was found" in ended.stderr
 
 
 @pytest.mark.usefixtures("empty_usb")
-def test_without_a_device_the_refusal_names_the_simulated_one(bundle: Path) -> None:
+def test_without_a_device_the_refusal_names_the_simulated_one(bundle):
     run("render", bundle, "--device", "falcon", code=5, said=("no falcon was found", "--device sim"))
 
 
-def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(
-    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(bundle, tmp_path, monkeypatch):
     monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
     ended = run("render", bundle, "--device", "falcon", code=5, said="can't be loaded, and a Falcon needs it")
     assert "--device sim" in ended.stderr
@@ -201,9 +192,7 @@ def _another_file(path: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", [_truncated, _edited, _not_a_number, _another_file])
-def test_a_bundle_that_is_no_whole_bundle_is_refused_before_any_force(
-    bundle: Path, harm: Any, tmp_path: Path
-) -> None:
+def test_a_bundle_that_is_no_whole_bundle_is_refused_before_any_force(bundle, harm, tmp_path):
     path = tmp_path / "harmed.h5"
     shutil.copy(bundle, path)
     harm(path)
@@ -240,50 +229,30 @@ def test_a_bundle_that_is_no_whole_bundle_is_refused_before_any_force(
         (6, ("--surface", "sphere 5 mm"), "too small"),
     ],
 )
-def test_what_cannot_be_is_answered_with_the_way_out(
-    bundle: Path, code: int, args: tuple[str, ...], said: str | tuple[str, ...]
-) -> None:
-    run(
-        "render",
-        bundle,
-        *(("--device", "sim") if "--device" not in args else ()),
-        *args,
-        code=code,
-        said=said,
-    )
+def test_what_cannot_be_is_answered_with_the_way_out(bundle, code, args, said):
+    device = () if "--device" in args else ("--device", "sim")
+    run("render", bundle, *device, *args, code=code, said=said)
     # neither bundle nor preset
     assert run("render", "--device", "sim").code == 2
 
 
-def test_a_refused_option_leaves_no_log_behind(bundle: Path, tmp_path: Path) -> None:
+def test_a_refused_option_leaves_no_log_behind(bundle, tmp_path):
     args = ("--seconds", "1", "--bridge", "99999", "--log", tmp_path / "out.h5")
     assert run("render", bundle, "--device", "sim", *args).code == 2
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_log_is_not_overwritten(bundle: Path, log: Path) -> None:
+def test_a_log_is_not_overwritten(bundle, log):
     before = log.read_bytes()
     ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", log, code=2)
     assert "exists already" in ended.stderr
     assert log.read_bytes() == before
 
 
-def test_a_quantile_is_rendered_by_a_posterior_draw(bundle: Path, tmp_path: Path) -> None:
+def test_a_quantile_is_rendered_by_a_posterior_draw(bundle, tmp_path):
     path = tmp_path / "out.h5"
-    ended = run(
-        "render",
-        bundle,
-        "--device",
-        "sim",
-        "--quantile",
-        "0.9",
-        "--script",
-        SHORT,
-        "--virtual",
-        "--log",
-        path,
-    )
-    assert ended.code == 0, ended.stderr
+    asked = ("--quantile", "0.9", "--script", SHORT, "--virtual", "--log", path)
+    ended = run("render", bundle, "--device", "sim", *asked, code=0)
     draw = read_session_log(path).head["tissues"][0]["draw"]
     model, draws = load_bundle(bundle).contact_model(), load_bundle(bundle).draws
     assert draws is not None
@@ -297,7 +266,7 @@ def test_a_quantile_is_rendered_by_a_posterior_draw(bundle: Path, tmp_path: Path
     assert f"posterior draw {draw}" in ended.stderr
 
 
-def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle: Path, tmp_path: Path) -> None:
+def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle, tmp_path):
     path = tmp_path / "out.h5"
     script = f"{SHORT}; switch; hold 0.6 s; {SHORT}"
     ended = run(
@@ -314,7 +283,7 @@ def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle: Path, tmp
     assert peaks[1] > 1.01 * peaks[0]
 
 
-def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -> None:
+def test_a_blind_session_keeps_its_answers_apart(bundle, tmp_path):
     path, key = tmp_path / "P3.h5", tmp_path / "answers.json"
     strokes = f"{SHORT}; switch; hold 0.6 s"
     ended = run(
@@ -324,7 +293,7 @@ def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -
     )  # fmt: skip
     assert ended.code == 0, ended.stderr
     assert "You may stop at any time" in ended.stderr
-    answers = json.loads(key.read_text())
+    answers = read_json(key)
     assert sorted(one["tissue"] for one in answers["presentations"]) == [0, 0, 1, 1]
     assert key.stat().st_mode & 0o077 == 0
     log = read_session_log(path)
@@ -339,13 +308,13 @@ def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -
     assert stiffer == set(sorted(peaks, key=lambda label: peaks[label])[-2:])
 
 
-def test_a_port_that_is_not_there_is_told_before_anybody_is_asked(bundle: Path) -> None:
+def test_a_port_that_is_not_there_is_told_before_anybody_is_asked(bundle):
     ended = run("render", bundle, "--device", "falcon", "--port", "/dev/no-such-port", code=5)
     assert "/dev/no-such-port: there is no such device" in ended.stderr
     assert "dead-man" not in ended.stderr
 
 
-def test_consent_is_asked_for_where_somebody_can_answer(bundle: Path, tmp_path: Path) -> None:
+def test_consent_is_asked_for_where_somebody_can_answer(bundle, tmp_path):
     ended = run(
         "render", bundle, "--against-draw", "1", "--blind", "--presentations", "2", "--device", "sim",
         "--log", tmp_path / "out.h5",
@@ -358,7 +327,7 @@ def test_consent_is_asked_for_where_somebody_can_answer(bundle: Path, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_path: Path) -> None:
+def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log, tmp_path):
     from tissueid.store.session_log import convert_session_log, raw_head
 
     original = read_session_log(log)
@@ -378,7 +347,7 @@ def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_pat
             assert f"the {which} that the log states" in ended.stdout + ended.stderr
 
 
-def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_path: Path) -> None:
+def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle, tmp_path):
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
     assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
     in_real_time(second, bundle, "--replay", first)
@@ -391,14 +360,11 @@ def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_pat
     assert other.summary["peak_tissue_force_N"] == pytest.approx(one.summary["peak_tissue_force_N"], rel=0.02)
 
 
-def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle: Path, tmp_path: Path) -> None:
+def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle, tmp_path):
     path = tmp_path / "out.h5"
     process = start("render", bundle, "--device", "sim", "--script", "hold 60 s", "--log", path)
-    deadline = time.monotonic() + 60.0
     part = tmp_path / "out.h5.part"
-    while not (part.exists() and part.stat().st_size > 100_000):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: part.exists() and part.stat().st_size > 100_000)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 130, out + err
@@ -408,24 +374,18 @@ def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle: Pat
     assert log.summary is not None
 
 
-def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
-    bundle: Path, tmp_path: Path
-) -> None:
+def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(bundle, tmp_path):
     path = tmp_path / "out.h5"
     process = start("render", bundle, "--device", "sim", "--script", PRESS, "--log", path)
     part = tmp_path / "out.h5.part"
-    deadline = time.monotonic() + 60.0
-    while not (part.exists() and part.stat().st_size > 300_000):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: part.exists() and part.stat().st_size > 300_000)
     process.kill()
     process.communicate()
     assert read_session_log(part).summary is None
-    ended = run("inspect", part, "-v", code={0, 7})
-    assert "session-log" in ended.stdout
+    run("inspect", part, "-v", code={0, 7}, shown="session-log")
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_session(bundle: Path, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_and_not_the_session(bundle, tmp_path):
     # room for the servo's shared memory (65,536 records), not for a log of 80 s
     command = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8_500_000, 8_500_000));"
@@ -464,11 +424,11 @@ def recorded(folder: Path) -> Path:
         (("view", "127.0.0.1:1"), 2, "nothing answers"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(args: tuple[str, ...], code: int, said: str) -> None:
+def test_what_cannot_be_shown_is_refused(args, code, said):
     run(*args, code=code, said=said)
 
 
-def test_a_log_is_served_until_it_is_told_to_end(tmp_path: Path) -> None:
+def test_a_log_is_served_until_it_is_told_to_end(tmp_path):
     process = start("view", recorded(tmp_path), "--no-browser")
     assert process.stderr is not None
     line = process.stderr.readline()
@@ -485,7 +445,7 @@ def flags(**given: Any) -> RenderFlags:
     return RenderFlags(**asked | {"name": "auto", "virtual": False, "viewer": False} | given)
 
 
-def test_nothing_asked_for_opens_a_tissue_without_motors() -> None:
+def test_nothing_asked_for_opens_a_tissue_without_motors():
     asked = flags()
     found = _demonstrated(asked)
     assert (found.preset, found.name, found.viewer) == ("paper-a", "sim", True)
@@ -494,12 +454,12 @@ def test_nothing_asked_for_opens_a_tissue_without_motors() -> None:
 @pytest.mark.parametrize(
     "given", [{"bundle": Path("b.h5")}, {"name": "falcon"}, {"name": "sim"}, {"draw": 3}, {"virtual": True}]
 )
-def test_whatever_was_asked_for_is_not_replaced(given: dict[str, Any]) -> None:
+def test_whatever_was_asked_for_is_not_replaced(given):
     asked = flags(**given)
     assert _demonstrated(asked) == flags(**given)
 
 
-def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
     import webbrowser
 
     opened: list[str] = []
@@ -514,7 +474,7 @@ def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch: pytest.MonkeyP
     assert opened == ["http://127.0.0.1:1/"]
 
 
-def test_a_recording_that_stopped_is_told_once() -> None:
+def test_a_recording_that_stopped_is_told_once():
     class Stopped:
         stopped: str | None = None
 
@@ -538,7 +498,7 @@ def test_a_recording_that_stopped_is_told_once() -> None:
     assert shown == [1, 2, 3]
 
 
-def test_the_token_is_printed_with_a_remark_on_encryption() -> None:
+def test_the_token_is_printed_with_a_remark_on_encryption():
     process = start(
         "render", "--preset", "meat", "--device", "sim", "--viewer", "--no-browser", "--host", "0.0.0.0"
     )

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import read_json, run
 
 from tissueid.store.schema import check
 
 
 @pytest.mark.needs_jit
-def test_both_papers_are_recomputed_and_written(tmp_path: Path) -> None:
+def test_both_papers_are_recomputed_and_written(tmp_path):
     run("reproduce", "all", "-o", tmp_path / "out", "-q", "--set", "stiffness=linear", code=0)
-    document = json.loads((tmp_path / "out" / "reproduction.json").read_text(encoding="utf-8"))
+    document = read_json(tmp_path / "out" / "reproduction.json")
     check(document, "reproduction", where="reproduction.json")
     rows = {one["item"]: one for one in document["items"]}
     assert (rows["table-3/1"]["kind"], rows["table-3/1"]["recomputed"]) == ("given", None)
@@ -22,11 +21,11 @@ def test_both_papers_are_recomputed_and_written(tmp_path: Path) -> None:
         assert rows[name]["agrees"], rows[name]
 
 
-def test_a_paper_is_recomputed_and_written(tmp_path: Path) -> None:
+def test_a_paper_is_recomputed_and_written(tmp_path):
     ended = run("reproduce", "pires", "-o", tmp_path / "out", "--json", "--set", "surface=cone", code=0)
     document = json.loads(ended.stdout)
     check(document, "reproduction", where="reproduction.json")
-    assert document == json.loads((tmp_path / "out" / "reproduction.json").read_text(encoding="utf-8"))
+    assert document == read_json(tmp_path / "out" / "reproduction.json")
     assert document["readings"]["surface"]["choice"] == "cone"
     assert [paper["name"] for paper in document["papers"]] == ["pires"]
     assert "recomputed" in (tmp_path / "out" / "reproduction.html").read_text(encoding="utf-8")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from command_line import run
@@ -14,7 +12,7 @@ from tissueid.store.session_log import read_session_log
 SIM = ("--device", "sim", "--yes")
 
 
-def test_a_scene_with_a_tissue_is_that_tissue(tmp_path: Path) -> None:
+def test_a_scene_with_a_tissue_is_that_tissue(tmp_path):
     log = tmp_path / "meat.h5"
     ended = run(
         "render", "--scene", "meat", *SIM, "--script", "indent 2 mm at 72 mm/min", "--virtual", "--log", log
@@ -26,7 +24,7 @@ def test_a_scene_with_a_tissue_is_that_tissue(tmp_path: Path) -> None:
 
 
 @pytest.mark.needs_jit
-def test_a_guided_session_pulls_to_the_axis_and_its_log_says_by_what(tmp_path: Path) -> None:
+def test_a_guided_session_pulls_to_the_axis_and_its_log_says_by_what(tmp_path):
     plan, log = tmp_path / "patient.toml", tmp_path / "hip.h5"
     # the simulated hand rests in the middle of the workspace, 4 mm beside this axis
     plan.write_text("entry_mm = [4.0, 0.0, -15.0]\naxis = [0.0, 0.0, 1.0]\n", encoding="utf-8")
@@ -64,7 +62,7 @@ def test_a_guided_session_pulls_to_the_axis_and_its_log_says_by_what(tmp_path: P
         (("--scene", "meat", "--plan", "PLAN"), "no guidance"),
     ],
 )
-def test_what_does_not_belong_together_is_refused(tmp_path: Path, args: tuple[str, ...], said: str) -> None:
+def test_what_does_not_belong_together_is_refused(tmp_path, args, said):
     plan = tmp_path / "plan.toml"
     plan.write_text("entry_mm = [0.0, 0.0, 0.0]\naxis = [0.0, 0.0, 1.0]\n", encoding="utf-8")
     run("render", *(str(plan) if one == "PLAN" else one for one in args), *SIM, code=2, said=said)

@@ -10,7 +10,7 @@ from command_line import QUICK, Ended, run, write_log
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """An empty working folder and an empty home."""
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
@@ -33,9 +33,7 @@ def seed_of(*typed: str) -> int:
     return int(ended.json()["provenance"]["options"]["seed"])
 
 
-def test_typed_counts_before_environment_before_project_before_user(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_typed_counts_before_environment_before_project_before_user(folder, monkeypatch):
     assert seed_of() == 0
     user("[fit]\nseed = 1\n")
     assert seed_of() == 1
@@ -46,7 +44,7 @@ def test_typed_counts_before_environment_before_project_before_user(
     assert seed_of("--seed", "4") == 4
 
 
-def test_an_order_of_a_settings_file_gives_way_to_a_model_that_is_typed(folder: Path) -> None:
+def test_an_order_of_a_settings_file_gives_way_to_a_model_that_is_typed(folder):
     Path("tissueid.toml").write_text('[fit]\nbranches = "1"\nstiffness-degree = "0"\n', encoding="utf-8")
     log = write_log(Path("log.csv"))
     ended = run("fit", log, "--json", "--model", "power * prony:1", "--sampler", "none", code={0, 4})
@@ -54,21 +52,21 @@ def test_an_order_of_a_settings_file_gives_way_to_a_model_that_is_typed(folder: 
     run("fit", log, "--model", "power * prony:1", "--branches", "2", code=2, said="--branches")
 
 
-def test_a_project_may_keep_its_settings_in_pyproject(folder: Path) -> None:
+def test_a_project_may_keep_its_settings_in_pyproject(folder):
     Path("pyproject.toml").write_text("[tool.tissueid.fit]\nseed = 5\n", encoding="utf-8")
     assert seed_of() == 5
     Path("tissueid.toml").write_text("[fit]\nseed = 2\n", encoding="utf-8")
     assert "keep them in one of the two" in refused("config")
 
 
-def test_a_pyproject_of_other_tools_is_no_concern(folder: Path) -> None:
+def test_a_pyproject_of_other_tools_is_no_concern(folder):
     Path("pyproject.toml").write_text("[tool.other]\nseed = 5\n", encoding="utf-8")
     assert run("config", "--json").json() == {"files": [], "settings": []}
     Path("pyproject.toml").write_text("not toml at all", encoding="utf-8")
     assert run("config", "--json").json() == {"files": [], "settings": []}
 
 
-def test_another_user_file_or_none(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_user_file_or_none(folder, monkeypatch):
     user("[fit]\nseed = 1\n")
     monkeypatch.setenv("TISSUEID_CONFIG", "")
     assert seed_of() == 0
@@ -112,16 +110,14 @@ def refused(*args: str) -> str:
         ("[fit\n", "fit", "tissueid.toml: is no valid TOML"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_refused_with_its_line(
-    folder: Path, text: str, command: str, said: str
-) -> None:
+def test_what_cannot_be_meant_is_refused_with_its_line(folder, text, command, said):
     Path("tissueid.toml").write_text(text, encoding="utf-8")
     assert said in refused("config")
     args = {"fit": ("fit", "no.csv"), "study": ("study", "check", "."), "render": ("render", "--selftest")}
     assert said in refused(*args[command])
 
 
-def test_help_and_doctor_work_whatever_a_file_says(folder: Path) -> None:
+def test_help_and_doctor_work_whatever_a_file_says(folder):
     Path("tissueid.toml").write_text("[fit]\nsedd = 1\n", encoding="utf-8")
     assert run("fit", "--help").code == 0
     assert run("explain", "7").code == 0
@@ -137,14 +133,12 @@ def test_help_and_doctor_work_whatever_a_file_says(folder: Path) -> None:
         ("TISSUEID_FIT_REQUIRE", "static,nothing", "'nothing' is not one of"),
     ],
 )
-def test_a_variable_that_cannot_be_meant_is_refused(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, said: str
-) -> None:
+def test_a_variable_that_cannot_be_meant_is_refused(folder, monkeypatch, variable, value, said):
     monkeypatch.setenv(variable, value)
     assert said in refused("fit", "no.csv")
 
 
-def test_consent_cannot_be_given_by_the_environment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_consent_cannot_be_given_by_the_environment(folder, monkeypatch):
     monkeypatch.setenv("TISSUEID_RENDER_YES", "1")
     assert "TISSUEID_RENDER_YES: tissueid render takes no such setting" in refused("render", "--selftest")
 
@@ -155,7 +149,7 @@ def told(*args: str) -> dict[tuple[str, str], tuple[object, str]]:
     return {(row["command"], row["option"]): (row["value"], row["source"]) for row in rows}
 
 
-def test_what_is_in_force_is_told_with_its_source(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_in_force_is_told_with_its_source(folder, monkeypatch):
     mine = user("quiet = true\n[fit]\nseed = 1\ndraws = 500\n")
     Path("tissueid.toml").write_text(
         '[fit]\nseed = 2\nrequire = ["static"]\n[study.init]\ndecimal = "comma"\n', encoding="utf-8"
@@ -177,7 +171,7 @@ def test_what_is_in_force_is_told_with_its_source(folder: Path, monkeypatch: pyt
     assert "tissueid.toml, line 2" in text
 
 
-def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
+def test_a_value_of_a_subcommand_reaches_it(folder):
     write_log(Path("lab/log.csv"))
     Path("tissueid.toml").write_text('[study.init]\nsheet = "absent"\n', encoding="utf-8")
     assert run("study", "init", "lab").code != 0
@@ -185,7 +179,7 @@ def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
     assert run("study", "init", "lab").code == 0
 
 
-def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_user_without_a_home_has_no_file(folder, monkeypatch):
     def homeless() -> Path:
         msg = "Could not determine home directory."
         raise RuntimeError(msg)
@@ -195,9 +189,7 @@ def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.Mon
     assert "no home folder" in refused("completion", "bash", "--install")
 
 
-def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder: Path) -> None:
-    ended = run("config")
-    assert "nothing is set" in ended.stdout
-    assert str(Path.home() / ".config" / "tissueid" / "config.toml") in ended.stdout
+def test_nothing_set_is_told_so_and_a_command_that_is_none_is_refused(folder):
+    run("config", shown=("nothing is set", str(Path.home() / ".config" / "tissueid" / "config.toml")))
     assert "there is no such command" in refused("config", "fti")
     assert "there is no such command" in refused("config", "fit", "more")

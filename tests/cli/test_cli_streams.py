@@ -5,17 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
-from command_line import QUICK, Terminal, run, run_on, write_log
-from rendered_tissues import PAPER_A, bundle_of
+from command_line import QUICK, Terminal, run, run_on, write_bundles, write_log
 
 from tissueid.cli.flags import walk
 from tissueid.cli.main import cli
-from tissueid.store.bundle import write_bundle
 
 COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:[34]\d|9[0-7]|10[0-7])(?:;\d+)*m")
 #: A press that takes no time.
@@ -66,20 +61,17 @@ DATA = {"completion"}
 
 
 @pytest.fixture(scope="module")
-def prepared(fitted_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prepared(fitted_once, tmp_path_factory):
     folder = shutil.copytree(fitted_once, tmp_path_factory.mktemp("streams") / "fitted", symlinks=True)
     write_log(folder / "other" / "log.csv")
     (folder / "bad.csv").write_text("Dear colleague\n", encoding="ascii")
     assert run("study", "init", folder / "lab", "-q").code == 0
-    chance = np.random.default_rng(5)
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
-        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder)
     return folder
 
 
 @pytest.fixture
-def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def place(prepared, tmp_path, monkeypatch):
     """A copy of the prepared folder to type in."""
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
@@ -89,7 +81,7 @@ def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     return tmp_path / "here"
 
 
-def test_every_command_is_looked_at() -> None:
+def test_every_command_is_looked_at():
     import click
 
     leaves = {" ".join(name) for name, command in walk(cli) if not isinstance(command, click.Group)}
@@ -100,7 +92,7 @@ LOOKED_AT = [" ".join(name) for name, _ in walk(cli) if " ".join(name) in TYPED]
 
 
 @pytest.mark.parametrize("name", LOOKED_AT)
-def test_no_colour_where_none_is_wanted(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_colour_where_none_is_wanted(name, place, monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
     ended = run_on(Terminal, *TYPED[name])
     assert COLOUR.findall(ended.stdout + ended.stderr) == []
@@ -108,7 +100,7 @@ def test_no_colour_where_none_is_wanted(name: str, place: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("name", LOOKED_AT)
-def test_quiet_says_errors_only_and_a_pipe_sees_no_progress(name: str, place: Path) -> None:
+def test_quiet_says_errors_only_and_a_pipe_sees_no_progress(name, place):
     # `run` itself refuses escapes and carriage returns
     ended = run(*TYPED[name], "-q")
     assert ended.code != 1, ended.stderr
@@ -121,9 +113,7 @@ def test_quiet_says_errors_only_and_a_pipe_sees_no_progress(name: str, place: Pa
 
 
 @pytest.mark.parametrize("args", [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK)])
-def test_a_terminal_sees_colours_or_progress(
-    args: tuple[str, ...], place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_sees_colours_or_progress(args, place, monkeypatch):
     seen: Callable[[], str] = lambda: run_on(Terminal, *args).stderr  # noqa: E731
     assert COLOUR.search(seen())
     monkeypatch.setenv("NO_COLOR", "1")

@@ -6,17 +6,13 @@ import io
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from command_line import QUICK, Ended, Terminal, log_text, run_on
+from command_line import QUICK, Ended, Terminal, log_text, run_on, write_bundles
 from openpyxl import Workbook
-from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.cli.output import echo, terminal_line
-from tissueid.store.bundle import write_bundle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="such names are no file names there")
 
@@ -55,7 +51,7 @@ def workbook(path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hostile(tmp_path_factory):
     """A folder in which every name is hostile, its fit, and two bundles of such specimens."""
     folder = tmp_path_factory.mktemp("hostile")
     lab = folder / "lab"
@@ -69,10 +65,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ended = run_on(Terminal, "fit", lab, folder / "meat.xlsx", "-o", folder / "out", "--no-study", *QUICK)
     assert ended.code in (0, 4, 7), ended.stderr
     assert_harmless(ended)
-    chance = np.random.default_rng(5)
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
-        write_bundle(bundle_of(replace(PAPER_A, name=f"{name}{LABEL}"), draws=draws), folder / f"{name}.h5")
+    write_bundles(folder, LABEL)
     return folder
 
 
@@ -125,14 +118,14 @@ CODES = {
 
 
 @pytest.mark.parametrize("what", TYPED)
-def test_what_a_name_holds_is_shown_and_steers_nothing(what: str, hostile: Path) -> None:
+def test_what_a_name_holds_is_shown_and_steers_nothing(what, hostile):
     ended = run_on(Terminal, *map(str, TYPED[what](hostile)))
     assert ended.code == CODES.get(what, 0), ended.stderr
     assert ended.stdout + ended.stderr
     assert_harmless(ended)
 
 
-def test_a_line_is_one_line_and_shows_what_was_in_it() -> None:
+def test_a_line_is_one_line_and_shows_what_was_in_it():
     shown = terminal_line(LABEL)
     assert shown == f"liver\\x1b[2J\\x9b31m\\u202eevil\\u200f\\u061c\\x07\\n{FAKED}"
     assert terminal_line("👩\u200d🔬 −1.5e-05 N") == "👩\u200d🔬 -1.5×10⁻⁵ N"
@@ -146,9 +139,7 @@ def test_a_line_is_one_line_and_shows_what_was_in_it() -> None:
         ("utf-8", "5.2×10⁻⁶ ± 1 N·s ü"),
     ],
 )
-def test_a_terminal_without_raised_digits_gets_plain_ones(
-    encoding: str, shown: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_without_raised_digits_gets_plain_ones(encoding, shown, monkeypatch):
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, write_through=True)
     monkeypatch.setattr(sys, "stdout", stream)
     echo("5.2×10⁻⁶ ± 1 N·s ü")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import read_json, run
 from test_cli_laws import STUDY, recorded
 
 import tissueid as ti
@@ -58,7 +57,7 @@ def felt_by_a_real_machine(document: dict[str, Any], bundle: Path, out: Path, lo
 @pytest.mark.parametrize(
     "name", ["polynomial * constant * prony:1", "power * tangent * prony:1", "flat * stretched", "yardstick"]
 )
-def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
+def test_what_went_in_comes_out(name, tmp_path):
     if name == "yardstick":
         recorded("flat * fung", tmp_path / "log.csv")
         ended = run("fit", tmp_path / "log.csv", "--model", name, "-q", "-o", tmp_path / "out", code=0)
@@ -71,7 +70,7 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
         ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--json", code=0)
     document = ended.json()
     check(document, "twin")
-    assert document == json.loads((out / "twin.json").read_text(encoding="utf-8"))
+    assert document == read_json(out / "twin.json")
     falcon, simulated = document["devices"]
     for one in (falcon, simulated):
         assert one["nrmsd_model"] < 0.02
@@ -101,7 +100,7 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
     assert again.force_N.max() > 10.0
 
 
-def test_a_script_is_a_program_from_above_the_tissue() -> None:
+def test_a_script_is_a_program_from_above_the_tissue():
     program = program_of_script(read_script("indent 4 mm at 120 mm/min; hold 2 s; retract at 240 mm/min"))
     assert program.depth_mm[0] < 0.0
     assert program.speed_mm_s == pytest.approx(2.0)
@@ -113,7 +112,7 @@ def test_a_script_is_a_program_from_above_the_tissue() -> None:
     assert min(z for _, _, z in hand.positions_m) == pytest.approx(0.1 - 5.0 * 4e-3)
 
 
-def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path: Path) -> None:
+def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     (trial,) = ti.read(tmp_path / "log.csv")
     wavy = trial.displacement_mm + 0.02 * np.sin(40.0 * trial.time_s)
@@ -126,7 +125,7 @@ def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path: Path) -> N
         assert np.abs(meant[-1] - program.depth_mm[-1]) < 1e-9
 
 
-def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(tmp_path: Path) -> None:
+def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(tmp_path):
     recorded("power * prony", tmp_path / "log.csv")
     (trial,) = ti.read(tmp_path / "log.csv")
     whole = program_of_recording(trial, 6.5)
@@ -142,7 +141,7 @@ def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(
 
 
 @pytest.mark.system
-def test_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
+def test_what_makes_no_sense_is_refused(tmp_path):
     bundle = fitted("power * prony", tmp_path)
     deep = tmp_path / "deep.csv"
     rows = (tmp_path / "log.csv").read_text(encoding="ascii").splitlines()

@@ -8,14 +8,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import log_text, run, start, write_log
+from command_line import log_text, run, start, until, write_log, write_study
+from msgspec import structs
 
+from tissueid.documents import plain
+from tissueid.documents.inspect import Fit, Watch
 from tissueid.errors import InputError
 from tissueid.ingest import find_inputs, read_each
 from tissueid.inspection import describe_trial
@@ -59,7 +62,7 @@ def names(paths: Iterable[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path: Path) -> None:
+def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     assert folder.look().ready == ()
     path.write_text("half", encoding="ascii")
@@ -70,7 +73,7 @@ def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path: Path) -> None
     assert folder.look().ready == ()
 
 
-def test_an_empty_file_waits_for_its_content(tmp_path: Path) -> None:
+def test_an_empty_file_waits_for_its_content(tmp_path):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     path.touch()
     for _ in range(3):
@@ -80,7 +83,7 @@ def test_an_empty_file_waits_for_its_content(tmp_path: Path) -> None:
     assert names(folder.look().ready) == ["a.csv"]
 
 
-def test_a_file_that_can_not_be_opened_yet_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_can_not_be_opened_yet_waits(tmp_path, monkeypatch):
     folder, path = watch(tmp_path), tmp_path / "a.csv"
     path.write_text("locked", encoding="ascii")
     opened = Path.open
@@ -97,7 +100,7 @@ def test_a_file_that_can_not_be_opened_yet_waits(tmp_path: Path, monkeypatch: py
     assert names(folder.look().ready) == ["a.csv"]
 
 
-def test_files_come_in_the_order_of_their_times(tmp_path: Path) -> None:
+def test_files_come_in_the_order_of_their_times(tmp_path):
     for age, name in ((10, "z.csv"), (30, "m.csv"), (20, "a.csv")):
         (tmp_path / name).write_text(name, encoding="ascii")
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
@@ -106,7 +109,7 @@ def test_files_come_in_the_order_of_their_times(tmp_path: Path) -> None:
     assert names(folder.look().ready) == ["m.csv", "a.csv", "z.csv"]
 
 
-def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path: Path) -> None:
+def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path):
     inside = tmp_path / "drive"
     inside.mkdir()
     (inside / "a.csv").write_text("whole", encoding="ascii")
@@ -124,6 +127,10 @@ def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path: Path) -> Non
 # --- a session ------------------------------------------------------------------------------------
 
 
+def valid(verdict: Watch) -> bool:
+    return first_problem(plain(verdict), "watch") is None
+
+
 class Bench:
     """A session on a folder, its judge counted."""
 
@@ -134,29 +141,29 @@ class Bench:
             FolderWatch(lambda: find_inputs([folder])), read_each, self.judge, log, earlier
         )
 
-    def judge(self, trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+    def judge(self, trial: Trial, earlier: Iterable[Watch]) -> Watch:
         earlier = list(earlier)
-        self.judged.append((Path(trial.source.path).name, [Path(one["path"]).name for one in earlier]))
+        self.judged.append((Path(trial.source.path).name, [Path(one.path).name for one in earlier]))
         return judge(trial, earlier)
 
     def happenings(self, looks: int = 2) -> list[str]:
         return [happening.kind for _ in range(looks) for happening in self.session.step()]
 
 
-def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp_path: Path) -> None:
+def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp_path):
     bench = Bench(tmp_path)
     write_log(tmp_path / "one.csv")
     assert bench.happenings() == ["verdict"]
     write_log(tmp_path / "two.csv", force_times=0.75)
     assert bench.happenings(4) == ["verdict"]
     assert bench.judged == [("one.csv", []), ("two.csv", ["one.csv"])]
-    said = bench.session.verdicts[1]["verdict"]
-    assert said["level"] == "look"
+    said = bench.session.verdicts[1].verdict
+    assert said.level == "look"
     # every force is a quarter smaller
-    assert said["reason"].startswith("25 % softer than the last push")
+    assert said.reason.startswith("25 % softer than the last push")
 
 
-def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path):
     text = log_text()
     bench = Bench(tmp_path)
     path = tmp_path / "slow.csv"
@@ -166,22 +173,22 @@ def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path: Path) ->
     path.write_text(text, encoding="ascii")
     assert bench.happenings() == ["replaced"]
     assert len(bench.session.verdicts) == 1
-    assert bench.session.verdicts[0]["measured"] != half["measured"]
+    assert bench.session.verdicts[0].measured != half.measured
 
 
-def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path: Path) -> None:
+def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path):
     bench = Bench(tmp_path)
     path = write_log(tmp_path / "one.csv")
     bench.happenings()
     path.rename(tmp_path / "kidney 1.csv")
     assert sorted(bench.happenings()) == ["gone", "renamed"]
-    assert names(Path(one["path"]) for one in bench.session.verdicts) == ["kidney 1.csv"]
+    assert names(Path(one.path) for one in bench.session.verdicts) == ["kidney 1.csv"]
     (tmp_path / "copy.csv").write_bytes((tmp_path / "kidney 1.csv").read_bytes())
     assert bench.happenings() == ["copy"]
     assert len(bench.judged) == 1
 
 
-def test_a_file_saved_again_without_change_is_passed_over(tmp_path: Path) -> None:
+def test_a_file_saved_again_without_change_is_passed_over(tmp_path):
     bench = Bench(tmp_path)
     path = write_log(tmp_path / "one.csv")
     bench.happenings()
@@ -189,7 +196,7 @@ def test_a_file_saved_again_without_change_is_passed_over(tmp_path: Path) -> Non
     assert bench.happenings(3) == []
 
 
-def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path: Path) -> None:
+def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path):
     bench = Bench(tmp_path)
     for name, factor in (("one.csv", 1.0), ("two.csv", 1.1)):
         write_log(tmp_path / name, force_times=factor)
@@ -201,7 +208,7 @@ def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path: Path) -> None:
     assert bench.judged[-1] == ("three.csv", ["two.csv"])
 
 
-def test_a_session_goes_on_from_its_log(tmp_path: Path) -> None:
+def test_a_session_goes_on_from_its_log(tmp_path):
     data, log = tmp_path / "data", tmp_path / "watch.jsonl"
     write_log(data / "one.csv")
     (data / "bad.csv").write_text("no table here\n", encoding="ascii")
@@ -216,26 +223,26 @@ def test_a_session_goes_on_from_its_log(tmp_path: Path) -> None:
     assert second.judged == [("two.csv", ["one.csv", "bad.csv"])] or second.judged == [
         ("two.csv", ["bad.csv", "one.csv"])
     ]
-    assert second.session.verdicts[-1]["verdict"]["reason"].startswith("20 % softer than the last push")
-    assert all(first_problem(one, "watch") is None for one in load_log(log))
+    assert second.session.verdicts[-1].verdict.reason.startswith("20 % softer than the last push")
+    assert all(valid(one) for one in load_log(log))
 
 
-def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path: Path) -> None:
-    def broken(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path):
+    def broken(trial: Trial, earlier: Iterable[Watch]) -> Watch:
         raise ZeroDivisionError("for the test")
 
     write_log(tmp_path / "one.csv")
     session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, broken)
     (happening,) = [one for _ in range(2) for one in session.step()]
     assert happening.verdict is not None
-    assert happening.verdict["verdict"]["level"] == "refused"
-    assert "ZeroDivisionError" in happening.verdict["verdict"]["reason"]
-    assert first_problem(happening.verdict, "watch") is None
+    assert happening.verdict.verdict.level == "refused"
+    assert "ZeroDivisionError" in happening.verdict.verdict.reason
+    assert valid(happening.verdict)
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_an_interrupt_within_the_judge_ends_the_session(tmp_path: Path, wrapped: bool) -> None:
-    def interrupted(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+def test_an_interrupt_within_the_judge_ends_the_session(tmp_path, wrapped):
+    def interrupted(trial: Trial, earlier: Iterable[Watch]) -> Watch:
         if wrapped:
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         raise KeyboardInterrupt
@@ -250,10 +257,10 @@ def test_an_interrupt_within_the_judge_ends_the_session(tmp_path: Path, wrapped:
 # --- the verdict ----------------------------------------------------------------------------------
 
 
-def test_a_verdict_is_what_inspect_says() -> None:
+def test_a_verdict_is_what_inspect_says():
     trial = ramp_hold()
-    found = judge(trial)
-    assert first_problem(found, "watch") is None
+    assert valid(judge(trial))
+    found = plain(judge(trial))
     said = describe_trial(trial)
     assert isinstance(said, dict)
     assert {name: found[name] for name in ("measured", "verdict", "flags")} == {
@@ -264,13 +271,13 @@ def test_a_verdict_is_what_inspect_says() -> None:
     assert hold["tau"]["single_s"] == pytest.approx(0.5, rel=0.02)
 
 
-def test_a_fit_comes_after_the_line(tmp_path: Path) -> None:
+def test_a_fit_comes_after_the_line(tmp_path):
     write_log(tmp_path / "one.csv")
     told: list[str] = []
 
-    def fit(trial: Trial) -> dict[str, Any]:
+    def fit(trial: Trial) -> Fit:
         told.append("fit")
-        return {"nrmsd": 0.1, "parameters": []}
+        return Fit(0.1, ())
 
     session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, judge, fit=fit)
     for _ in range(2):
@@ -278,62 +285,58 @@ def test_a_fit_comes_after_the_line(tmp_path: Path) -> None:
         for happening in session.step():
             told.append(happening.kind)  # noqa: PERF401
     assert told == ["verdict", "fit", "fitted"]
-    assert session.verdicts[0]["fit"] == {"nrmsd": 0.1, "parameters": []}
+    assert plain(session.verdicts[0].fit) == {"nrmsd": 0.1, "parameters": []}
 
 
-def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
+def test_a_quick_fit_finds_the_parameters_of_the_truth():
     found = quick_fit(ramp_hold(), None)
     assert found is not None
-    viscosity = {one["name"]: one for one in found["parameters"]}["viscosity_N_s_per_mm"]
+    viscosity = {one.name: one.value for one in found.parameters}["viscosity_N_s_per_mm"]
     # of a machine of which nothing was stated, whose filter and frame may be anything
-    assert viscosity["value"] == pytest.approx(20.0 * 0.5, rel=0.01)
-    assert first_problem(judge(ramp_hold()) | {"fit": found}, "watch") is None
+    assert viscosity == pytest.approx(20.0 * 0.5, rel=0.01)
+    assert valid(structs.replace(judge(ramp_hold()), fit=found))
 
 
-def test_only_equal_tests_of_one_specimen_are_compared() -> None:
+def test_only_equal_tests_of_one_specimen_are_compared():
     first = judge(ramp_hold("a.csv"))
     softer = {"gain": 0.8}
     for other in (ramp_hold("b.csv", specimen="liver", **softer), ramp_hold("c.csv", speed=8.0, **softer)):
-        assert judge(other, [first])["verdict"]["level"] == "good"
-    assert (
-        judge(ramp_hold("d.csv", **softer), [first | {"excluded": "slipped"}])["verdict"]["level"] == "good"
-    )
-    assert "20 % softer" in judge(ramp_hold("e.csv", **softer), [first])["verdict"]["reason"]
+        assert judge(other, [first]).verdict.level == "good"
+    slipped = structs.replace(first, excluded="slipped")
+    assert judge(ramp_hold("d.csv", **softer), [slipped]).verdict.level == "good"
+    assert "20 % softer" in judge(ramp_hold("e.csv", **softer), [first]).verdict.reason
 
 
 # --- the command ----------------------------------------------------------------------------------
 
 
-def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
+def test_once_judges_what_is_there_and_ends(tmp_path):
     write_log(tmp_path / "data" / "one.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
     ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out", code=7)
     lines = [json.loads(line) for line in ended.stdout.splitlines()]
     assert {Path(one["path"]).name: one["verdict"]["level"] for one in lines}["bad.csv"] == "refused"
     assert all(first_problem(one, "watch") is None for one in lines)
-    assert load_log(tmp_path / "out" / "watch.jsonl") == lines
+    assert [plain(one) for one in load_log(tmp_path / "out" / "watch.jsonl")] == lines
     again = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
     assert again.stdout == ""
 
 
-def test_text_is_the_line_of_inspect(tmp_path: Path) -> None:
+def test_text_is_the_line_of_inspect(tmp_path):
     write_log(tmp_path / "one.csv")
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run("watch", tmp_path, *ONCE, "--bell")
-    assert "one.csv  " in ended.stdout
-    assert "keep" in ended.stdout
-    assert "refused (" in ended.stdout
-    assert "\a" in ended.stderr
-    assert "2 tests: " in ended.stderr
+    ended = run(
+        "watch", tmp_path, *ONCE, "--bell", said=("\a", "2 tests: "), shown=("one.csv  ", "keep", "refused (")
+    )
     assert "refused: " in ended.stderr
 
 
-def test_recordings_of_a_session_before_may_be_passed_over(tmp_path: Path) -> None:
+def test_recordings_of_a_session_before_may_be_passed_over(tmp_path):
     write_log(tmp_path / "old.csv")
     assert run("watch", tmp_path, *ONCE, "--json", "--new-only").stdout == ""
 
 
-def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path: Path) -> None:
+def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path):
     for name, factor in (("one.csv", 1.0), ("two.csv", 0.5)):
         path = write_log(tmp_path / name, label=None, force_times=factor)
         os.utime(path, (1e9 + factor, 1e9 + (name == "two.csv")))
@@ -348,15 +351,15 @@ def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path:
     assert "50 % softer" in together[1]
 
 
-def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
+def test_the_study_of_the_folder_is_followed(tmp_path):
     for name in ("one.csv", "two.csv"):
         write_log(tmp_path / name, label=None, force_times=1.0 if name == "one.csv" else 1.1)
-    (tmp_path / "study.toml").write_text(
-        'schema = "tissueid/study/1"\n[[specimen]]\nname = "kidney"\n'
-        '[[trial]]\nfile = "*.csv"\nspecimen = "kidney"\n'
-        '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"\n'
-        '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"\n',
-        encoding="utf-8",
+    write_study(
+        tmp_path,
+        '[[specimen]]\nname = "kidney"',
+        '[[trial]]\nfile = "*.csv"\nspecimen = "kidney"',
+        '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"',
+        '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"',
     )
     lines = [json.loads(line) for line in run("watch", tmp_path, *ONCE, "--json").stdout.splitlines()]
     told = {Path(one["path"]).name: one for one in lines}
@@ -365,21 +368,14 @@ def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
     assert "slipped" in told["two.csv"]["excluded"]
 
 
-def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path):
     ended = run("watch", tmp_path / "nowhere", *ONCE)
     assert (ended.code, ended.stdout) == (2, "")
     assert "there is no such folder" in ended.stderr
 
 
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "nothing happened in time"
-        time.sleep(0.05)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
-def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: Path) -> None:
+def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path):
     data, log = tmp_path / "data", tmp_path / "out" / "watch.jsonl"
     data.mkdir()
     arguments = ("watch", data, "-o", tmp_path / "out", "--interval", "0.1")
@@ -402,7 +398,7 @@ def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: 
     assert out.count("F(1 s)") in (1, 2)
 
 
-def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path: Path) -> None:
+def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path):
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
     (item,) = read_each(tmp_path / "bad.csv")
     assert isinstance(item, InputError)

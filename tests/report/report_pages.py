@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,6 +25,17 @@ def document_of(*fits: SpecimenFit, refused: bool = False) -> dict[str, Any]:
     return plain_json(identification(fits, refused=refused).as_json())
 
 
+def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
+    """A fit as one of the specimens of identification.json."""
+    return plain_json(fit.as_json())
+
+
+def payload_of(html: str, name: str) -> Any:
+    """What a page carries for its script."""
+    (text,) = re.findall(rf'<script type="application/json" id="{name}">(.*?)</script>', html, re.DOTALL)
+    return json.loads(text)
+
+
 def page(*fits: SpecimenFit, refused: bool = False, **more: Any) -> str:
     document = document_of(*fits, refused=refused)
     return render_report(document, curves_of_fits(fits), posteriors_of_fits(fits), **more)
@@ -39,22 +50,6 @@ def self_contained(render: Callable[..., str]) -> str:
     assert "Written" not in html
     assert "Written 2026-01-01." in render(created="2026-01-01")
     return html
-
-
-def opened(
-    browser: Any, folder: Path, html: str, *, width: int = 1400, height: int = 900, **context: Any
-) -> tuple[Any, list[str]]:
-    """A tab that shows a page, and all it says: errors, warnings, requests beyond the page itself."""
-    path = folder / "page.html"
-    path.write_text(html, encoding="utf-8")
-    tab = browser.new_context(viewport={"width": width, "height": height}, **context).new_page()
-    said: list[str] = []
-    tab.on("console", lambda one: said.append(one.text) if one.type in {"error", "warning"} else None)
-    tab.on("pageerror", lambda error: said.append(str(error)))
-    own = (path.as_uri(), "data:", "blob:")
-    tab.on("request", lambda one: None if one.url.startswith(own) else said.append(one.url))
-    tab.goto(path.as_uri())
-    return tab, said
 
 
 def open_all(tab: Any) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
-from report_pages import document_of, grave, open_all, opened, page, violations, wide
+from report_pages import document_of, grave, open_all, page, violations, wide
 from typed_call import typed_call
 
 from tissueid.documents import typed
@@ -43,7 +42,7 @@ DEVICE = {"sensible": (1400, 900), "tablet": (800, 1000), "telephone": (400, 800
 
 
 @pytest.fixture(scope="module")
-def whole() -> str:
+def whole():
     """A page with every part that a report can have."""
     fit = sampled(specimen_fit(trials=3, samples=120, identified=False))
     specimen = document_of(fit)["specimens"][0]
@@ -86,24 +85,23 @@ BY_DEFAULT = {("telephone", "dark")}
         for scheme in ("light", "dark")
     ],
 )
-def test_axe_finds_no_serious_issue(browser: Any, tmp_path: Path, whole: str, scheme: str, size: str) -> None:
+def test_axe_finds_no_serious_issue(opened, whole, scheme, size):
     width, height = DEVICE[size]
-    tab, said = opened(browser, tmp_path, whole, width=width, height=height, color_scheme=scheme)
+    tab = opened(whole, width=width, height=height, color_scheme=scheme)
     assert draw_all(tab) == 8
     assert grave(tab) == []
     assert wide(tab) == width
-    assert said == []
 
 
-def test_axe_would_find_a_serious_issue(browser: Any, tmp_path: Path, whole: str) -> None:
-    tab, _ = opened(browser, tmp_path, whole)
+def test_axe_would_find_a_serious_issue(opened, whole):
+    tab = opened(whole)
     tab.evaluate("document.querySelector('.verdict-line').style.color = '#ddd'")
     tab.evaluate("document.querySelector('select').removeAttribute('id')")
     assert {"color-contrast", "select-name"} <= {name for name, *_ in violations(tab)}
 
 
-def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, tmp_path: Path, whole: str) -> None:
-    tab, said = opened(browser, tmp_path, whole)
+def test_every_control_is_reached_and_seen_by_the_keyboard(opened, whole):
+    tab = opened(whole)
     open_all(tab)
     tab.keyboard.press("Tab")
     assert tab.evaluate("document.activeElement.className") == "skip"
@@ -119,11 +117,10 @@ def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, tmp_pat
         assert outline != "none", kind
         reached.add(kind)
     assert {"SELECT", "SUMMARY", "INPUT", "BUTTON", "DIV", "A"} <= reached
-    assert said == []
 
 
-def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, tmp_path: Path, whole: str) -> None:
-    tab, said = opened(browser, tmp_path, whole, color_scheme="dark")
+def test_paper_is_white_and_whole_even_from_a_dark_screen(opened, whole):
+    tab = opened(whole, color_scheme="dark")
     pages = tab.pdf(format="A4")
     assert pages.startswith(b"%PDF")
     # a picture a figure: an empty page would be a few kB
@@ -139,11 +136,10 @@ def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, tmp_path
     tab.set_viewport_size({"width": 718, "height": 1000})
     tab.wait_for_function("document.documentElement.scrollWidth <= 718")
     assert tab.evaluate("getComputedStyle(document.querySelector('.choose')).display") == "none"
-    assert said == []
 
 
-def test_series_are_told_apart_without_colour(browser: Any, tmp_path: Path, whole: str) -> None:
-    tab, _ = opened(browser, tmp_path, whole)
+def test_series_are_told_apart_without_colour(opened, whole):
+    tab = opened(whole)
     draw_all(tab)
     dashes = tab.evaluate(
         """document.querySelector('[data-figure=parts]').data

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rendered_tissues import PAPER_A
-from report_pages import drawn, grave, opened, self_contained, wait_for_figures, wide
+from report_pages import drawn, grave, self_contained, wait_for_figures, wide
 from typed_call import typed_call
 
 from tissueid.contrast.decision import Compared, contrast_document
@@ -35,7 +35,7 @@ def compared(*tissues: Compared) -> dict[str, Any]:
     return plain_json(contrast_document(tissues, clamp_N=5.0))
 
 
-def test_the_page_asks_the_network_for_nothing_and_says_its_numbers() -> None:
+def test_the_page_asks_the_network_for_nothing_and_says_its_numbers():
     document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
     words = self_contained(partial(render_contrast, document)).partition("<script>")[0]
     assert "kidney and liver differ." in words
@@ -46,14 +46,14 @@ def test_the_page_asks_the_network_for_nothing_and_says_its_numbers() -> None:
         assert row["name"] in words
 
 
-def test_equal_tissues_are_not_called_equal() -> None:
+def test_equal_tissues_are_not_called_equal():
     words = contrast_verdict(compared(tissue("kidney", 1.0), tissue("kidnez", 1.0)))
     assert "not shown to differ" in words.title
     assert "no proof of being equal" in words.text
     assert "a hand would hardly tell" in words.text
 
 
-def test_several_pairs_are_counted_against_chance() -> None:
+def test_several_pairs_are_counted_against_chance():
     document = compared(tissue("a", 1.0), tissue("bb", 1.0), tissue("ccc", 1.5))
     words = contrast_verdict(document)
     assert words.text.startswith(
@@ -68,7 +68,7 @@ def test_several_pairs_are_counted_against_chance() -> None:
     )
 
 
-def test_a_name_is_text() -> None:
+def test_a_name_is_text():
     wild = replace(tissue("x", 1.0), name="<script>alert(1)</script>")
     page = render_contrast(compared(wild, tissue("liver", 1.5)))
     assert "<script>alert" not in page
@@ -77,11 +77,9 @@ def test_a_name_is_text() -> None:
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (800, "dark"), (400, "light")])
-def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, scheme: Any) -> None:
+def test_a_browser_draws_the_document(opened, width, scheme):
     document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
-    tab, said = opened(
-        browser, tmp_path, render_contrast(document), width=width, height=4000, color_scheme=scheme
-    )
+    tab = opened(render_contrast(document), width=width, height=4000, color_scheme=scheme)
     wait_for_figures(tab, 3)
     traces = {kind: drawn(tab, kind) for kind in ("loading", "hold", "ratio")}
     assert wide(tab) <= width
@@ -89,7 +87,6 @@ def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, 
     if width == 1400:
         tab.emulate_media(media="print")
         assert tab.pdf()[:5] == b"%PDF-"
-    assert said == []
     rows = [(one, curve) for one in document["curves"] for curve in one["loading"]]
     assert len(traces["loading"]) == 3 * len(rows)
     for place, (one, curve) in enumerate(rows):
@@ -109,7 +106,7 @@ def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, 
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_gallery_can_be_read_by_everybody(browser: Any, scheme: Any) -> None:
+def test_the_gallery_can_be_read_by_everybody(browser, scheme):
     path = Path(__file__).resolve().parents[2] / "reports" / "gallery" / "index.html"
     page = browser.new_page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
     page.goto(path.as_uri())

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import pytest
-from report_pages import drawn, opened, self_contained, wait_for_figures, wide
+from report_pages import drawn, self_contained, wait_for_figures, wide
 from typed_call import typed_call
 
 from tissueid.design.document import design_document
@@ -40,7 +39,7 @@ def made(machine_name: str) -> dict[str, Any]:
     return document
 
 
-def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
+def test_page_recommends_and_says_what_the_given_protocol_takes():
     document = made("paper-a")
     page = self_contained(partial(render_design, document))
     best, other = document["protocols"][0], document["against"]["protocol"]
@@ -55,7 +54,7 @@ def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
     assert "The frame is taken as rigid" in page
 
 
-def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it() -> None:
+def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it():
     document = made("slow-logger")
     page = render_design(document)
     assert "<strong>None on this machine.</strong>" in page
@@ -68,9 +67,9 @@ def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it() -> None:
     assert "fit will flag it" in page
 
 
-def figures_of(browser: Any, folder: Path, html: str, *, width: int = 1200) -> list[dict[str, Any]]:
+def figures_of(opened: Any, html: str, *, width: int = 1200) -> list[dict[str, Any]]:
     """Traces of every figure as plotly holds them, types of its axes, and marks that are drawn."""
-    tab, said = opened(browser, folder, html, width=width, height=4000)
+    tab = opened(html, width=width, height=4000)
     wait_for_figures(tab, 2)
     figures = [
         {"traces": drawn(tab, "precision", want=want)}
@@ -83,7 +82,6 @@ def figures_of(browser: Any, folder: Path, html: str, *, width: int = 1200) -> l
         for want in (0, 1)
     ]
     assert wide(tab) <= width
-    assert said == []
     return figures
 
 
@@ -103,9 +101,9 @@ def expected(document: dict[str, Any], want: int) -> dict[str, list[list[float]]
 
 
 @pytest.mark.browser
-def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> None:
+def test_figures_hold_the_points_of_the_tables(opened):
     document = made("paper-a")
-    for want, figure in enumerate(figures_of(browser, tmp_path, render_design(document))):
+    for want, figure in enumerate(figures_of(opened, render_design(document))):
         assert (figure["x"], figure["y"]) == ("log", "log")
         found = {one["name"]: [one["x"], one["y"]] for one in figure["traces"]}
         for name, points in expected(document, want).items():
@@ -118,10 +116,10 @@ def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> 
 
 
 @pytest.mark.browser
-def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(browser: Any, tmp_path: Path) -> None:
+def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(opened):
     document = made("paper-a")
     wrong = deepcopy(document)
     wrong["protocols"][0]["precision"][0]["assured"] *= 1.5
-    figure, _ = figures_of(browser, tmp_path, render_design(wrong), width=400)
+    figure, _ = figures_of(opened, render_design(wrong), width=400)
     found = {one["name"]: one["y"] for one in figure["traces"]}
     assert found["protocols"] != pytest.approx(expected(document, 0)["protocols"][1], rel=1e-12)

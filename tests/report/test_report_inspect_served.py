@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from tissueid.viewer.page_server import PageServer
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[PageServer]:
+def page(tmp_path):
     """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s, served."""
     seconds = np.arange(0.0, 14.0, 0.02)
     x = np.minimum(seconds, 4.0)
@@ -69,9 +67,7 @@ def write(tab: Any, key: str, because: str) -> None:
 
 
 @pytest.mark.browser
-def test_a_click_a_reason_and_a_button_correct_a_recording(
-    browser: Any, page: PageServer, tmp_path: Path
-) -> None:
+def test_a_click_a_reason_and_a_button_correct_a_recording(browser, page, tmp_path):
     tab = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
     errors: list[str] = []
     tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)

@@ -11,7 +11,7 @@ from typing import Any
 import openpyxl
 import pytest
 from fit_factory import specimen_fit
-from report_pages import document_of, render_report
+from report_pages import document_of, render_report, specimen_of
 from typed_call import typed_call
 
 from tissueid.documents.measured import (
@@ -28,7 +28,6 @@ from tissueid.report.measured_words import MOST_COLUMNS, measured_view
 from tissueid.report.workbook import report_workbook
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 
 measured_view = typed_call(measured_view)
 report_workbook = typed_call(report_workbook)
@@ -61,14 +60,14 @@ def measured_fit(*logs: Measured, speeds: tuple[float, ...] = ()) -> SpecimenFit
 
 
 def view_of(fit: SpecimenFit) -> Any:
-    return measured_view(plain_json(fit.as_json()))
+    return measured_view(specimen_of(fit))
 
 
 def cells(fit: SpecimenFit) -> dict[str, list[str]]:
     return {row["name"]: [text for text, _ in row["cells"]] for row in view_of(fit)["rows"]}
 
 
-def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation() -> None:
+def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation():
     fit = measured_fit(log(9.0), log(10.0), log(11.0))
     found = cells(fit)
     assert found["Peak force"] == ["10.0 ± 1.0"]
@@ -83,14 +82,14 @@ def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation() -> Non
     assert view["said"].startswith("F(t): t after the stop. Mean ± SD between logs.")
 
 
-def test_one_log_says_that_its_spread_is_unknown() -> None:
+def test_one_log_says_that_its_spread_is_unknown():
     fit = measured_fit(log(9.0))
     assert cells(fit)["F(1 s)"] == ["7.200"]
     view = view_of(fit)
     assert "the spread between sites is unknown" in view["said"]
 
 
-def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted() -> None:
+def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted():
     logs = (log(9.0), log(11.0), log(30.0, speed_mm_s=20.0), log(2.0, speed_mm_s=0.1))
     fit = measured_fit(*logs, speeds=(4.0, 4.0, 20.0, 0.1))
     view = view_of(fit)
@@ -101,12 +100,12 @@ def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted() -> N
     assert len(pooled) == MOST_COLUMNS
 
 
-def test_several_holds_have_a_column_each() -> None:
+def test_several_holds_have_a_column_each():
     view = view_of(measured_fit(log(9.0, holds=2)))
     assert view["head"] == ["Hold 1, ramp 1.50 s", "Hold 2, ramp 1.50 s"]
 
 
-def test_a_folder_of_an_older_version_has_no_such_block() -> None:
+def test_a_folder_of_an_older_version_has_no_such_block():
     document = document_of(specimen_fit(samples=60))
     for specimen in document["specimens"]:
         del specimen["measured"]
@@ -117,7 +116,7 @@ def test_a_folder_of_an_older_version_has_no_such_block() -> None:
     assert "Measured, no model" not in html
 
 
-def test_the_block_and_the_workbook_have_the_same_numbers() -> None:
+def test_the_block_and_the_workbook_have_the_same_numbers():
     fit = measured_fit(log(9.0), log(11.0))
     document = document_of(fit)
     html = render_report(document, curves_of_fits([fit]))

@@ -7,17 +7,16 @@ from typing import Any
 
 from fit_factory import identification, specimen_fit
 from msgspec import structs
+from report_pages import document_of, render_report
 from typed_call import typed_call
 
 from tissueid.documents.quantities import AtDepth, Cycle, Measure, Spectrum
 from tissueid.quantities import Quantity, QuotedNumbers
-from tissueid.report import render_report
 from tissueid.report.quoted_words import MOST_ROWS, cycle_table, quoted_tables
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 
-render_report = typed_call(render_report)
 cycle_table = typed_call(cycle_table)
 quoted_tables = typed_call(quoted_tables)
 
@@ -77,13 +76,12 @@ def numbers() -> QuotedNumbers:
 
 def document(**changes: Any) -> tuple[dict[str, Any], Any]:
     fit = replace(specimen_fit(), **changes)
-    run = identification([fit])
-    made: dict[str, Any] = plain_json(run.as_json())
+    made = document_of(fit)
     assert first_problem(made, "identification") is None
-    return made, curves_of_fits(run.specimens)
+    return made, curves_of_fits([fit])
 
 
-def test_document_with_every_quoted_number_is_valid_and_its_page_has_them() -> None:
+def test_document_with_every_quoted_number_is_valid_and_its_page_has_them():
     made, curves = document(quoted=numbers(), cycles=(loop(), loop(2)))
     page = render_report(made, curves)
     for text in (
@@ -96,12 +94,12 @@ def test_document_with_every_quoted_number_is_valid_and_its_page_has_them() -> N
     assert "no modulus is given" not in page
 
 
-def test_without_a_tip_the_stiffness_is_called_structural() -> None:
+def test_without_a_tip_the_stiffness_is_called_structural():
     made, curves = document(quoted=replace(numbers(), moduli=(), assumptions={}))
     assert "no modulus is given" in render_report(made, curves)
 
 
-def test_a_run_without_quoted_numbers_has_no_such_section() -> None:
+def test_a_run_without_quoted_numbers_has_no_such_section():
     made, curves = document()
     page = render_report(made, curves)
     assert "Numbers to quote" not in page
@@ -110,14 +108,14 @@ def test_a_run_without_quoted_numbers_has_no_such_section() -> None:
     assert cycle_table([]) is None
 
 
-def test_spectrum_is_told_by_decades() -> None:
+def test_spectrum_is_told_by_decades():
     tables = {table.title: table for table in quoted_tables(numbers().as_json())}
     spectrum = tables["Relaxation spectrum"]
-    assert spectrum.head == ("Hold of", "0.1 to 1 s", "1 to 10 s", "Plateau [N]")
+    assert spectrum.heads == ("Hold of", "0.1 to 1 s", "1 to 10 s", "Plateau [N]")
     assert spectrum.rows == (("hold.csv", "50", "50", "5.00"),)
 
 
-def test_many_loops_are_cut_to_the_first_and_last() -> None:
+def test_many_loops_are_cut_to_the_first_and_last():
     table = cycle_table([loop(k) for k in range(1, 31)])
     assert len(table.rows) == MOST_ROWS
     assert table.left_out == 30 - MOST_ROWS
@@ -125,7 +123,7 @@ def test_many_loops_are_cut_to_the_first_and_last() -> None:
     assert table.rows[-1][0].endswith("cycle 30")
 
 
-def test_unloading_is_told_beside_the_loops() -> None:
+def test_unloading_is_told_beside_the_loops():
     unloading = {
         "rounds": 3, "converged": False, "change_sd": 0.4, "samples_in_contact": 600, "samples_in_air": 150,
         "samples_pulled": 0, "rms_in_contact_N": 0.2, "rms_in_air_N": 0.21, "surface_unique": True,
@@ -136,7 +134,7 @@ def test_unloading_is_told_beside_the_loops() -> None:
     assert "150 in air with 0.210 N left there" in page
 
 
-def test_loops_of_what_could_not_be_fitted_are_shown() -> None:
+def test_loops_of_what_could_not_be_fitted_are_shown():
     run = replace(identification([specimen_fit()]), unfitted_cycles=(loop(),))
     made: dict[str, Any] = plain_json(run.as_json())
     assert first_problem(made, "identification") is None

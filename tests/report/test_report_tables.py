@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import pytest
 from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import sampled
-from report_pages import document_of, opened, page
+from report_pages import document_of, page
 from typed_call import typed_call
 
 from tissueid.documents import typed
@@ -37,8 +37,8 @@ def names(tab: Any) -> list[str]:
 
 
 @pytest.fixture
-def tab(browser: Any, tmp_path: Path) -> Any:
-    found, _ = opened(browser, tmp_path, page(specimen_fit(trials=12, samples=60)), width=1200)
+def tab(opened):
+    found = opened(page(specimen_fit(trials=12, samples=60)), width=1200)
     # what is folded is opened as a reader would
     for part in ("specimen-1-trials", "cite"):
         found.click(f"#{part} > summary")
@@ -46,7 +46,7 @@ def tab(browser: Any, tmp_path: Path) -> Any:
 
 
 @pytest.mark.browser
-def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab: Any) -> None:
+def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab):
     unsorted = [f"run_{i}.csv" for i in range(1, 13)]
     assert names(tab) == unsorted
     speeds = f"{TABLE} thead th:nth-child(2) button"
@@ -72,7 +72,7 @@ def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab: Any) -> None:
 
 
 @pytest.mark.browser
-def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
+def test_a_filter_leaves_the_rows_that_carry_its_words(tab):
     tab.get_by_label("Filter by name or remark").fill("RUN_1")
     assert names(tab) == ["run_1.csv", "run_10.csv", "run_11.csv", "run_12.csv"]
     assert tab.text_content(f"{TABLE}-shown") == "4 of 12 rows"
@@ -82,7 +82,7 @@ def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
     assert len(names(tab)) == 12
 
 
-def test_methods_say_what_this_run_did_with_equations() -> None:
+def test_methods_say_what_this_run_did_with_equations():
     fit = specimen_fit()
     document = document_of(fit)
     told = methods_view(document["specimens"][0], document)
@@ -100,27 +100,8 @@ def test_methods_say_what_this_run_did_with_equations() -> None:
     assert "F<sub>s</sub>" in block
 
 
-@dataclass(frozen=True)
-class Done:
-    """What a run did, as its methods paragraph tells it: read back from the text alone."""
-
-    noise: str | None
-    noise_found: bool
-    sampler: str | None
-    draws: int | None
-    wanted: int | None
-    seed: int | None
-    branches: int
-    static_degree: int
-    stiffness_degree: int
-    chosen: tuple[bool, bool]
-    unloading: bool
-    contact_mm: float | None
-    versions: dict[str, str]
-
-
-def read_back(text: str) -> Done:
-    """Parse a methods paragraph, as a reader who repeats the run would."""
+def read_back(text: str) -> dict[str, Any]:
+    """What a run did, read from its methods paragraph alone, as whoever repeats the run would."""
 
     def one(pattern: str) -> str | None:
         found = re.search(pattern, text)
@@ -136,21 +117,21 @@ def read_back(text: str) -> Done:
     chosen = one(r"([^.]*) chosen by predicting data that were held out") or ""
     drawn = re.search(r"sampled by (\w+) \(([\d,]+) draws, for ([\d,]+) effective ones; seed (\d+)", text)
     contact = one(r"Contact was set at (\S+) mm")
-    return Done(
-        noise=noises[one(r"under ([a-z -]+?) of the force") or ""],
-        noise_found="of the force (found from the residuals)" in text,
-        sampler=None if drawn is None else drawn[1],
-        draws=None if drawn is None else int(drawn[2].replace(",", "")),
-        wanted=None if drawn is None else int(drawn[3].replace(",", "")),
-        seed=None if drawn is None else int(drawn[4]),
-        branches=words[one(r"(\w+) relaxing branch") or ""],
-        static_degree=int(one(r"static force of degree (\d)") or -1),
-        stiffness_degree=int(one(r"in depth \(degree (\d)\)|constant \(degree 0\)") or 0),
-        chosen=("number of branches" in chosen, "degree of K" in chosen),
-        unloading="Retracts and cycles were fitted as well" in text,
-        contact_mm=None if contact is None else float(contact),
-        versions=versions,
-    )
+    return {
+        "noise": noises[one(r"under ([a-z -]+?) of the force") or ""],
+        "noise_found": "of the force (found from the residuals)" in text,
+        "sampler": None if drawn is None else drawn[1],
+        "draws": None if drawn is None else int(drawn[2].replace(",", "")),
+        "wanted": None if drawn is None else int(drawn[3].replace(",", "")),
+        "seed": None if drawn is None else int(drawn[4]),
+        "branches": words[one(r"(\w+) relaxing branch") or ""],
+        "static_degree": int(one(r"static force of degree (\d)") or -1),
+        "stiffness_degree": int(one(r"in depth \(degree (\d)\)|constant \(degree 0\)") or 0),
+        "chosen": ("number of branches" in chosen, "degree of K" in chosen),
+        "unloading": "Retracts and cycles were fitted as well" in text,
+        "contact_mm": None if contact is None else float(contact),
+        "versions": versions,
+    }
 
 
 VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4.6", "scipy": "1.17.1"}
@@ -165,8 +146,8 @@ VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4
     [(1, 0, ("auto", "auto")), (2, 1, (2, "auto")), (3, 2, ("auto", 2)), (2, 2, (2, 2))],
 )
 def test_methods_are_read_back_as_the_options_of_the_run(
-    noise: str, sampler: str, wanted: int, seed: int, branches: int, degree: int, given: tuple[Any, Any]
-) -> None:
+    noise, sampler, wanted, seed, branches, degree, given
+):
     fit = specimen_fit()
     made = fit if sampler == "none" else sampled(fit, seed=seed)
     made = replace(made, model=replace(made.model, branches=branches, stiffness_degree=degree))
@@ -186,33 +167,33 @@ def test_methods_are_read_back_as_the_options_of_the_run(
     }  # fmt: skip
     text = methods_view(document["specimens"][0], document)["plain"]
     known = sampler != "none"
-    assert read_back(text) == Done(
+    assert read_back(text) == {
         # without a posterior the noise is the one of the fit itself
-        noise=noise if known else "white",
-        noise_found=seed == 0,
-        sampler=sampler if known else None,
-        draws=4_000 if known else None,
-        wanted=wanted if known else None,
-        seed=seed if known else None,
-        branches=branches,
-        static_degree=3,
-        stiffness_degree=degree,
-        chosen=(given[0] == "auto", given[1] == "auto"),
-        unloading=set_by_hand,
-        contact_mm=-1.25 if set_by_hand else None,
-        versions={"tissueid": "0.1.0", **VERSIONS},
-    )
+        "noise": noise if known else "white",
+        "noise_found": seed == 0,
+        "sampler": sampler if known else None,
+        "draws": 4_000 if known else None,
+        "wanted": wanted if known else None,
+        "seed": seed if known else None,
+        "branches": branches,
+        "static_degree": 3,
+        "stiffness_degree": degree,
+        "chosen": (given[0] == "auto", given[1] == "auto"),
+        "unloading": set_by_hand,
+        "contact_mm": -1.25 if set_by_hand else None,
+        "versions": {"tissueid": "0.1.0", **VERSIONS},
+    }
     if not known:
         assert "no posterior was sampled" in text
 
 
-def test_an_index_is_set_below_and_a_name_is_left_alone() -> None:
+def test_an_index_is_set_below_and_a_name_is_left_alone():
     assert str(subscripted("F_s and η_j of kidney_3 & s_j")) == (
         "F<sub>s</sub> and η<sub>j</sub> of kidney_3 &amp; s<sub>j</sub>"
     )
 
 
-def test_the_citation_is_that_of_the_citation_file() -> None:
+def test_the_citation_is_that_of_the_citation_file():
     text = (Path(__file__).parents[2] / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r'^title: "(.*)"', text, re.MULTILINE)[1] == TITLE  # type: ignore[index]
     assert re.search(r"name: (.*)", text)[1] == AUTHORS  # type: ignore[index]
@@ -220,7 +201,7 @@ def test_the_citation_is_that_of_the_citation_file() -> None:
     assert "{{The tissueid developers}}" in citation("0.1.0")["bibtex"]
 
 
-def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
+def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page():
     scale = Scale(
         force_scale=0.0066, motion_scale=5.0, felt_force_is_measured_over=152.0,
         felt_stiffness_is_measured_over=760.0, peak_force_N=1.8, clamp_N=2.0, required_damping_N_s_per_m=0.3,
@@ -252,7 +233,7 @@ def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
 
 
 @pytest.mark.browser
-def test_a_text_is_copied_or_where_that_is_forbidden_selected(tab: Any) -> None:
+def test_a_text_is_copied_or_where_that_is_forbidden_selected(tab):
     button = tab.locator("button[data-copies=cite-text]")
     button.click()
     tab.wait_for_function(

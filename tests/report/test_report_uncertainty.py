@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,25 +12,19 @@ import pytest
 from fit_factory import specimen_fit
 from msgspec import structs
 from posterior_factory import SHARES, SOURCES, posterior, sampled
-from report_pages import drawn, open_all, opened, page
+from report_pages import drawn, open_all, page, payload_of, specimen_of
 from typed_call import typed_call
 
 from tissueid.digits import together
 from tissueid.flags import Flag
 from tissueid.report.figures import MOST_NUMBERS, posterior_payload
 from tissueid.report.uncertainty_words import paper_view, reported_order, uncertainty_view
-from tissueid.result import SpecimenFit
-from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
 posterior_payload = typed_call(posterior_payload)
 paper_view = typed_call(paper_view)
 reported_order = typed_call(reported_order)
 uncertainty_view = typed_call(uncertainty_view)
-
-
-def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
-    return plain_json(fit.as_json())
 
 
 def words_of(html: str, start: str, end: str) -> str:
@@ -52,19 +44,19 @@ def residual_section(html: str) -> str:
     return words_of(html, '-residuals">', '<details class="part"')
 
 
-def test_numbers_without_an_error_have_the_digits_of_any_other() -> None:
+def test_numbers_without_an_error_have_the_digits_of_any_other():
     assert together([3.0, 2.0], 0.0) == ["3.000", "2.000"]
     assert together([0.0, 0.0], 0.01) == ["0.000", "0.000"]
 
 
-def test_parameters_come_in_the_order_of_the_publication() -> None:
+def test_parameters_come_in_the_order_of_the_publication():
     names = [one.name for one in reported_order(specimen_of(specimen_fit())["parameters"])]
     assert [name.split("_")[0] for name in names] == [
         "relaxation", "static", "static", "static", "stiffness", "viscosity",
     ]  # fmt: skip
 
 
-def test_every_interval_on_the_first_screen_is_that_of_the_result() -> None:
+def test_every_interval_on_the_first_screen_is_that_of_the_result():
     fit = sampled(specimen_fit(samples=60))
     text = first_screen(page(fit))
     for one in fit.parameters:
@@ -76,7 +68,7 @@ def test_every_interval_on_the_first_screen_is_that_of_the_result() -> None:
     assert " true " not in text
 
 
-def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_seen() -> None:
+def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_seen():
     html = page(sampled(specimen_fit(samples=60), misfit=True))
     text = first_screen(html)
     assert "95 %" not in text
@@ -90,7 +82,7 @@ def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_see
     assert "95 % statistical" in below
 
 
-def test_an_alarm_is_not_said_again_among_the_remarks() -> None:
+def test_an_alarm_is_not_said_again_among_the_remarks():
     fit = sampled(specimen_fit(samples=60), misfit=True, converged=False)
     flags = (
         Flag("misfit", "no interval can be believed"),
@@ -103,7 +95,7 @@ def test_an_alarm_is_not_said_again_among_the_remarks() -> None:
     assert "frame compliance is taken as none" in text
 
 
-def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind() -> None:
+def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind():
     fit = sampled(specimen_fit(samples=60, identified=False))
     view = uncertainty_view(specimen_of(fit))
     (tau,) = [row for row in view["rows"] if "tau" in row.symbols]
@@ -117,14 +109,14 @@ def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind() -> None
     assert (static.symbols, static.value) == (("a1", "a2", "a3"), "not identified")
 
 
-def test_a_sampler_that_did_not_converge_is_told_with_its_reason() -> None:
+def test_a_sampler_that_did_not_converge_is_told_with_its_reason():
     html = page(sampled(specimen_fit(samples=60), converged=False))
     assert "The sampler did not converge" in first_screen(html)
     assert "not converged: R-hat of ln_tau_1 is 1.08 after 20,000 steps" in sure_section(html)
     assert "The sampler did not converge" not in first_screen(page(sampled(specimen_fit(samples=60))))
 
 
-def test_sampler_noise_priors_models_and_checks_are_told() -> None:
+def test_sampler_noise_priors_models_and_checks_are_told():
     html = page(sampled(specimen_fit(samples=60)))
     text, checked = sure_section(html), residual_section(html)
     assert "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept" in text
@@ -144,7 +136,7 @@ def test_sampler_noise_priors_models_and_checks_are_told() -> None:
         assert claim in text
 
 
-def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated() -> None:
+def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated():
     fit = sampled(specimen_fit(samples=60))
     html = page(fit)
     stack = html.split('class="stack"')[1].split("</span>")[0]
@@ -158,13 +150,13 @@ def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated() -> 
     assert len(eta["sd"]) == len(SOURCES) + 2
 
 
-def test_without_a_total_interval_nothing_speaks_of_one() -> None:
+def test_without_a_total_interval_nothing_speaks_of_one():
     html = page(sampled(specimen_fit(samples=60), total=False))
     assert "95 % total" not in html
     assert "No total interval was worked out" in html
 
 
-def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() -> None:
+def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason():
     fit = sampled(specimen_fit(samples=60), total=False)
     sampler = fit.posterior.sampler
     total = {"converged": False, "worth": 2.2, "tail_shape": 15.9}
@@ -174,14 +166,14 @@ def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() ->
     assert "the draws are worth 2.2 independent ones" in text
 
 
-def test_a_page_without_a_posterior_has_standard_errors() -> None:
+def test_a_page_without_a_posterior_has_standard_errors():
     html = page(specimen_fit(samples=60))
     assert "95 %" not in first_screen(html)
     assert "No posterior was sampled" in sure_section(html)
     assert "4.000 ± 0.050" in first_screen(html)
 
 
-def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences() -> None:
+def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences():
     fit = sampled(specimen_fit(samples=60))
     own = replace(
         fit.posterior,
@@ -196,7 +188,7 @@ def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences(
     assert "walkers" not in text
 
 
-def test_null_diagnostics_and_rows_are_dashes() -> None:
+def test_null_diagnostics_and_rows_are_dashes():
     fit = sampled(specimen_fit(samples=60))
     rows = tuple(
         structs.replace(row, shrinkage=float("nan"), posterior_sd=float("nan"))
@@ -206,7 +198,7 @@ def test_null_diagnostics_and_rows_are_dashes() -> None:
     assert "by the study – ± – –" in text
 
 
-def test_a_page_carries_a_bounded_number_of_draws() -> None:
+def test_a_page_carries_a_bounded_number_of_draws():
     def payload(count: int) -> list[dict[str, Any] | None]:
         fits = [sampled(specimen_fit(f"s{i}", trials=1, samples=40), seed=i) for i in range(count)]
         return posterior_payload([specimen_of(fit) for fit in fits], posteriors_of_fits(fits))
@@ -224,10 +216,10 @@ def test_a_page_carries_a_bounded_number_of_draws() -> None:
     assert steps.max(axis=1).tolist() == [65_535] * len(steps)
 
 
-def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit() -> None:
+def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit():
     plain, odd, bare = (specimen_fit(name, trials=1, samples=40) for name in "abc")
     html = page(sampled(plain), sampled(odd, misfit=True), bare)
-    points = json.loads(html.split('id="curves">')[1].split("</script>")[0])["overview"]
+    points = payload_of(html, "curves")["overview"]
     known = sampled(plain).parameter("viscosity_N_s_per_mm").uncertainty
     assert points[0]["up"] == pytest.approx(known.ci95[1] - 9.0, rel=1e-12)
     assert points[0]["down"] == pytest.approx(9.0 - known.ci95[0], rel=1e-12)
@@ -239,9 +231,9 @@ def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit(
 
 
 @pytest.mark.browser
-def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) -> None:
+def test_figures_show_bands_densities_and_draws(opened):
     fit = sampled(specimen_fit(trials=2, samples=200))
-    tab, errors = opened(browser, tmp_path, page(fit))
+    tab = opened(page(fit))
     # a band about each of two logs would hide the other
     assert not [trace for trace in drawn(tab, "main") if trace["name"] == "predicted"]
     tab.select_option("select[data-choice]", "1")
@@ -270,4 +262,3 @@ def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) ->
         # a density: its sum times the width of a bin is one
         assert sum(density["y"]) * width == pytest.approx(1.0, rel=1e-3)
     assert len(drawn(tab, "trace")) == 4 * len(posterior().chain_names)
-    assert errors == []

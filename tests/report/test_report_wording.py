@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
+from report_pages import specimen_of
 from typed_call import typed_call
 
 from tissueid.digits import number, with_error
@@ -22,7 +23,6 @@ from tissueid.report.wording import (
     unit_words,
     verdict,
 )
-from tissueid.store.files import plain_json
 
 remarks = typed_call(remarks)
 overview_sentence = typed_call(overview_sentence)
@@ -31,7 +31,7 @@ verdict = typed_call(verdict)
 
 
 def document(**options: Any) -> dict[str, Any]:
-    return plain_json(specimen_fit(**options).as_json())
+    return specimen_of(specimen_fit(**options))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def document(**options: Any) -> dict[str, Any]:
         (None, 4, "–"),
     ],
 )
-def test_numbers_are_written_as_people_write_them(value: float | None, digits: int, expected: str) -> None:
+def test_numbers_are_written_as_people_write_them(value, digits, expected):
     assert number(value, digits) == expected
 
 
@@ -63,11 +63,11 @@ def test_numbers_are_written_as_people_write_them(value: float | None, digits: i
         (0.1461059, 5.1e-6, "0.1461059 ± 0.0000051"),
     ],
 )
-def test_a_value_ends_where_its_error_ends(value: float | None, stderr: float | None, expected: str) -> None:
+def test_a_value_ends_where_its_error_ends(value, stderr, expected):
     assert with_error(value, stderr) == expected
 
 
-def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity() -> None:
+def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity():
     # secant at 6 mm: 4 + 0.8 * 6 + 0.05 * 36 = 10.6 N/mm
     assert tissue_sentence(document()) == (
         "Its static stiffness is 4.000 ± 0.050 N/mm at contact (10.6 N/mm on average over 6.00 mm), "
@@ -76,29 +76,29 @@ def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity() ->
     )
 
 
-def test_a_sampled_tissue_is_told_with_its_total_intervals_and_a_misfit_takes_them_off() -> None:
+def test_a_sampled_tissue_is_told_with_its_total_intervals_and_a_misfit_takes_them_off():
     fit = sampled(specimen_fit())
     (eta,) = [one for one in fit.parameters if one.name.startswith("viscosity")]
     low, high = eta.uncertainty.ci95_total
-    sentence = tissue_sentence(plain_json(fit.as_json()))
+    sentence = tissue_sentence(specimen_of(fit))
     assert (
         f"its viscosity is 9.00 N·s/mm [{low:.2f} to {high:.2f}] (brackets: 95 % total intervals)" in sentence
     )
     assert "±" not in sentence
-    statistical = tissue_sentence(plain_json(sampled(specimen_fit(), total=False).as_json()))
+    statistical = tissue_sentence(specimen_of(sampled(specimen_fit(), total=False)))
     assert "(brackets: 95 % statistical intervals)" in statistical
-    doubted = tissue_sentence(plain_json(sampled(specimen_fit(), misfit=True).as_json()))
+    doubted = tissue_sentence(specimen_of(sampled(specimen_fit(), misfit=True)))
     assert "95 %" not in doubted
     assert "±" not in doubted
 
 
-def test_what_is_not_identified_is_never_a_number() -> None:
+def test_what_is_not_identified_is_never_a_number():
     sentence = tissue_sentence(document(identified=False))
     assert "its relaxation time is not identified" in sentence
     assert "1.5" not in sentence
 
 
-def test_the_verdict_falls_with_what_is_missing() -> None:
+def test_the_verdict_falls_with_what_is_missing():
     clean = document() | {"flags": [], "relaxation": []}
     clean["trials"] = [one | {"flags": []} for one in clean["trials"]]
     assert verdict(clean).level == "ok"
@@ -111,18 +111,18 @@ def test_the_verdict_falls_with_what_is_missing() -> None:
     assert verdict(stopped).level == "serious"
 
 
-def test_a_flag_of_many_trials_is_one_remark_that_names_them() -> None:
+def test_a_flag_of_many_trials_is_one_remark_that_names_them():
     (same_time,) = [remark for remark in remarks(document(trials=3)) if remark.code == "zero_dt"]
     assert same_time.where == ("run_1.csv", "run_2.csv", "run_3.csv")
 
 
-def test_remarks_come_gravest_first() -> None:
+def test_remarks_come_gravest_first():
     order = ["serious", "caution", "note"]
     levels = [order.index(remark.level) for remark in remarks(document(identified=False))]
     assert levels == sorted(levels)
 
 
-def test_several_specimens_are_summed_up_by_median_and_range() -> None:
+def test_several_specimens_are_summed_up_by_median_and_range():
     entries = [document(specimen="a"), document(specimen="b"), document(specimen="c", identified=False)]
     entries[0]["parameters"][-1]["value"] = 12.0
     sentence = overview_sentence(entries)
@@ -130,17 +130,17 @@ def test_several_specimens_are_summed_up_by_median_and_range() -> None:
     assert "relaxation time 1.50 s (1.50 to 1.50, identified in 2)" in sentence
 
 
-def test_branches_and_units_are_put_in_words() -> None:
+def test_branches_and_units_are_put_in_words():
     assert parameter_words("relaxation_time_s_b2") == "Relaxation time, branch 2"
     assert unit_words("N s/mm") == "N·s/mm"
     assert unit_words("N/mm^2") == "N/mm²"
 
 
-def test_every_flag_has_a_title_of_a_few_words() -> None:
+def test_every_flag_has_a_title_of_a_few_words():
     assert all(1 <= len(title.split()) <= 4 for title, *_ in FLAGS.values())
 
 
-def test_title_and_sentence_of_a_remark_do_not_repeat_each_other() -> None:
+def test_title_and_sentence_of_a_remark_do_not_repeat_each_other():
     for remark in remarks(document(identified=False)):
         title = set(remark.title.lower().split())
         assert remark.message.lower() != remark.title.lower()
@@ -148,7 +148,7 @@ def test_title_and_sentence_of_a_remark_do_not_repeat_each_other() -> None:
         assert len(title & set(remark.message.lower().split())) <= len(title) // 2 + 1
 
 
-def test_sentences_of_one_flag_are_joined_once_each() -> None:
+def test_sentences_of_one_flag_are_joined_once_each():
     entry = document()
     entry["flags"] = [
         {"code": "not_identified", "message": message}
@@ -162,7 +162,7 @@ def test_sentences_of_one_flag_are_joined_once_each() -> None:
 MM_N = Units(length="mm", force="N", time="s")
 
 
-def test_a_rupture_is_told_in_words_and_units() -> None:
+def test_a_rupture_is_told_in_words_and_units():
     values = {
         "force_before_N": 66.2,
         "drop_N": 12.5,
@@ -174,13 +174,13 @@ def test_a_rupture_is_told_in_words_and_units() -> None:
     assert event_words(values, MM_N) == expected
 
 
-def test_counts_have_no_unit_and_normalised_recordings_their_own() -> None:
+def test_counts_have_no_unit_and_normalised_recordings_their_own():
     assert event_words({"turns": 3, "force_N": 2.0}, MM_N) == "turns 3, force 2.000 N"
     assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, Units(length="1", force="MPa", time="s")) == (
         "falls by 2.000 MPa, depth 0.5"
     )
 
 
-def test_a_stop_within_a_sampling_interval_is_not_called_instant() -> None:
+def test_a_stop_within_a_sampling_interval_is_not_called_instant():
     assert took(0.0) == "too short to see"
     assert took(0.02) == "took 0.020 s"

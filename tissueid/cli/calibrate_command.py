@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, made_folder, note, progress_bar, refuse, refuse_foreign, tell
+from tissueid.cli.output import (
+    checked,
+    created_now,
+    made_folder,
+    note,
+    progress_bar,
+    refuse,
+    refuse_foreign,
+    tell,
+)
 from tissueid.cli.reading import read_all, read_in_order, recorded_options
-from tissueid.documents import typed
 from tissueid.documents.selfcheck import SelfCheck
 from tissueid.errors import InputError, UsageError
 
@@ -54,13 +62,12 @@ class _CalibrateFlags(OutputFlags):
     workers: int = option("Processes; results do not depend on them.", type=FROM_1, default=1)
     specimen: str | None = option("Which specimen of a study, where it has several.", metavar="NAME")
     model: str | None = option("Law of the tissue in recordings, as of tissueid fit.", metavar="NAME")
-    interval: str = option(
+    interval: Literal["statistical", "total"] = option(
         "total draws calibration defects from their priors and checks the intervals that know these.",
-        type=click.Choice(["statistical", "total"]), default="statistical",
+        default="statistical",
     )
-    noise: str = option(
-        "Noise of the recordings; auto takes the recipe's, or that of the fit.",
-        type=click.Choice(["auto", "white", "ar1"]), default="auto",
+    noise: Literal["auto", "white", "ar1"] = option(
+        "Noise of the recordings; auto takes the recipe's, or that of the fit.", default="auto"
     )
     phi: float | None = option(
         "Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
@@ -84,8 +91,7 @@ def command(flags: _CalibrateFlags) -> int:
     from tissueid.selfcheck.records import Checkpoint, fingerprint, run_simulations
     from tissueid.selfcheck.tissue import described, tissue_check
     from tissueid.selfcheck.verdicts import Asked, check_document
-    from tissueid.store.files import json_bytes, plain_json, write_file
-    from tissueid.store.schema import check as check_schema
+    from tissueid.store.files import json_bytes, write_file
 
     if flags.phi is not None and flags.noise != "ar1":
         refuse("--phi is the correlation of --noise ar1: give both, or neither")
@@ -111,12 +117,9 @@ def command(flags: _CalibrateFlags) -> int:
             )
     asked = Asked(found.kind, flags.source, found.specimen, flags.simulations, flags.seed)
     written, verdict = check_document(asked, found.protocol, check, records)
-    document: dict[str, Any] = plain_json(written)
-    check_schema(document, "selfcheck", where=_FILES[0])
+    document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))
-    write_file(
-        out / _FILES[1], render_selfcheck(typed(document, SelfCheck), created=created_now()).encode("utf-8")
-    )
+    write_file(out / _FILES[1], render_selfcheck(read, created=created_now()).encode("utf-8"))
     tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=flags.quiet)
@@ -136,10 +139,11 @@ def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
 
 
 def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> Iterator[str]:
+    from tissueid.report.wording import counted
     from tissueid.selfcheck.truth import prior_words
 
     yield (
-        f"{protocol.words}: {len(protocol.logs)} log{'s' * (len(protocol.logs) > 1)}, "
+        f"{protocol.words}: {counted(len(protocol.logs), 'log')}, "
         f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations"
     )
     words = prior_words(
@@ -241,7 +245,6 @@ def bundle_file(path: Path) -> Path | None:
 
 
 def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:
-
     from tissueid.selfcheck.protocol import inputs_there, of_bundle, pooled
     from tissueid.store.bundle import load_bundle
 

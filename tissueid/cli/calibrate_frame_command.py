@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tissueid.cli.flags import FILE, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import note, tell, write_output
+from tissueid.cli.output import checked, note, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
-from tissueid.documents import typed
 from tissueid.documents.folder import Frame
 
 EXAMPLES = """
@@ -31,7 +30,6 @@ def command(flags: _CalibrateFrameFlags) -> int:
     """
     from tissueid.result import Refusal
     from tissueid.store.files import json_bytes
-    from tissueid.store.schema import check
     from tissueid.study.calibrate_frame import calibrate_frame
     from tissueid.trial import Trial
 
@@ -41,18 +39,18 @@ def command(flags: _CalibrateFrameFlags) -> int:
         if isinstance(item, Refusal):
             raise item.as_error()
         trials.append(item)
-    document = calibrate_frame(trials)
-    check(document, "frame", where=flags.output)
-    write_output(flags.output, json_bytes(document))
-    tell(flags, document, _lines(typed(document, Frame)))
+    written, document = checked(calibrate_frame(trials), "frame", Frame, where=flags.output)
+    write_output(flags.output, json_bytes(written))
+    tell(flags, written, _lines(document))
     note(f"wrote {flags.output}", quiet=flags.quiet)
     return 0
 
 
 def _lines(document: Frame) -> Iterator[str]:
+    from tissueid.report.wording import counted
+
     top = document.range_N[1]
-    plural = "s" if document.loadings > 1 else ""
-    yield f"{document.loadings} loading{plural} to {top:.4g} N"
+    yield f"{counted(document.loadings, 'loading')} to {top:.4g} N"
     yield f"stiffness above {top / 2:.3g} N: {document.stiffness_N_per_mm:.4g} N/mm"
     yield "force [N]   deflection [mm]   sd [mm]"
     for force, give, sd in zip(document.force_N, document.deflection_mm, document.sd_mm, strict=True):

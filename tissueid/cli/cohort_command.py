@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Literal
 
 from tissueid.cli.flags import FOLDER_THERE, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar
@@ -26,18 +24,15 @@ NOT_CONVERGED = 4
 
 
 class _CohortFlags(OutputFlags):
-    # fmt: off
     out: str = argument(type=FOLDER_THERE)
     group_by: str | None = option("Covariate of the study whose groups are compared.", metavar="KEY")
     covariates: tuple[str, ...] = option("Covariate to allow for.", "--covariate", metavar="KEY")
-    tails: str = option(
-        "How specimens scatter: t lets the data say how heavy the tails are.",
-        type=click.Choice(["t", "normal"]), default="t",
+    tails: Literal["t", "normal"] = option(
+        "How specimens scatter: t lets the data say how heavy the tails are.", default="t"
     )
     mix_states: bool = option("Pool thawed specimens with fresh ones.")
     seed: int = option("Seed of the chains.", type=FROM_0, default=0)
     no_held_out: bool = option("Leave out the prediction of each specimen from the others.")
-    # fmt: on
 
 
 @subcommand("cohort", EXAMPLES)

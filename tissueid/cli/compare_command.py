@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import (
+    checked,
     created_now,
     echo_lines,
     made_folder,
@@ -47,9 +46,9 @@ CLAMP_N = 5.0
 class _CompareFlags(ReadingFlags, OutputFlags):
     # fmt: off
     paths: tuple[str, ...] = argument(required=True, type=PATH)
-    interval: str = option(
+    interval: Literal["statistical", "total"] = option(
         "total for recordings of different machines: it knows their calibration. Needs output folders.",
-        type=click.Choice(["statistical", "total"]), default="statistical",
+        default="statistical",
     )
     clamp: float = option(
         "Largest force of the device at which a hand would feel them.",
@@ -79,7 +78,6 @@ def command(flags: _CompareFlags) -> int:
     from tissueid.contrast.decision import contrast_document
     from tissueid.measured.spread import measured_pairs
     from tissueid.store.files import plain_json
-    from tissueid.store.schema import check
 
     both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
     if len(both) < 2:
@@ -96,23 +94,22 @@ def command(flags: _CompareFlags) -> int:
         if not flags.as_json and not flags.quiet:
             echo_lines(_measured_lines(typed(plain_json(measured), tuple[MeasuredPair, ...])))
         raise
-    plain = plain_json(found) | ({"measured": plain_json(measured)} if measured else {})
-    check(plain, "contrast", where="contrast.json")
-    document = typed(plain, Contrast)
+    whole = found | ({"measured": measured} if measured else {})
+    plain, document = checked(whole, "contrast", Contrast, where="contrast.json")
     if flags.output is not None:
-        _write(plain, Path(flags.output), quiet=flags.quiet)
+        _write(plain, document, Path(flags.output), quiet=flags.quiet)
     tell(flags, plain, _lines(document))
     return 0
 
 
-def _write(plain: Any, target: Path, *, quiet: int) -> None:
+def _write(plain: Any, document: Contrast, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
     from tissueid.report.contrast_page import render_contrast
     from tissueid.store.files import json_bytes
 
     if target.suffix not in {".json", ".html"}:
         target = made_folder(target) / "contrast.html"
-    page = render_contrast(typed(plain, Contrast), created=created_now())
+    page = render_contrast(document, created=created_now())
     write_output(target.with_suffix(".json"), json_bytes(plain))
     write_output(target.with_suffix(".html"), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)

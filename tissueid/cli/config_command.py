@@ -1,8 +1,4 @@
-"""``tissueid config``, and defaults of options from configuration files or the environment.
-
-Keys are the long options without their dashes, in a table named as the command is.  An unknown key and a
-value that does not fit are refused with file and line; nothing is skipped in silence.
-"""
+"""``tissueid config``, and options from configuration files and the environment, none skipped in silence."""
 
 from __future__ import annotations
 
@@ -76,16 +72,14 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
     if isinstance(found, click.Group):
         return [row for row in rows if row["command"].split()[: len(name)] == list(name)]
     told = {row["option"]: row for row in rows if row["command"] == " ".join(name)}
-    return [
-        told.get(key) or {"command": " ".join(name), "option": key, "value": _default(option), "source": None}
-        for key, option in settable(found).items()
-    ]
-
-
-def _default(option: click.Option) -> Any:
-    """The value of an option that nothing sets; ``None`` where it has none."""
-    value = option.to_info_dict()["default"]
-    return value if isinstance(value, str | int | float | bool) else None
+    every = []
+    for key, option in settable(found).items():
+        default = option.to_info_dict()["default"]
+        value = default if isinstance(default, str | int | float) else None
+        every.append(
+            told.get(key) or {"command": " ".join(name), "option": key, "value": value, "source": None}
+        )
+    return every
 
 
 def _lines(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -113,6 +107,7 @@ PYPROJECT = "pyproject.toml"
 class Setting:
     """A value that was not typed."""
 
+    parameter: str  # name by which click knows the option
     value: Any  # as click takes it
     source: str  # file with line, or name of the environment variable
 
@@ -126,7 +121,7 @@ class SettingsFile:
     inside: tuple[str, ...]  # where they stand in the file: empty, or ``("tool", "tissueid")``
     text: str
 
-    def at(self, key: tuple[str, ...]) -> str:
+    def at(self, *key: str) -> str:
         """File and line of a key."""
         from tissueid.ingest.manifest import line_of, lines_of_toml
 
@@ -207,26 +202,20 @@ def settings_of(
         for path, leaf in leaves:
             for key in (key for key in GENERAL if key in file.table and key in settable(leaf)):
                 found[*path, key] = _from_file(file, (key,), settable(leaf)[key], file.table[key])
-        found |= _from_table(file, command, name, _descend(file, name))
+        found |= _from_table(file, command, name, file.table.get(name[0], {}))
     for path, leaf in leaves:
         found |= _from_environment(path, leaf)
     return found
 
 
-def as_default_map(
-    settings: Mapping[tuple[str, ...], Setting], root: click.Command, name: tuple[str, ...]
-) -> dict[str, Any]:
+def as_default_map(settings: Mapping[tuple[str, ...], Setting]) -> dict[str, Any]:
     """Defaults as click takes them: values by the names of its parameters, nested as commands are."""
     tree: dict[str, Any] = {}
-    for path, leaf in walk(root, name):
-        if isinstance(leaf, click.Group):
-            continue
+    for (*path, _), setting in settings.items():
         place = tree
         for part in path:
             place = place.setdefault(part, {})
-        for key, option in settable(leaf).items():
-            if (*path, key) in settings:
-                place[str(option.name)] = settings[*path, key].value
+        place[setting.parameter] = setting.value
     return tree
 
 
@@ -238,25 +227,16 @@ def _check_root(file: SettingsFile, root: click.Group) -> None:
         if key not in names:
             raise UsageError(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
         if not isinstance(value, Mapping):
-            refuse(f"{file.at((key,))}: {key} is a command; its settings stand in a table [{key}]")
+            refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
 
 
 def _unknown(file: SettingsFile, key: tuple[str, ...], names: list[str], words: str) -> str:
     typed = key[-1]
     if typed in TYPED_ONLY:
-        return f"{file.at(key)}: {typed} must be typed each time and can't be set in a file"
+        return f"{file.at(*key)}: {typed} must be typed each time and can't be set in a file"
     near = get_close_matches(typed.replace("_", "-"), names, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(sorted(names))}"
-    return f"{file.at(key)}: {typed!r} {words}; {hint}"
-
-
-def _descend(file: SettingsFile, name: tuple[str, ...]) -> TomlTable:
-    table: Any = file.table
-    for end, part in enumerate(name, start=1):
-        table = table.get(part, {})
-        if not isinstance(table, Mapping):
-            refuse(f"{file.at(name[:end])}: {part} is a command; its settings stand in a table")
-    return table  # type: ignore[no-any-return]
+    return f"{file.at(*key)}: {typed!r} {words}; {hint}"
 
 
 def _from_table(
@@ -265,11 +245,13 @@ def _from_table(
     found: dict[tuple[str, ...], Setting] = {}
     if isinstance(command, click.Group):
         names = command.list_commands(click.Context(command))
-        for key in table:
+        for key, own in table.items():
             part = below(command, (key,)) if key in names else None
             if part is None:
                 raise UsageError(_unknown(file, (*name, key), names, f"is no part of {' '.join(name)}"))
-            found |= _from_table(file, part, (*name, key), _descend(file, (*name, key)))
+            if not isinstance(own, Mapping):
+                refuse(f"{file.at(*name, key)}: {key} is a command; its settings stand in a table")
+            found |= _from_table(file, part, (*name, key), own)
         return found
     options = settable(command)
     for key, value in table.items():
@@ -283,9 +265,9 @@ def _from_table(
 
 def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, value: Any) -> Setting:
     try:
-        return Setting(_fitting(option, value), file.at(key))
+        return Setting(str(option.name), _fitting(option, value), file.at(*key))
     except ValueError as error:
-        msg = f"{file.at(key)}: {key[-1]} = {value!r}: {error}"
+        msg = f"{file.at(*key)}: {key[-1]} = {value!r}: {error}"
         raise UsageError(msg) from error
 
 
@@ -348,7 +330,7 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
             refuse(f"environment variable {variable}: tissueid {' '.join(path)} takes no such setting{hint}")
         option = options[names[variable]]
         try:
-            found[*path, names[variable]] = Setting(_from_text(option, text), variable)
+            found[*path, names[variable]] = Setting(str(option.name), _from_text(option, text), variable)
         except ValueError as error:
             msg = f"environment variable {variable} = {text!r}: {error}"
             raise UsageError(msg) from error

@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from tissueid.cli.completion_command import presets
-from tissueid.cli.flags import ABOVE_0, FROM_0, REAL_FROM_0, Flags, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import (
+    ABOVE_0,
+    FILE_THERE,
+    FROM_0,
+    REAL_FROM_0,
+    Flags,
+    OutputFlags,
+    argument,
+    option,
+    subcommand,
+)
 from tissueid.cli.output import refuse, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
@@ -28,8 +38,6 @@ tissueid control bundle.h5 --device sim
 """
 #: Exit code where the loop that was asked for did not stay bounded.
 DIVERGED = 4
-_ABOVE_0 = click.FloatRange(min=0.0, min_open=True)
-_FROM_0 = click.FloatRange(min=0.0)
 
 
 class _LoopFlags(Flags):
@@ -39,20 +47,17 @@ class _LoopFlags(Flags):
     preset: str | None = option(
         "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
-    variant: str = option(
-        "A estimates device and hand; B uses the measured force and estimates the device.",
-        type=click.Choice(["A", "B"]), default="B",
+    variant: Literal["A", "B"] = option(
+        "A estimates device and hand; B uses the measured force and estimates the device.", default="B"
     )
-    environment: str = option(
-        "What touches the tissue: the virtual tool, or the device itself.",
-        type=click.Choice(["admittance", "impedance"]), default="admittance",
+    environment: Literal["admittance", "impedance"] = option(
+        "What touches the tissue: the virtual tool, or the device itself.", default="admittance"
     )
     stiffness_scale: float = option(
         "Factor on the tissue's stiffness.", type=ABOVE_0, default=1.0, metavar="S"
     )
-    task: str = option(
-        "How the hand pushes.",
-        type=click.Choice(["sustained", "free-contact", "impacts"]), default="sustained",
+    task: Literal["sustained", "free-contact", "impacts"] = option(
+        "How the hand pushes.", default="sustained"
     )
     seconds: float = option(
         "Length of the run.", type=click.FloatRange(1.0, 600.0), default=12.0, metavar="T"
@@ -77,9 +82,7 @@ class _ControllerFlags(Flags):
     """Flags of the controller."""
 
     frozen: bool = option("Ask for the controller that does not adapt.")
-    start: str = option(
-        "First estimates, of what is true.", type=click.Choice(["half", "zero", "true"]), default="half"
-    )
+    start: Literal["half", "zero", "true"] = option("First estimates, of what is true.", default="half")
     gamma: tuple[float, float, float] | None = option(
         "Gains of the adaptation.", nargs=3, type=REAL_FROM_0, metavar="M B K"
     )
@@ -95,9 +98,7 @@ class _ControllerFlags(Flags):
 
 
 class _ControlFlags(_LoopFlags, _ControllerFlags, OutputFlags):
-    bundle: Path | None = argument(
-        required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path)
-    )
+    bundle: Path | None = argument(required=False, type=FILE_THERE)
 
 
 @subcommand("control", EXAMPLES)
@@ -140,7 +141,6 @@ def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
 
 
 def _settings(flags: _ControlFlags, tissue: Tissue) -> ControlSettings:
-
     from tissueid.rendering.control.settings import (
         TABLE_3_DEVICE,
         TABLE_3_OPERATOR,

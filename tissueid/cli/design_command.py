@@ -6,13 +6,13 @@ import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import (
-    Column,
+    checked,
     created_now,
     echo,
     echo_json,
@@ -23,7 +23,6 @@ from tissueid.cli.output import (
     refuse,
     refuse_foreign,
 )
-from tissueid.documents import typed
 from tissueid.documents.design import Design, Protocol
 
 if TYPE_CHECKING:
@@ -81,9 +80,8 @@ class _DesignFlags(OutputFlags):
         "Scatter of the force from log to log (standard deviation of the ln gain).",
         default=0.02, metavar="SD",
     )
-    interval: str = option(
-        "total counts what is unknown of gains, skew, filter and frame.",
-        type=click.Choice(["statistical", "total"]), default="statistical",
+    interval: Literal["statistical", "total"] = option(
+        "total counts what is unknown of gains, skew, filter and frame.", default="statistical"
     )
     assurance: float = option(
         "Share of the tissues for which the precision must be reached.",
@@ -108,8 +106,7 @@ def command(flags: _DesignFlags) -> int:
     """
     from tissueid.design.document import design_document
     from tissueid.design.plan import planned
-    from tissueid.store.files import plain_json
-    from tissueid.store.schema import check
+    from tissueid.store.files import json_bytes, write_file
 
     machine, tissues, asked, given = _prepared(flags)
     out = None
@@ -122,11 +119,11 @@ def command(flags: _DesignFlags) -> int:
         plan = planned(machine, tissues, asked, progress)
         seconds = (datetime.now(UTC) - started).total_seconds()
     written = design_document(plan, machine, tissues, asked, given=given, specimens=flags.specimens)
-    plain = plain_json(written)
-    check(plain, "design", where=_FILES[0])
-    document = typed(plain, Design)
+    plain, document = checked(written, "design", Design, where=_FILES[0])
     if out is not None:
-        _write(out, plain, plan, machine, tissues, asked)
+        _write(out, plan, machine, tissues, asked, document)
+        # last of all: a plan is there when it is
+        write_file(out / _FILES[0], json_bytes(plain))
     if flags.as_json:
         echo_json(plain)
     elif not flags.quiet:
@@ -227,15 +224,15 @@ def _time(text: str) -> float:
     return seconds
 
 
-def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked) -> None:
-    """All files of the plan, design.json last."""
+def _write(out: Path, plan: Plan, machine: Machine, tissues: Tissues, asked: Asked, document: Design) -> None:
+    """All files of the plan but design.json."""
     from tissueid.design.document import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
-    from tissueid.store.files import json_bytes, write_file
+    from tissueid.store.files import write_file
 
     title = f"Plan for {tissues.name}"
     texts = {
-        "design.html": render_design(typed(plain, Design), created=created_now()),
+        "design.html": render_design(document, created=created_now()),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }
@@ -244,7 +241,6 @@ def _write(out: Path, plain: Any, plan: Plan, machine: Machine, tissues: Tissues
         texts["recipe.toml"] = recipe_text(plan.best, machine, tissues, asked, name="planned")
     for name, text in texts.items():
         write_file(out / name, text.encode("utf-8"))
-    write_file(out / _FILES[0], json_bytes(plain))
 
 
 _SHORT = {"relaxation_time_s": "tau", "viscosity_N_s_per_mm": "eta", "stiffness_0_N_per_mm": "K"}
@@ -272,10 +268,6 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.3g} %"
 
 
-def _indentations(protocol: Protocol) -> str:
-    return "\n".join(f"{one.repeats} x {one.words}" for one in protocol.indentations)
-
-
 def print_plan(document: Design) -> None:
     """Print the plan to stdout."""
     asked, best = document.asked, document.protocols[0]
@@ -290,13 +282,13 @@ def print_plan(document: Design) -> None:
         reached = ", ".join(f"{short_name(one.name)} to {_percent(one.assured)}" for one in best.precision)
         said = f"NONE on this machine reaches that; the nearest: {reached}"
     echo(said)
-    titles = ["", "time", "logs", *(short_name(one.name) for one in asked.wants)]
-    columns = [*(Column(title, "right") for title in titles), Column("channel"), Column("indentations")]
+    heads = ["", "time", "logs", *(short_name(one.name) for one in asked.wants)]
     rows = [_row(str(rank), one) for rank, one in enumerate(document.protocols, start=1)]
     given = document.against
     if given is not None and given.protocol is not None:
         rows.append(_row(given.name, given.protocol))
-    echo_table(columns, rows, dim_last=given is not None and given.protocol is not None)
+    shown = given is not None and given.protocol is not None
+    echo_table([*heads, "channel", "indentations"], rows, numbers=len(heads), dim_last=shown)
     if given is not None and given.protocol is None:
         echo(f"{given.name} can't be run here: {given.obstacle}")
     _print_limits(document)
@@ -309,8 +301,8 @@ def _row(rank: str, protocol: Protocol) -> list[str]:
     setting = protocol.setting
     low_pass = f", filter {setting.filter_s:g} s" if setting.filter_s > 0.0 else ""
     channel = f"{setting.rate_Hz:g} Hz{low_pass}"
-    time, logs = time_words(protocol.seconds), str(protocol.logs)
-    return [rank, time, logs, *precision, channel, _indentations(protocol)]
+    indentations = "\n".join(f"{one.repeats} x {one.words}" for one in protocol.indentations)
+    return [rank, time_words(protocol.seconds), str(protocol.logs), *precision, channel, indentations]
 
 
 def _print_limits(document: Design) -> None:

@@ -36,17 +36,17 @@ HANG_S = 20.0
 class WayFlags(Flags):
     """Flags of the way to a device."""
 
-    # fmt: off
     firmware: str | None = option(
         "Firmware of a Falcon that has none running. [default: $TISSUEID_FALCON_FIRMWARE]",
-        type=PATH, metavar="FILE",
+        type=PATH,
+        metavar="FILE",
     )
     port: str | None = option("Serial port or pseudo-terminal instead of USB.", metavar="PATH")
     calibration: str | None = option(
         "Calibration of a Falcon. [default: falcon.toml in the user's configuration directory]",
-        type=PATH, metavar="FILE",
+        type=PATH,
+        metavar="FILE",
     )
-    # fmt: on
 
 
 class DeviceFlags(WayFlags, OutputFlags):
@@ -142,10 +142,7 @@ def hang_mass(mass_g: float, *, quiet: int) -> Callable[[], None]:
 
 @contextlib.contextmanager
 def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
-    """The device that was named, open and homed, for a measurement that its calibration keeps.
-
-    Its grip is free and may move by itself: that is consented to before it is opened.
-    """
+    """The device that was named, open and homed with consent, for a measurement its calibration keeps."""
     made = made_device(flags, hands_off=True)
     if "calibration" not in made.takes:
         refuse(f"the device {made.name} has no calibration that could keep a measurement; name a falcon")
@@ -158,13 +155,10 @@ def homed_for_calibration(flags: MovedFlags) -> Iterator[HapticDevice]:
 def save(device: HapticDevice, flags: DeviceFlags | MovedFlags, **changes: Any) -> None:
     """Put what was measured into the calibration file."""
     file = asked_device(flags).calibration
+    said = f"not kept: the device {device.name} has no calibration; name a file with --calibration"
     if device.keeps(file):
-        note(f"kept in {device.keep(file, changes)}", quiet=flags.quiet)
-    else:
-        note(
-            f"not kept: the device {device.name} has no calibration; name a file with --calibration",
-            quiet=flags.quiet,
-        )
+        said = f"kept in {device.keep(file, changes)}"
+    note(said, quiet=flags.quiet)
 
 
 EXAMPLES = """

@@ -37,20 +37,20 @@ LISTED = 6
 
 
 class _ExportFlags(OutputFlags):
-    # fmt: off
     out: str = argument(type=THERE)
     form: str = option(
         "The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted number; "
         "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue as a "
         "C header with its step, or as a Prony series for FEBio or Abaqus.",
-        "--format", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
+        "--format",
+        type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]),
+        default="json",
     )
     specimen: str | None = option("Which one, where a single tissue is written.", metavar="NAME")
     depth: float | None = option(
         "A Prony series holds about this depth. [default: half of the claimed depth]", metavar="MM"
     )
     output: str | None = option("File to write instead of stdout.", "-o", type=PATH)
-    # fmt: on
 
 
 @subcommand("export", EXAMPLES)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from click.core import ParameterSource
@@ -27,6 +27,7 @@ from tissueid.documents import typed
 from tissueid.documents.identification import Exclusion, Specimen
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
 from tissueid.report.specimen_lines import shared_codes, shared_lines, specimen_lines
+from tissueid.report.wording import whole_label
 from tissueid.store.results import load_identification
 
 if TYPE_CHECKING:
@@ -49,11 +50,6 @@ tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=
 #: A study of so many specimens is a cohort.
 COHORT_FROM = 5
 KELVIN_VOIGT = "kelvin-voigt"
-REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
-
-
-def _count(auto: str) -> click.Choice[str]:
-    return click.Choice([*auto, "auto"])
 
 
 def _moved(_context: click.Context, _option: click.Parameter, value: str | None) -> None:
@@ -65,7 +61,6 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
 class QuotingFlags(Flags):
     """Flags that say which numbers are quoted beside those of the model."""
 
-    # fmt: off
     unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
     frequencies: str | None = option(
         "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
@@ -79,7 +74,6 @@ class QuotingFlags(Flags):
     poisson: float = option(
         "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
     )
-    # fmt: on
 
 
 class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
@@ -92,35 +86,31 @@ class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
         "tissueid models; auto, or several with | between them, takes the one that predicts best.",
         metavar="NAME", show_default=KELVIN_VOIGT,
     )
-    branches: str = option(
-        "Relaxation branches; auto chooses by held-out data.", type=_count("123"), default="auto"
+    branches: Literal["1", "2", "3", "auto"] = option(
+        "Relaxation branches; auto chooses by held-out data.", default="auto"
     )
-    stiffness_degree: str = option(
-        "Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
-        type=_count("012"), default="auto",
+    stiffness_degree: Literal["0", "1", "2", "auto"] = option(
+        "Degree of the dynamic stiffness K(x); auto chooses by held-out data.", default="auto"
     )
-    static: str = option(
+    static: Literal["scaled", "partial", "shared"] = option(
         "Own of each log: a curve of depth for static force and K, gain and contact, or contact.",
-        type=click.Choice(["scaled", "partial", "shared"]), default="scaled",
+        default="scaled",
     )
-    orders: str = option(
+    orders: Literal["study", "own"] = option(
         "Law and order of a study's specimens: the one that predicts best over all, or each its own.",
-        type=click.Choice(["study", "own"]), default="study",
+        default="study",
     )
-    noise: str = option(
-        "Noise of the force; auto takes what the residuals show.",
-        type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto",
+    noise: Literal["auto", "white", "ar1", "white+ar1"] = option(
+        "Noise of the force; auto takes what the residuals show.", default="auto"
     )
-    sampler: str = option(
-        "How the posterior is sampled; none gives standard errors only.",
-        type=click.Choice(["emcee", "none"]), default="emcee",
+    sampler: Literal["emcee", "none"] = option(
+        "How the posterior is sampled; none gives standard errors only.", default="emcee"
     )
     draws: int = option(
         "Effective posterior draws to go on for.", type=click.IntRange(min=100), default=2_000
     )
-    require: tuple[str, ...] = option(
-        "What must be identified for exit code 0. [default: viscosity and static]",
-        type=click.Choice(REQUIRED),
+    require: tuple[Literal["viscosity", "static", "stiffness", "relaxation-time", "none"], ...] = option(
+        "What must be identified for exit code 0. [default: viscosity and static]"
     )
     seed: int = option("Seed of everything random.", type=FROM_0, default=0)
     workers: int | None = option(
@@ -131,9 +121,9 @@ class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
         "Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
         metavar="ADDRESS", default="local",
     )
-    population: str = option(
+    population: Literal["auto", "yes", "no"] = option(
         "What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
-        type=click.Choice(["auto", "yes", "no"]), default="auto",
+        default="auto",
     )
     mix_states: bool = option("Let a population pool thawed specimens with fresh ones.")
     study: str | None = option(
@@ -374,9 +364,8 @@ def _print_specimens(specimens: Sequence[Specimen], *, verbose: int) -> None:
 
 def _print_exclusion(row: Exclusion) -> None:
     """A trial that was left out, why, and what the specimen's numbers would be with it."""
-    where = row.path if row.sheet is None else f"{row.path} [{row.sheet}]"
     echo()
-    echo(f"excluded  {where}: {row.because}")
+    echo(f"excluded  {whole_label(row)}: {row.because}")
     if row.note:
         echo(f"  {row.note}")
     for one in row.with_it:

@@ -7,15 +7,17 @@ from dataclasses import dataclass, field
 from functools import wraps
 from inspect import get_annotations
 from pathlib import Path
-from typing import Any, dataclass_transform, get_type_hints
+from types import NoneType
+from typing import Any, Literal, dataclass_transform, get_args, get_origin, get_type_hints
 
 import click
 
 #: Key of a field's option among its metadata.
 _DECLARED = "click"
-_TYPES = {"int": int, "float": float, "Path": click.Path(dir_okay=False, path_type=Path)}
+_TYPES = {int: int, float: float, Path: click.Path(dir_okay=False, path_type=Path)}
 #: Types that many options have.
 PATH, THERE = click.Path(), click.Path(exists=True)
+FILE_THERE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FILE, FOLDER = click.Path(dir_okay=False), click.Path(file_okay=False)
 FOLDER_THERE = click.Path(exists=True, file_okay=False)
 FROM_0, FROM_1 = click.IntRange(min=0), click.IntRange(min=1)
@@ -27,7 +29,8 @@ def option(words: str, *names: str, **settings: Any) -> Any:
     """Declare an option at the field that holds it: ``words`` are its help.
 
     Its annotation says what the option is where ``settings``, of :func:`click.option`, do not: a bool is a
-    flag, a tuple of any length may be given several times.  ``names``: where not the field's own.
+    flag, a Literal a choice, a tuple of any length may be given several times.  ``names``: where not the
+    field's own.
     """
     return field(metadata={_DECLARED: (click.option, names, {"help": words, **settings})})
 
@@ -75,23 +78,31 @@ def example_lines(examples: str) -> str:
 
 
 def _declared(kind: type[Any]) -> Iterator[Callable[[Any], Any]]:
+    hints = get_type_hints(kind)
     for part in kind.__mro__:
-        for name, annotation in get_annotations(part).items():
+        for name in get_annotations(part):
             declared, names, given = kind.__dataclass_fields__[name].metadata[_DECLARED]
-            known = {"type": _TYPES.get(annotation.removesuffix(" | None"))}
-            several = annotation.startswith("tuple[") and annotation.endswith(", ...]")
+            of, several = _single(hints[name])
+            known = {"type": click.Choice(get_args(of)) if get_origin(of) is Literal else _TYPES.get(of)}
             if declared is click.argument:
                 yield click.argument(name, **{**known, **({"nargs": -1} if several else {}), **given})
                 continue
-            if annotation == "bool":
+            if of is bool:
                 known = {} if any("/" in one for one in names) else {"is_flag": True}
             elif "count" in given:
                 known = {}
             if not any(one.startswith("--") for one in names):
                 names = (*names, f"--{name.replace('_', '-')}")
-            shown = given.get("default") is not None and annotation != "bool"
+            shown = given.get("default") is not None and of is not bool
             settings = {**known, "multiple": several, "show_default": shown or None, **given}
             yield click.option(*names, name, **settings)
+
+
+def _single(annotation: Any) -> tuple[Any, bool]:
+    """Type of one value of an annotation that may be None, and whether it takes several."""
+    of = get_args(annotation)[0] if NoneType in get_args(annotation) else annotation
+    several = get_origin(of) is tuple and get_args(of)[-1] is ...
+    return (get_args(of)[0], True) if several else (of, False)
 
 
 def below(group: click.Command, names: Iterable[str]) -> click.Command | None:

@@ -41,17 +41,18 @@ SECONDS_PER_MINUTE = 60.0
 
 
 class _InspectFlags(ReadingFlags, OutputFlags):
-    # fmt: off
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     html: str | None = option(
         "Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
-        type=FILE, metavar="FILE",
+        type=FILE,
+        metavar="FILE",
     )
     csv: str | None = option("Write what was measured as a table, one row a hold.", type=FILE, metavar="FILE")
     xlsx: str | None = option("The same table as a workbook.", type=FILE, metavar="FILE")
     study: str | None = option(
         "Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
-        type=PATH, metavar="FILE",
+        type=PATH,
+        metavar="FILE",
     )
     no_study: bool = option("Leave the folder's study.toml aside.")
     serve: bool = option(
@@ -61,7 +62,6 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     viewer_port: int | None = option(
         "With --serve: its port. [default: 8765, or a free one]", type=PORT, metavar="N"
     )
-    # fmt: on
 
 
 @subcommand("inspect", EXAMPLES)
@@ -131,16 +131,13 @@ def print_all(described: list[Trial | Refusal], *, quiet: int, verbose: int) -> 
 def _print(one: Trial) -> None:
     from tissueid.study.inspected import reader_words
 
-    echo(f"  {reader_words(one)[0].lower()}{reader_words(one)[1:]}")
+    said = reader_words(one)
+    echo(f"  {said[0].lower()}{said[1:]}")
     echo(f"  specimen    {one.specimen}")
     if one.excluded is not None:
         echo(f"  excluded    because: {one.excluded}", fg="yellow")
-    echo(
-        "  columns     "
-        + ", ".join(
-            f"{key} = {value}" for key, value in structs.asdict(one.columns).items() if value is not None
-        )
-    )
+    columns = [f"{key} = {value}" for key, value in structs.asdict(one.columns).items() if value is not None]
+    echo(f"  columns     {', '.join(columns)}")
     sign = "positive" if one.compression_sign > 0 else "negative"
     echo(f"  samples     {one.n_samples}, compression is {sign} displacement")
     length, force = one.units.length, one.units.force
@@ -340,11 +337,8 @@ def serve(flags: _InspectFlags, inspected: Callable[[_InspectFlags], Any]) -> in
         with PageServer(shown, flags.viewer_port) as server:
             # what was asked for is told however quiet: nobody guesses a token
             echo(f"page       {server.url}", err=True)
-            folder = manifest.parent
-            note(
-                f"corrections go into {manifest}; `tissueid fit {folder}` follows it; Ctrl-C ends",
-                quiet=flags.quiet,
-            )
+            follows = f"`tissueid fit {manifest.parent}` follows it"
+            note(f"corrections go into {manifest}; {follows}; Ctrl-C ends", quiet=flags.quiet)
             if not flags.no_browser:
                 open_browser(server.url)
             server.run()

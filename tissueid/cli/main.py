@@ -1,9 +1,4 @@
-"""``tissueid``: the group of sub-commands, loaded one at a time, and the shell around them.
-
-``tissueid --help`` costs click and nothing else; every sub-command imports what it needs when it runs.
-The shell turns every deliberate failure into one message and its exit code, and never shows a
-traceback unless ``-v`` asks for one.
-"""
+"""``tissueid``: sub-commands that are imported one at a time, when they run, and the shell around them."""
 
 from __future__ import annotations
 
@@ -159,7 +154,7 @@ def _settings(name: str) -> dict[str, Any]:
     command = cli.get_command(click.Context(cli), name)
     if command is None:
         return {}
-    return as_default_map(settings_of(command, (name,), settings_files(), cli), command, (name,))
+    return as_default_map(settings_of(command, (name,), settings_files(), cli))
 
 
 def with_verb(args: list[str]) -> list[str]:

@@ -7,11 +7,10 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 import click
 
@@ -22,12 +21,7 @@ if TYPE_CHECKING:
     from tissueid.cli.flags import OutputFlags
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column of a table on the terminal."""
-
-    title: str
-    side: Literal["left", "right"] = "left"
+_T = TypeVar("_T")
 
 
 #: Columns, and where texts behind a label begin.
@@ -88,15 +82,18 @@ def labelled(label: str, text: str) -> list[str]:
     return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)
 
 
-def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_last: bool = False) -> None:
-    """A table to stdout; a cell may have several lines."""
+def echo_table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: int, dim_last: bool = False
+) -> None:
+    """A table to stdout, whose first columns hold ``numbers``; a cell may have several lines."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(Text(terminal_line(column.title)), justify=column.side, overflow="fold")
+    for place, head in enumerate(heads):
+        side: Literal["left", "right"] = "right" if place < numbers else "left"
+        table.add_column(Text(terminal_line(head)), justify=side, overflow="fold")
     for place, row in enumerate(rows, start=1):
         cells = ["\n".join(terminal_line(line) for line in cell.split("\n")) for cell in row]
         table.add_row(
@@ -149,15 +146,14 @@ def note(message: str, *, quiet: int = 0) -> None:
         echo(message, err=True)
 
 
-def write_output(path: str | Path, content: bytes, *, quiet: int = 1) -> None:
+def write_output(
+    path: str | Path, content: bytes, *, quiet: int = 1, way_out: str = "choose another place"
+) -> None:
     """Write a file the user named, whole or not at all, and say so where not ``quiet``."""
     from tissueid.store.files import write_file
 
-    try:
+    with refusing(path, "written", way_out):
         write_file(Path(path), content)
-    except OSError as error:
-        msg = f"{path}: can't be written ({error.strerror}); choose another place"
-        raise UsageError(msg) from error
     note(f"wrote {path}", quiet=quiet)
 
 
@@ -169,20 +165,37 @@ def refuse(message: str) -> NoReturn:
 def made_folder(path: str | Path, way_out: str = "choose another folder with -o") -> Path:
     """The folder the user named, made where it is missing."""
     folder = Path(path)
-    try:
+    with refusing(path, "made", way_out):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{path}: can't be made ({error.strerror}); {way_out}"
-        raise UsageError(msg) from error
     return folder
+
+
+@contextmanager
+def refusing(path: str | Path, done: str, way_out: str) -> Iterator[None]:
+    """Refuse a place the user named where the system refuses it, with the way out."""
+    try:
+        yield
+    except OSError as error:
+        msg = f"{path}: can't be {done} ({error.strerror}); {way_out}"
+        raise UsageError(msg) from error
+
+
+def checked(written: Any, schema: str, kind: type[_T], *, where: str) -> tuple[Any, _T]:
+    """A document in plain values, held against its schema, and the same as its type."""
+    from tissueid.documents import typed
+    from tissueid.store.files import plain_json
+    from tissueid.store.schema import check
+
+    document = plain_json(written)
+    check(document, schema, where=where)
+    return document, typed(document, kind)
 
 
 def refuse_foreign(folder: Path, names: Iterable[str], maker: str, why: str) -> None:
     """Refuse to write over files of our names that stand there without the one that goes with them."""
     foreign = [name for name in names if (folder / name).exists()]
     if foreign and not (folder / maker).exists():
-        msg = f"{folder} holds {', '.join(foreign)} {why}: choose another folder with -o"
-        raise UsageError(msg)
+        refuse(f"{folder} holds {', '.join(foreign)} {why}: choose another folder with -o")
 
 
 def created_now() -> str:

@@ -7,9 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Literal
 
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
@@ -38,7 +36,6 @@ DECIMALS = {"point": ".", "comma": ","}
 class ReadingFlags(Flags):
     """Flags that say how recordings are read and cut."""
 
-    # fmt: off
     columns: str | None = option(
         'Which column is what: "time=Zeit,displacement=Weg,force=Kraft".', metavar="MAP"
     )
@@ -52,21 +49,19 @@ class ReadingFlags(Flags):
     )
     recipe: str | None = option(
         "Reader to use, not the detected one; a KEY that is none lists them.",
-        metavar="KEY", shell_complete=readers,
+        metavar="KEY",
+        shell_complete=readers,
     )
     sheet: str | None = option(
         "Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one file.",
         metavar="NAME",
     )
-    delimiter: str | None = option(
-        "What parts the cells, where the text leaves it open.", type=click.Choice(list(DELIMITERS))
+    delimiter: Literal["comma", "semicolon", "tab", "bar"] | None = option(
+        "What parts the cells, where the text leaves it open."
     )
-    decimal: str | None = option(
-        "Decimal mark, where the numbers leave it open.", type=click.Choice(list(DECIMALS))
-    )
-    compression: str | None = option(
-        "Which direction of displacement is compression, where the guess is wrong.",
-        type=click.Choice(["positive", "negative"]),
+    decimal: Literal["point", "comma"] | None = option("Decimal mark, where the numbers leave it open.")
+    compression: Literal["positive", "negative"] | None = option(
+        "Which direction of displacement is compression, where the guess is wrong."
     )
     contact: float | None = option(
         "Displacement at contact as recorded [mm], where the detected one is wrong.", metavar="MM"
@@ -81,7 +76,6 @@ class ReadingFlags(Flags):
     exclude: tuple[str, ...] = option(
         "Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).", metavar="PATTERN"
     )
-    # fmt: on
 
 
 def _pairs(text: str | None, flag: str) -> dict[str, str]:
@@ -148,13 +142,6 @@ def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
             refuse(f"{path} is read and -o {out} is the same folder: name another with -o, as -o results")
 
 
-def read_in_order(
-    paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
-) -> Iterator[Trial | Refusal]:
-    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
-    return _read(inputs_in_order(paths, study), options, study)
-
-
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
     """Files of all paths with the sheet that was named; a refusal stands where something was refused."""
     from tissueid.ingest.manifest import unmatched_files
@@ -187,12 +174,15 @@ def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
         yield Refusal.of(error)
 
 
-def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:
+def read_in_order(
+    paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
+) -> Iterator[Trial | Refusal]:
+    """Trials of all paths, one at a time, as a study decides; refusals stand where something was refused."""
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
     by_pattern = PatternCheck(options.specimen_by, study)
-    for one in found:
+    for one in inputs_in_order(paths, study):
         if isinstance(one, Refusal):
             yield one
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import sys
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -52,8 +53,6 @@ _ALIKE = (
 )  # fmt: skip
 #: What is felt where nothing was asked for.
 DEMONSTRATED = "paper-a"
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class _TissueFlags(Flags):
@@ -169,8 +168,12 @@ def command(flags: RenderFlags) -> int:
         return twin(flags)
     if flags.felt is not None:
         refuse("--felt is what a test machine recorded at the grip: give --twin and a BUNDLE with it")
+    from tissueid.rendering.servo_spawn import spawn_servo
+
     flags = _demonstrated(flags)
-    with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
+    # a servo's process loads while the plan is made; where no clock runs there is none
+    waiting = nullcontext() if flags.virtual else closing(spawn_servo())
+    with waiting as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)
         try:
             outcome = session.run()
@@ -201,13 +204,6 @@ def _viewer(flags: RenderFlags) -> AbstractContextManager[ServedViewer | None]:
     if flags.viewer and flags.virtual:
         refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
     return served(flags) if flags.viewer else nullcontext()
-
-
-def _waiting_servo(flags: RenderFlags) -> AbstractContextManager[SpawnedServo | None]:
-    """A servo's process that loads while the plan is made; none where no clock runs."""
-    from tissueid.rendering.servo_spawn import spawn_servo
-
-    return nullcontext() if flags.virtual else closing(spawn_servo())
 
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
@@ -241,8 +237,8 @@ def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedVi
         plan,
         recorder=recorder,
         bridge=bridge,
-        ask=Keyboard(switches=len(plan.blocks) > 1),
-        show=telling_stop(viewer, recorder, StatusLine(plan, quiet=bool(flags.quiet or flags.as_json))),
+        ask=keyboard(switches=len(plan.blocks) > 1),
+        show=telling_stop(viewer, recorder, status_line(plan, quiet=bool(flags.quiet or flags.as_json))),
         # a hand is needed: said however quiet
         tell=note,
         spawned=spawned,
@@ -398,43 +394,38 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     click.confirm("Do you agree?", abort=True, err=True)
 
 
-class Keyboard:
-    """Enter asks for the next tissue, q and Enter for the end; where there is no terminal, nothing."""
+def keyboard(*, switches: bool) -> Callable[[], Wish]:
+    """Wishes typed since the last call, never waited for: Enter is the next tissue, q and Enter the end."""
+    from tissueid.rendering.session import Wish
 
-    def __init__(self, *, switches: bool) -> None:
-        self._heard = sys.stdin is not None and sys.stdin.isatty()
-        if self._heard:
-            note("Enter: next tissue; q, Enter: end" if switches else "q, Enter: end")
+    heard = sys.stdin is not None and sys.stdin.isatty()
+    if heard:
+        note("Enter: next tissue; q, Enter: end" if switches else "q, Enter: end")
 
-    def __call__(self) -> Wish:
-        """Keys typed since the last call; never waits."""
-        from tissueid.rendering.session import Wish
-
-        if not self._heard or not select.select([sys.stdin], [], [], 0.0)[0]:
+    def ask() -> Wish:
+        nonlocal heard
+        if not heard or not select.select([sys.stdin], [], [], 0.0)[0]:
             return Wish()
         line = sys.stdin.readline()
-        if not line:
-            self._heard = False
-            return Wish()
+        heard = bool(line)
         typed = line.strip().lower()
-        return Wish(switch=typed == "", stop=typed in {"q", "quit"})
+        return Wish(switch=heard and typed == "", stop=typed in {"q", "quit"})
+
+    return ask
 
 
-class StatusLine:
-    """One line that is written over and over, on a terminal only."""
+def status_line(plan: SessionPlan, *, quiet: bool) -> Callable[[Any, SessionSummary], None]:
+    """One line that is written over and over, on a terminal only, unless it was written a moment ago."""
+    on, shown_s = not quiet and sys.stderr.isatty(), 0.0
 
-    def __init__(self, plan: SessionPlan, *, quiet: bool) -> None:
-        self._plan = plan
-        self._shown_s = 0.0
-        self._on = not quiet and sys.stderr.isatty()
-
-    def __call__(self, record: Any, summary: SessionSummary) -> None:
-        """Show a record, unless the last was shown a moment ago."""
+    def show(record: Any, summary: SessionSummary) -> None:
+        nonlocal shown_s
         now = time.monotonic()
-        if not self._on or now - self._shown_s < SHOW_EVERY_S:
-            return
-        self._shown_s = now
-        draw("\r\x1b[K" + status_text(record, summary, blind=self._plan.order is not None))
+        if on and now - shown_s >= SHOW_EVERY_S:
+            shown_s = now
+            draw("\r\x1b[K" + status_text(record, summary, blind=plan.order is not None))
+
+    return show
 
 
 def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:

@@ -27,33 +27,28 @@ def command(flags: _ReportFlags) -> int:
     from tissueid.store.results import read_plain, read_results, read_twin
     from tissueid.study.pages import report_page, write_report
 
-    target, out = flags.output, Path(flags.out)
+    target, out, page = flags.output, Path(flags.out), b""
     committed = current_run(out)
     large = committed is not None and CURVES not in committed.files
-    if target is None and large:
+    if large and target is not None:
+        msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
+        raise BundleError(msg)
+    if not large:
+        _, curves, posteriors = read_results(out)
+        twin, created = read_twin(out), created_now()
+        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
+    if target is not None:
+        write_output(target, page)
+    else:
         with OutputSet(out) as run:
             run.carry_over()
-            write_report(run)
+            if large:
+                write_report(run)
+            else:
+                run.write(REPORT, page)
             run.commit()
         target = str(out / REPORT)
-        page = (out / REPORT).read_bytes()
-    else:
-        if large:
-            msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
-            raise BundleError(msg)
-        _, curves, posteriors = read_results(out)
-        twin = read_twin(out)
-        page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created_now()).encode(
-            "utf-8"
-        )
-        if target is not None:
-            write_output(target, page)
-        else:
-            with OutputSet(out) as run:
-                run.carry_over()
-                run.write(REPORT, page)
-                run.commit()
-            target = str(out / REPORT)
+        page = Path(target).read_bytes()
     if flags.as_json:
         echo_json({"report": str(target), "bytes": len(page)})
     else:

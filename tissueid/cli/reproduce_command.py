@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-
-import click
+from typing import Literal
 
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, made_folder, note, progress_bar, tell
-from tissueid.documents import typed
+from tissueid.cli.output import checked, created_now, made_folder, note, progress_bar, tell
 from tissueid.documents.reproduction import Reproduction
 
 EXAMPLES = """
@@ -23,17 +21,17 @@ FILES = ("reproduction.json", "reproduction.html")
 
 
 class _ReproduceFlags(OutputFlags):
-    # fmt: off
-    paper: str = argument(type=click.Choice(["sadeghnejad", "pires", "all"]))
+    paper: Literal["sadeghnejad", "pires", "all"] = argument()
     out: str = option(
         "Folder for reproduction.json and reproduction.html.",
-        "-o", type=FOLDER, default="tissueid-reproduction",
+        "-o",
+        type=FOLDER,
+        default="tissueid-reproduction",
     )
     settings: tuple[str, ...] = option(
         "Read a lost equation otherwise; the page lists names and choices.", "--set", metavar="NAME=CHOICE"
     )
     seed: int | None = option("Seed of everything random. [default: fixed]", type=FROM_0)
-    # fmt: on
 
 
 @subcommand("reproduce", EXAMPLES)
@@ -49,8 +47,7 @@ def command(flags: _ReproduceFlags) -> int:
     from tissueid.reproduce.document import PAPERS, reproduction
     from tissueid.reproduce.published import readings_from
     from tissueid.reproduce.recordings import Effort
-    from tissueid.store.files import json_bytes, plain_json, write_file
-    from tissueid.store.schema import check as check_schema
+    from tissueid.store.files import json_bytes, write_file
 
     readings = readings_from(flags.settings)
     out = made_folder(flags.out)
@@ -59,9 +56,8 @@ def command(flags: _ReproduceFlags) -> int:
         effort = Effort(progress=lambda message: progress(message, 0, 0))
         if flags.seed is not None:
             effort = replace(effort, seed=flags.seed)
-        written = plain_json(reproduction(papers, readings, effort))
-    check_schema(written, "reproduction", where=FILES[0])
-    document = typed(written, Reproduction)
+        found = reproduction(papers, readings, effort)
+    written, document = checked(found, "reproduction", Reproduction, where=FILES[0])
     write_file(out / FILES[0], json_bytes(written))
     write_file(out / FILES[1], render_reproduction(document, created=created_now()).encode("utf-8"))
     tell(flags, written, _lines(document))

@@ -37,18 +37,17 @@ S_PER_MIN = 60.0
 
 
 class _RuptureFlags(ReadingFlags, OutputFlags):
-    # fmt: off
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     out: str = option("Folder to write to.", "-o", required=True, type=FOLDER)
     criterion: str = option(
         "What the bundles rupture by; auto takes what the evidence decides for, or none.",
-        type=click.Choice(ASKED), default="none",
+        type=click.Choice(ASKED),
+        default="none",
     )
     weight: float = option("w of the weighted force F_s + w F_d.", type=REAL_FROM_0, default=1.5)
     model: str | None = option("Law of the tissue, as of tissueid fit.", metavar="NAME")
     study: str | None = option("Study file, where not the folder's own.", type=PATH, metavar="FILE")
     no_study: bool = option("Without the folder's study.toml.")
-    # fmt: on
 
 
 @subcommand("rupture", EXAMPLES)

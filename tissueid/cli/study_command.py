@@ -19,8 +19,8 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import echo, echo_json, note, refuse
-from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
+from tissueid.cli.output import echo, echo_json, note, refuse, write_output
+from tissueid.cli.reading import ReadingFlags, read_all, read_in_order, read_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,11 +54,8 @@ def command() -> None:
 def _read_all(
     paths: tuple[str, ...], flags: ReadingFlags, study: Study | None
 ) -> tuple[list[Trial], list[Refusal]]:
-    from tissueid.cli.reading import read_all
-
-    reading = read_options(flags)
     refused: list[Refusal] = []
-    return list(read_all(read_in_order(paths, reading, study), refused)), refused
+    return list(read_all(read_in_order(paths, read_options(flags), study), refused)), refused
 
 
 class _InitFlags(ReadingFlags, OutputFlags):
@@ -70,7 +67,6 @@ class _InitFlags(ReadingFlags, OutputFlags):
 def init(flags: _InitFlags) -> int:
     """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
     from tissueid.ingest.manifest import MANIFEST
-    from tissueid.store.files import write_file
     from tissueid.study.draft import draft_study
 
     folder = Path(flags.folder)
@@ -81,11 +77,7 @@ def init(flags: _InitFlags) -> int:
     if not trials:
         refuse(f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})")
     content = draft_study(folder, trials, refused).encode("utf-8")
-    try:
-        write_file(target, content)
-    except OSError as error:
-        msg = f"{target}: can't be written ({error.strerror}); check the rights of the folder"
-        raise UsageError(msg) from error
+    write_output(target, content, way_out="check the rights of the folder")
     if flags.as_json:
         echo_json({"path": str(target), "trials": len(trials), "refused": [one.as_json() for one in refused]})
     for one in refused:
@@ -119,16 +111,11 @@ def check(flags: _CheckFlags) -> int:
         essential = sum(one.item.weight == 3 for one in found.missing)
         shown = found.missing if flags.verbose else found.missing[: essential + FEW_MISSING]
         for one in shown:
-            where = (
-                f" (of {', '.join(one.where[:3])}{', ...' if len(one.where) > 3 else ''})"
-                if one.where
-                else ""
-            )
-            mark = "essential" if one.item.weight == 3 else "missing  "
-            table = (
-                f"[[{one.item.table}]]" if one.item.table in {"specimen", "trial"} else f"[{one.item.table}]"
-            )
-            echo(f"  {mark}  {table} {' or '.join(one.item.keys)}{where}: {one.item.why}")
+            item, named = one.item, ", ".join([*one.where[:3], *["..."] * (len(one.where) > 3)])
+            where = f" (of {named})" if named else ""
+            mark = "essential" if item.weight == 3 else "missing  "
+            table = f"[[{item.table}]]" if item.table in {"specimen", "trial"} else f"[{item.table}]"
+            echo(f"  {mark}  {table} {' or '.join(item.keys)}{where}: {item.why}")
         if len(shown) < len(found.missing):
             echo(f"  and {len(found.missing) - len(shown)} more (-v prints them)")
     for refusal in found.unmatched:
@@ -183,17 +170,17 @@ def _changed(manifest: Path, named: str, flags: OutputFlags, message: str) -> in
 
 
 class _ExportFlags(ReadingFlags, OutputFlags):
-    # fmt: off
     study: str = argument(type=THERE)
     crate: str = option(
         "Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
-        required=True, type=FOLDER, metavar="OUT",
+        required=True,
+        type=FOLDER,
+        metavar="OUT",
     )
     anonymise: bool = option(
         "Without names of people, places and animals, dates and ethics number; recordings without headers."
     )
     date: str | None = option("Day of publication, YYYY-MM-DD. [default: today]")
-    # fmt: on
 
 
 @subcommand(

@@ -9,8 +9,7 @@ import click
 
 from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, refuse
-from tissueid.errors import UsageError
+from tissueid.cli.output import echo, echo_json, note, refuse, refusing
 
 EXAMPLES = """
 tissueid synth paper-a-30 -o synthetic --rate 100
@@ -36,7 +35,6 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
 
 
 class _SynthFlags(OutputFlags):
-    # fmt: off
     list_dialects: None = option(
         "List the dialects and leave.", "--dialects", is_flag=True, is_eager=True, callback=_list_dialects
     )
@@ -46,9 +44,10 @@ class _SynthFlags(OutputFlags):
     rate: float | None = option("Sampling rate, where not the recipe's.", metavar="HZ")
     dialect: str = option(
         "How each log is written: a locale or option of Bluehill, or another machine's format.",
-        metavar="NAME", default="bare", shell_complete=dialects,
+        metavar="NAME",
+        default="bare",
+        shell_complete=dialects,
     )
-    # fmt: on
 
 
 @subcommand("synth", EXAMPLES)
@@ -68,11 +67,8 @@ def command(flags: _SynthFlags) -> int:
         if not 0.0 < flags.rate <= HIGHEST_RATE_HZ:
             refuse(f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
         plan = replace(plan, rate_Hz=flags.rate)
-    try:
+    with refusing(flags.out, "written to", "choose another folder"):
         files = write_set(plan, flags.out, seed=flags.seed, dialect=flags.dialect)
-    except OSError as error:
-        msg = f"{flags.out}: can't be written to ({error.strerror}); choose another folder"
-        raise UsageError(msg) from error
     if flags.as_json:
         echo_json([str(path) for path in files])
     else:

@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from tissueid.cli.flags import PORT, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import FILE_THERE, PORT, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, note, refuse
 from tissueid.errors import DeviceError
 
@@ -29,27 +27,25 @@ tissueid view 192.0.2.7:8765 --token ABC
 class ViewerFlags(OutputFlags):
     """Flags of a viewer's address and audience."""
 
-    # fmt: off
     no_browser: bool = option("Print the viewer's address, open nothing.")
     host: str = option(
         "Serve the viewer to other machines, with a token in its address.",
-        metavar="ADDRESS", default="127.0.0.1",
+        metavar="ADDRESS",
+        default="127.0.0.1",
     )
     viewer_port: int | None = option("Of the viewer. [default: 8765, or a free one]", type=PORT, metavar="N")
     certificate: Path | None = option("Serve the viewer by TLS ...", metavar="FILE")
     certificate_key: Path | None = option("... with this key.", metavar="FILE")
-    # fmt: on
 
 
 class _ViewFlags(ViewerFlags):
-    # fmt: off
     what: str = argument(metavar="LOG|HOST:PORT")
     beside: Path | None = option(
         "A test machine's recording, drawn beside the LOG from contact on.",
-        type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="RECORDING",
+        type=FILE_THERE,
+        metavar="RECORDING",
     )
     token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
-    # fmt: on
 
 
 @subcommand("view", EXAMPLES)
@@ -100,7 +96,6 @@ def _open_elsewhere(flags: _ViewFlags, what: str) -> int:
     return 0
 
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
 #: One of these is set where a browser has a screen.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 

@@ -17,8 +17,8 @@ from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subc
 from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, refuse
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
-from tissueid.documents import typed
-from tissueid.documents.inspect import Parameter, Watch
+from tissueid.documents import plain
+from tissueid.documents.inspect import Watch
 from tissueid.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def command(flags: _WatchFlags) -> int:
         note("", quiet=flags.quiet)
     if not flags.as_json and not flags.quiet:
         _summary(session)
-    refused = [one["verdict"]["level"] == "refused" for one in session.verdicts]
+    refused = [one.verdict.level == "refused" for one in session.verdicts]
     return (3 if all(refused) else 7) if flags.once and any(refused) else 0
 
 
@@ -106,8 +106,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
     specimen = folder.resolve().name if flags.same_specimen else None
     watch = FolderWatch(lambda: _recordings(folder))
     if flags.new_only:
-        there = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
-        watch.know(there)
+        watch.known = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
     return WatchSession(
         watch,
         lambda path: _trials(path, reading, study, specimen),
@@ -143,10 +142,10 @@ def _trials(
 
 
 def _tell(happening: Happening, flags: _WatchFlags) -> None:
-    if happening.verdict is None:
+    verdict = happening.verdict
+    if verdict is None:
         note(happening.text, quiet=flags.quiet)
         return
-    verdict = typed(happening.verdict, Watch)
     level = verdict.verdict.level
     loud = flags.quiet < 1 or level in {"repeat", "refused"}
     if happening.kind == "fitted" and not flags.as_json:
@@ -154,7 +153,7 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
             _print_fit(verdict)
         return
     if flags.as_json:
-        echo_json_text(json.dumps(happening.verdict, ensure_ascii=False, allow_nan=False))
+        echo_json_text(json.dumps(plain(verdict), ensure_ascii=False, allow_nan=False))
     elif loud:
         _print(verdict, flags, again=happening.kind == "replaced")
     if flags.bell and happening.kind != "fitted":
@@ -177,29 +176,23 @@ def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
 
 def _print_fit(one: Watch) -> None:
     found = {} if one.fit is None else {entry.name: entry for entry in one.fit.parameters}
-    known = [
-        f"{label} {_estimate(found[key])}"
-        for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity"))
-        if key in found
-    ]
-    echo(f"    this test alone: {', '.join(known) if known else 'could not be fitted'}")
-
-
-def _estimate(entry: Parameter) -> str:
-    if entry.value is None:
-        return "not identified"
-    return f"{with_error(entry.value, entry.stderr)} {entry.unit}"
+    known = []
+    for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity")):
+        if key in found:
+            one_of = found[key]
+            unit = "" if one_of.value is None else f" {one_of.unit}"
+            known.append(f"{label} {with_error(one_of.value, one_of.stderr)}{unit}")
+    echo(f"    this test alone: {', '.join(known) or 'could not be fitted'}")
 
 
 def _summary(session: WatchSession) -> None:
     from tissueid.cli.inspect_command import recording_name
 
-    verdicts = [typed(one, Watch) for one in session.verdicts]
-    count = {level: sum(one.verdict.level == level for one in verdicts) for level in COLOURS}
+    count = {level: sum(one.verdict.level == level for one in session.verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
     told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
     note(f"{len(session.verdicts)} tests: {told}" if told else "no test was seen")
-    for one in verdicts:
+    for one in session.verdicts:
         level = one.verdict.level
         if level in {"repeat", "refused"}:
             note(f"  {words[level]}: {recording_name(one)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -24,6 +24,16 @@ Sha256 = Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")]  # empty where a reco
 
 class Document(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Immutable record of a document; a field with a default may be left out of the file."""
+
+    #: Constraints of the JSON Schema beyond types
+    RULES: ClassVar[JsonSchema] = {}
+
+
+class OfSheet(Document, frozen=True):
+    """Record of one recording."""
+
+    path: Text
+    sheet: str | None  # Workbook sheet, null where the file has none
 
 
 class Placed(Protocol):

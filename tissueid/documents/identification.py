@@ -13,6 +13,7 @@ from tissueid.documents.base import (
     Fraction,
     JsonSchema,
     NonNegative,
+    OfSheet,
     Positive,
     Sha256,
     Text,
@@ -44,7 +45,6 @@ class Model(Document, frozen=True):
 class Estimate(Document, frozen=True):
     """One parameter. `value` is null where `identified` is false."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {
         "if": {"properties": {"identified": {"const": False}}},
         "then": {
@@ -119,11 +119,9 @@ class Validity(Document, frozen=True):
     tip: TipGeometry | None = None
 
 
-class Input(Document, frozen=True):
+class Input(OfSheet, frozen=True):
     """One trial that was read."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     sha256: Sha256  # Of the bytes of the file; empty for a trial that was handed over as arrays
     recipe: str
     columns: dict[str, str]
@@ -192,11 +190,9 @@ class Nrmsd(Document, frozen=True):
     rmse_N: NonNegative
 
 
-class Trial(Document, frozen=True):
+class Trial(OfSheet, frozen=True):
     """Fit of one log."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     nrmsd: NonNegative  # RMSD over the range of the measured force, a fraction
     nrmsd_mean: NonNegative  # RMSD over the mean size of the measured force, a fraction
     rmse_N: NonNegative  # RMSD [N]
@@ -211,11 +207,9 @@ class Trial(Document, frozen=True):
     measured: Measured | None = None
 
 
-class Relaxation(Document, frozen=True):
+class Relaxation(OfSheet, frozen=True):
     """Exponentials of one hold, without a contact model."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     window_s: tuple[float, float]  # Recorded times of the stop and of the end of the hold
     peak_force_N: float
     tau_single_s: NonNegative | None
@@ -251,7 +245,6 @@ class Selection(Document, frozen=True, forbid_unknown_fields=False):
     Larger is better.
     """
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {"additionalProperties": {"type": ["number", "string", "boolean", "null"]}}
 
     branches: Annotated[int, Meta(ge=0, le=12)]
@@ -308,17 +301,9 @@ class PriorRow(Document, frozen=True, omit_defaults=False):
 
 #: Source of uncertainty
 Source = Literal[
-    "noise",
-    "scatter between logs",
-    "contact points",
-    "force gain",
-    "displacement gain",
-    "time skew",
-    "force filter",
-    "frame",
-    "total",
-    "cluster bootstrap",
-]
+    "noise", "scatter between logs", "contact points", "force gain", "displacement gain", "time skew",
+    "force filter", "frame", "total", "cluster bootstrap",
+]  # fmt: skip
 
 
 class BudgetRow(Document, frozen=True, omit_defaults=False):

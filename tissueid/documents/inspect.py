@@ -4,54 +4,22 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, PositiveCount, Text
+from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, OfSheet, PositiveCount, Text
 from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle
 
 #: Why an input was refused: REFUSAL_CODES of tissueid.ingest.refusals, and those that only a fit finds
 #: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range), or that end a job.
 RefusalCode = Literal[
-    "unreadable_file",
-    "empty_file",
-    "not_an_export",
-    "unreadable_workbook",
-    "unreadable_archive",
-    "reader_failed",
-    "job_failed",
-    "out_of_memory",
-    "worker_killed",
-    "other_versions",
-    "no_trial_sheet",
-    "unknown_sheet",
-    "no_recording",
-    "no_rows",
-    "no_columns",
-    "column_not_found",
-    "unknown_unit",
-    "wrong_unit",
-    "unit_conflict",
-    "ambiguous_decimal",
-    "inconsistent_decimal",
-    "damaged_number",
-    "text_in_numbers",
-    "empty_cell",
-    "not_finite",
-    "ragged_rows",
-    "mixed_tables",
-    "time_backwards",
-    "implausible_range",
-    "invalid_study",
-    "study_unmatched",
-    "invalid_frame",
-    "damaged_log",
-    "wrong_scale",
-    "not_rigid",
-    "frame_range",
-    "no_contact",
-    "fit_failed",
-    "mixed_axes",
+    "unreadable_file", "empty_file", "not_an_export", "unreadable_workbook", "unreadable_archive",
+    "reader_failed", "job_failed", "out_of_memory", "worker_killed", "other_versions", "no_trial_sheet",
+    "unknown_sheet", "no_recording", "no_rows", "no_columns", "column_not_found", "unknown_unit",
+    "wrong_unit", "unit_conflict", "ambiguous_decimal", "inconsistent_decimal", "damaged_number",
+    "text_in_numbers", "empty_cell", "not_finite", "ragged_rows", "mixed_tables", "time_backwards",
+    "implausible_range", "invalid_study", "study_unmatched", "invalid_frame", "damaged_log",
+    "wrong_scale", "not_rigid", "frame_range", "no_contact", "fit_failed", "mixed_axes",
     "too_few_samples",
-]
+]  # fmt: skip
 
 
 class Error(Document, frozen=True):
@@ -63,11 +31,9 @@ class Error(Document, frozen=True):
     column: PositiveCount | None
 
 
-class Refusal(Document, frozen=True):
+class Refusal(OfSheet, frozen=True):
     """Recording that could not be read."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     error: Error
 
 
@@ -146,11 +112,9 @@ class Units(Document, frozen=True):
     time: Literal["s"]
 
 
-class Trial(Document, frozen=True):
+class Trial(OfSheet, frozen=True):
     """Recording as it was read."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     specimen: str
     excluded: str | None  # Why the study takes it out of the fit; null where it takes part
     recipe: Text  # Key of the reader that matched
@@ -203,11 +167,9 @@ class Fit(Document, frozen=True):
     parameters: tuple[Parameter, ...]
 
 
-class Watch(Document, frozen=True):
+class Watch(OfSheet, frozen=True):
     """Judged on a recording that arrived."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     specimen: str | None
     excluded: str | None
     units: Units | None

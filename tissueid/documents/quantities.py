@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
+from tissueid.documents.base import Count, Document, NonNegative, OfSheet, Positive, PositiveCount, Text
 
 
 class Measure(Document, frozen=True, omit_defaults=False):
@@ -25,14 +25,12 @@ class AtDepth(Document, frozen=True):
 CycleKind = Literal["cycle", "ramp-retract", "ramp-hold-retract"]
 
 
-class Cycle(Document, frozen=True):
+class Cycle(OfSheet, frozen=True):
     """One load-unload loop, measured from its samples.
 
     No model is involved but for viscosity_model_N_s_per_mm.
     """
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     number: PositiveCount
     #: The area of a loop with a hold includes what relaxed in the hold
     kind: CycleKind
@@ -102,11 +100,9 @@ class Quantity(Document, frozen=True):
     reason: str | None  # Why there is no value
 
 
-class Spectrum(Document, frozen=True):
+class Spectrum(OfSheet, frozen=True):
     """Regularised spectrum of one hold as seen after its ramp: F = plateau + sum A_k exp(-t / tau_k)."""
 
-    path: Text
-    sheet: str | None  # Workbook sheet, null where the file has none
     start_s: float
     end_s: float
     plateau_N: float

@@ -32,7 +32,6 @@ Kind = Literal["reproduced", "recomputed", "given", "round trip", "assumed", "no
 class Item(Document, frozen=True):
     """Printed number and the recomputed one."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {
         "allOf": [
             {

@@ -12,7 +12,6 @@ from tissueid.documents.base import Document, JsonSchema, NonNegative, Positive,
 class Tissue(Document, frozen=True):
     """Tissue that is felt."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {"oneOf": [{"required": ["bundle"]}, {"required": ["preset"]}]}
 
     bundle: Text | None = None  # Path, from the scene's own folder
@@ -36,7 +35,6 @@ class Plan(Document, frozen=True):
 class Funnel(Document, frozen=True):
     """Funnel around a planned path."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {
         "not": {
             "required": ["contact_law"],
@@ -102,7 +100,6 @@ class Guidance(Document, frozen=True):
 class Scene(Document, frozen=True):
     """Scene: what is felt, and where."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {
         "oneOf": [
             {"required": ["tissue"], "not": {"anyOf": [{"required": ["guidance"]}, {"required": ["plan"]}]}},

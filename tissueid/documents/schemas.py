@@ -106,11 +106,8 @@ def _snake(name: str) -> str:
 
 
 def _component(kind: type[msgspec.Struct], components: Mapping[str, Any]) -> str:
-    return next(key for key in components if key in (kind.__name__, _full(kind)))
-
-
-def _full(kind: type[msgspec.Struct]) -> str:
-    return re.sub(r"[^A-Za-z0-9_.]", "_", f"{kind.__module__}.{kind.__qualname__}")
+    """Name of a record among the components: the whole one where two have the short one."""
+    return kind.__name__ if kind.__name__ in components else f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _rewritten(node: Any) -> Any:
@@ -147,10 +144,9 @@ def _kinds(roots: list[type[msgspec.Struct]]) -> Iterator[type[msgspec.Struct]]:
 
 def _describe(definition: dict[str, Any], kind: type[msgspec.Struct]) -> None:
     """Add what is said at the fields, and rules that no type can say."""
-    said = _comments(import_module(kind.__module__))
     for field in msgspec.structs.fields(kind):
         owner = next(one for one in kind.__mro__ if field.name in getattr(one, "__annotations__", {}))
-        words = said.get((owner.__name__, field.name))
+        words = _comments(import_module(owner.__module__)).get((owner.__name__, field.name))
         if words:
             definition["properties"][field.encode_name]["description"] = words
     if "additionalProperties" not in definition:

@@ -162,7 +162,6 @@ class Population(Document, frozen=True):
 class Calibration(Document, frozen=True):
     """Force and displacement channels, machine frame."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {
         "allOf": [{"not": {"required": ["frame", "frame_stiffness_N_per_mm"]}}],
         "dependentRequired": {
@@ -235,34 +234,29 @@ class Trial(Document, frozen=True):
     notes: Text | None = None  # Anything else
 
 
-class Columns(Document, frozen=True):
+class OfChannels(Document, frozen=True):
+    """Word for each channel."""
+
+    time: Text | None = None
+    displacement: Text | None = None
+    force: Text | None = None
+
+
+class Columns(OfChannels, frozen=True):
     """Columns by name, or by number as "#2"."""
 
-    time: Text | None = None
-    displacement: Text | None = None
-    force: Text | None = None
 
-
-class Units(Document, frozen=True):
+class Units(OfChannels, frozen=True):
     """Units in place of the file's."""
 
-    time: Text | None = None
-    displacement: Text | None = None
-    force: Text | None = None
 
-
-class Axes(Document, frozen=True):
+class Axes(OfChannels, frozen=True):
     """Content of channels that are not in mm or N, such as strain or stress."""
-
-    time: Text | None = None
-    displacement: Text | None = None
-    force: Text | None = None
 
 
 class Override(Document, frozen=True):
     """Decisions of one recording, and the reason."""
 
-    #: Constraints of the JSON Schema beyond types
     RULES: ClassVar[JsonSchema] = {"dependentRequired": {"contact_sd_mm": ["contact_mm"]}}
 
     file: Text  # Path or glob, relative to the folder of this file

@@ -8,7 +8,7 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents.contrast import Contrast, Hold, Loading, Pair
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure, band
+from tissueid.report.parts import Figure, band
 from tissueid.report.wording import Verdict
 
 #: A difference below this many just-noticeable ones is not felt.
@@ -144,5 +144,4 @@ def render_contrast(document: Contrast, *, created: str | None = None) -> str:
         probability=_probability,
         payload=[one.payload() for pair in document.pairs for one in _figures(document, pair)],
         created=created,
-        scripts=["plain.js"],
     )

@@ -10,8 +10,8 @@ from markupsafe import Markup
 from tissueid.digits import number
 from tissueid.documents.design import Asked, Design, Front, Protocol
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure
-from tissueid.report.wording import Verdict, parameter_words
+from tissueid.report.parts import Figure
+from tissueid.report.wording import Verdict, counted, parameter_words
 
 MINUTE, HOUR = 60.0, 3600.0
 
@@ -62,14 +62,12 @@ def _indentations(protocol: Front | Protocol) -> str:
 
 def _facts(document: Design) -> list[tuple[str, str]]:
     asked, tissue, machine = document.asked, document.tissue, document.machine
-    plural = "es" if tissue.branches != 1 else ""
-    law = f"{tissue.branches} branch{plural}, K of degree {tissue.stiffness_degree}"
-    draws = f"{tissue.draws} draw{'s' * (tissue.draws > 1)}"
+    law = f"{counted(tissue.branches, 'branch', 'es')}, K of degree {tissue.stiffness_degree}"
     rest, mounting = number(asked.recovery_s, 3), number(asked.setup_s, 3)
     scatter, contact = number(100.0 * asked.gain_sd, 2), number(machine.contact_sd_mm, 2)
     repeats = f"{asked.repeats} repeats at the least, {asked.max_logs} logs at the most"
     return [
-        ("Tissue", f"{tissue.name}: {tissue.words}, {draws}"),
+        ("Tissue", f"{tissue.name}: {tissue.words}, {counted(tissue.draws, 'draw')}"),
         ("Model", law if tissue.law == "kelvin-voigt" else tissue.law),
         ("Machine", f"{machine.name}{': ' * bool(machine.notes)}{machine.notes}"),
         ("Precision", f"{asked.interval}, for {_percent(asked.assurance)} of the tissues"),
@@ -153,5 +151,4 @@ def render_design(document: Design, *, created: str | None = None) -> str:
         figures=figures,
         payload=[one.payload() for one in figures],
         created=created,
-        scripts=["plain.js"],
     )

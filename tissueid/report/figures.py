@@ -1,8 +1,4 @@
-"""Curves, draws and chains behind the figures, thinned and packed for the page.
-
-A page carries each curve once, as base64 of little-endian 32-bit floats; one script on the page makes every
-figure from it when it comes into view.
-"""
+"""Curves, draws and chains behind the figures, each once, thinned and packed for the page's script."""
 
 from __future__ import annotations
 
@@ -96,9 +92,7 @@ def curves_by_trial(
 
 
 def curve_payload(
-    specimens: Sequence[Specimen],
-    curves: Sequence[TrialCurve],
-    posteriors: Sequence[StoredPosterior] = (),
+    specimens: Sequence[Specimen], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior] = ()
 ) -> list[list[dict[str, Any]]]:
     """Curves of every specimen, in the order of its trials, packed.
 

@@ -1,18 +1,14 @@
-"""Every decision on a recording, and the lines of study.toml that would change it.
-
-Each entry is whole: pasted into study.toml as it stands it parses, names the recording and asks for a reason.
-Units alone must be filled in first: the unit of a column is not known here, and a wrong one would rescale it.
-"""
+"""Every decision on a recording, and the whole entry of study.toml that would change it."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import number, with_error
-from tissueid.documents.base import Flag
 from tissueid.documents.inspect import Trial
 
 BECAUSE = "say why"
@@ -61,14 +57,8 @@ def toml_string(text: str) -> str:
     >>> print(toml_string('a "b"'))
     "a \"b\""
     """
-    plain = {"\\": "\\\\", '"': '\\"', "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
-    escaped = (
-        plain.get(char, char)
-        if ord(char) >= 0x20 and ord(char) != 0x7F
-        else plain.get(char, f"\\u{ord(char):04x}")
-        for char in text
-    )
-    return f'"{"".join(escaped)}"'
+    # escapes are those of JSON, and the delete character has one
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def toml_value(value: Any) -> str:
@@ -90,10 +80,7 @@ def _entry(
 
 
 def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
-    """The decisions on a recording, in the order in which they were taken.
-
-    ``file``: its path relative to the folder of study.toml.
-    """
+    """The decisions on a recording, in their order; ``file``: its path from the folder of study.toml."""
     sheet = recording.sheet
 
     def override(**values: Any) -> str:
@@ -127,22 +114,15 @@ def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
 
 def _stated(recording: Trial) -> dict[str, str]:
     """Decisions that the user took, each with the reason."""
-    flag = _flag(recording, "decision_overridden")
-    if flag is None:
-        return {}
-    return {_DECIDES[key]: flag.values["because"] for key in flag.values["keys"] if key in _DECIDES}
-
-
-def _flag(recording: Trial, code: str) -> Flag | None:
-    return next((flag for flag in recording.flags if flag.code == code), None)
+    said = next((flag.values for flag in recording.flags if flag.code == "decision_overridden"), None)
+    return {} if said is None else {_DECIDES[key]: said["because"] for key in said["keys"] if key in _DECIDES}
 
 
 def _columns(recording: Trial, override: Any) -> Decision:
     named = {key: getattr(recording.columns, key) for key in _CHANNELS}
     columns = {key: name for key, name in named.items() if name is not None}
     taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
-    choices = [flag for flag in recording.flags if flag.code == "column_choice"]
-    for flag in choices:
+    for flag in (flag for flag in recording.flags if flag.code == "column_choice"):
         others = flag.values.get("alternatives") or []
         quantity = flag.values.get("quantity")
         if others and quantity in columns:

@@ -1,15 +1,11 @@
-"""The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions.
-
-A recording is thinned as soon as it was segmented, so that a folder of large files needs the memory of one;
-extremes, edges and corners are kept.  The page shares a fixed number of samples among all recordings, so that
-it stays below 10 MB.
-"""
+"""The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -23,11 +19,12 @@ from tissueid.flags import flag_level
 from tissueid.report.figures import kept_samples, packed
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import render_page
-from tissueid.report.wording import LEVELS, remark_title, trial_label
+from tissueid.report.wording import LEVELS, remark_title, trial_label, whole_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
-#: Samples of one recording that are kept for drawing at the most.
+#: Samples of one recording that are kept for drawing at the most: a folder of large files then needs the
+#: memory of one.
 MOST_OF_ONE = 8_000
 #: Samples on each side of a corner or event that are kept as they are.
 _AROUND = 6
@@ -168,10 +165,7 @@ class CorrectionRow:
 def corrections(
     recording: TrialDocument, standing: Mapping[str, tuple[Any, str]]
 ) -> tuple[CorrectionRow, ...]:
-    """The rows of one recording.
-
-    ``standing``: what the user decided: value and reason by key.
-    """
+    """The rows of one recording; ``standing``: what the user decided: value and reason by key."""
     contact = recording.contact
     holds = [phase for phase in recording.phases if phase.kind in ("hold", "creep")]
     hold = max(holds, key=lambda phase: phase.end_s - phase.start_s, default=None)
@@ -264,6 +258,8 @@ def render_inspection(
     drawn = set(order[:MOST_DRAWN])
     share = max(MOST_SAMPLES // max(len(drawn), 1), FEWEST_OF_ONE)
     names = _names([one.document for one in recordings])
+    tally = Counter(one.level for one in recordings)
+    counts = [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
     views = [_view(i, recordings[i], names[i], drawn=i in drawn) for i in order]
     payload = {
         view["id"]: packed_recording(recordings[view["position"]].drawn, share)
@@ -275,7 +271,7 @@ def render_inspection(
         title=_title(recordings, refused),
         views=views,
         refused=refused,
-        counts=_counts(recordings) + ([("serious", "refused", len(refused))] if refused else []),
+        counts=counts + ([("serious", "refused", len(refused))] if refused else []),
         codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
         payload=payload,
         data="recordings",
@@ -294,11 +290,6 @@ def _gravity(recording: InspectedRecording) -> int:
     return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
 
 
-def _counts(recordings: Sequence[InspectedRecording]) -> list[tuple[str, str, int]]:
-    tally = Counter(one.level for one in recordings)
-    return [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
-
-
 def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal]) -> str:
     if len(recordings) == 1 and not refused:
         return f"Inspection of {trial_label(recordings[0].document)}"
@@ -311,13 +302,9 @@ def _names(documents: Sequence[TrialDocument]) -> list[str]:
     whole = [trial_label(document) for document in documents]
     count, count_whole = Counter(short), Counter(whole)
     return [
-        name if count[name] == 1 else label if count_whole[label] == 1 else _path(document)
+        name if count[name] == 1 else label if count_whole[label] == 1 else whole_label(document)
         for name, label, document in zip(short, whole, documents, strict=True)
     ]
-
-
-def _path(document: TrialDocument) -> str:
-    return document.path if document.sheet is None else f"{document.path} [{document.sheet}]"
 
 
 def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
@@ -338,7 +325,7 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
         "position": position,
         "id": f"recording-{position + 1}",
         "name": name,
-        "path": _path(document),
+        "path": whole_label(document),
         "data": document,
         "level": recording.level,
         "words": _WORDS[recording.level],
@@ -369,12 +356,7 @@ def _phase(phase: Phase) -> dict[str, str]:
 
 def _program(phases: Sequence[Phase]) -> str:
     """The phases in a few words: ``approach, ramp, hold`` or ``3 × cycle``."""
-    words: list[list[Any]] = []
-    for phase in phases:
-        if words and words[-1][0] == phase.kind:
-            words[-1][1] += 1
-        else:
-            words.append([phase.kind, 1])
+    words = [(kind, len(list(alike))) for kind, alike in groupby(phase.kind for phase in phases)]
     shown = [kind if count == 1 else f"{count} × {kind}" for kind, count in words[:6]]
     return ", ".join(shown) + (" ..." if len(words) > len(shown) else "")
 

@@ -1,7 +1,4 @@
-"""Numbers behind the figures of a specimen's law: groups of curves, parts, peaks, holds, residuals, profiles.
-
-Everything comes from the output folder: theta from identification.json, draws from ``posteriors.h5``.
-"""
+"""Numbers behind the figures of a specimen's law, from its output folder alone."""
 
 from __future__ import annotations
 
@@ -48,27 +45,20 @@ class Tissue:
     #: sampled.
     draws: FloatArray | None
 
-    def static(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """F_s [N] of several thetas, shape (n, depths)."""
-        return np.stack([self.model.static_force(theta, depth_mm) for theta in thetas])
+    def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Stiffness that relaxes [N/mm], of all branches together."""
+        every: FloatArray = self.model.stiffness(theta, depth_mm)
+        return np.asarray(every.sum(axis=0))
 
-    def stiffness(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Stiffness that relaxes [N/mm] of several thetas, shape (n, depths)."""
-        return np.stack([self.model.stiffness(theta, depth_mm).sum(axis=0) for theta in thetas])
-
-    def dynamic(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
-        """Relaxing force in loading at constant speed from rest [N], shape (n, depths)."""
-        return np.stack([self.model.loading(theta, depth_mm, speed_mm_s) for theta in thetas])
-
-    def force(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
-        """Force in loading at constant speed from rest [N], shape (n, depths)."""
-        return self.static(thetas, depth_mm) + self.dynamic(thetas, depth_mm, speed_mm_s)
+    def force(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Force in loading at constant speed from rest [N]."""
+        return self.model.static_force(theta, depth_mm) + self.model.loading(theta, depth_mm, speed_mm_s)
 
     def banded(self, of: Callable[..., FloatArray], *at: Any) -> dict[str, Any]:
-        """Numbers of a function of thetas and, where there are draws, the ends of their 95 % band."""
-        found: dict[str, Any] = {"value": brief(of(self.theta[None], *at)[0])}
+        """Numbers of a function of theta and, where there are draws, the ends of their 95 % band."""
+        found: dict[str, Any] = {"value": brief(of(self.theta, *at))}
         if self.draws is not None:
-            low, high = np.quantile(of(self.draws, *at), ENDS, axis=0)
+            low, high = np.quantile([of(theta, *at) for theta in self.draws], ENDS, axis=0)
             found |= {"low": brief(low), "high": brief(high)}
         return found
 
@@ -269,8 +259,8 @@ def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
     """Force at a depth by speed, as the model has it, with its 95 % band."""
     x = np.array([min(depth, tissue.model.depth_mm)])
 
-    def at(thetas: FloatArray) -> FloatArray:
-        return np.column_stack([tissue.force(thetas, x, float(speed))[:, 0] for speed in speeds])
+    def at(theta: FloatArray) -> FloatArray:
+        return np.array([tissue.force(theta, x, float(speed))[0] for speed in speeds])
 
     band = tissue.banded(at)
     return {"speed": brief(speeds), "force": band.pop("value"), **band}
@@ -315,10 +305,10 @@ def _parts(tissue: Tissue, groups: Sequence[SpeedGroup], grid: int) -> dict[str,
     shown = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), PART_SPEEDS)).round().astype(int))
     return {
         "x": brief(x),
-        "static": tissue.banded(tissue.static, x),
+        "static": tissue.banded(tissue.model.static_force, x),
         "stiffness": tissue.banded(tissue.stiffness, x),
         "dynamic": [
-            {"label": moving[i].label, **tissue.banded(tissue.dynamic, x, moving[i].speed_mm_s)}
+            {"label": moving[i].label, **tissue.banded(tissue.model.loading, x, moving[i].speed_mm_s)}
             for i in shown.tolist()
         ],
     }
@@ -422,9 +412,7 @@ def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
 
 
 def law_payload(
-    specimens: Sequence[Specimen],
-    curves: Sequence[TrialCurve],
-    posteriors: Sequence[StoredPosterior] = (),
+    specimens: Sequence[Specimen], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior] = ()
 ) -> list[dict[str, Any]]:
     """Points of the figures of every specimen's law, in their order.
 

@@ -31,7 +31,6 @@ _WORDS: Mapping[str, str] = {
 _ASIDE = {"force_over_peak"}
 #: Columns that are shown, of holds or of programs.
 MOST_COLUMNS = 2
-_REFERENCE_S = 10.0
 #: A smaller standard deviation, as a share of the mean, is one of rounding.
 _NO_SPREAD = 1e-9
 NONE = "–"

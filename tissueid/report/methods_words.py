@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from tissueid.digits import number
 from tissueid.documents.identification import Identification, Provenance, Specimen
-from tissueid.report.wording import tissue_sentence
+from tissueid.report.wording import counted, depth_words, tissue_sentence
 
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"
@@ -53,17 +53,15 @@ def citation(version: str) -> dict[str, str]:
 
 
 def _recordings(specimen: Specimen, run: Identification) -> str:
-    trials = specimen.trials
-    units = specimen.units
+    trials, units = specimen.trials, specimen.units
     slow, fast = specimen.validity.speeds_mm_s
     speed = number(slow, 3) if slow == fast else f"{number(slow, 3)} to {number(fast, 3)}"
-    depth = number(specimen.validity.depth_mm, 3)
-    deep = f"{depth} mm" if units.length == "mm" else f"a strain of {depth}"
+    deep = depth_words(specimen.validity.depth_mm, units)
     held = len({(row.path, row.sheet) for row in specimen.relaxation})
     holds = f", {held} of them with a hold," if held else ""
     return (
-        f"{len(trials)} indentation trial{'s' if len(trials) != 1 else ''} of specimen "
-        f"{specimen.specimen}{holds} loaded at {speed} {units.length}/s to {deep} "
+        f"{counted(len(trials), 'indentation trial')} of specimen {specimen.specimen}{holds} loaded at "
+        f"{speed} {units.length}/s to {deep} "
         f"({specimen.n_samples:,} samples) were analysed with {_programs(run)}."
     )
 
@@ -110,7 +108,7 @@ def _noise_words(specimen: Specimen, run: Provenance) -> str:
 def _missed_words(specimen: Specimen) -> str:
     """Words on the misfit beside the noise, and its effect on the intervals."""
     noise = specimen.noise
-    if noise is None or noise.samples_per_independent <= 1.0:
+    if noise is None or not noise.discrepant:
         return ""
     unit = specimen.units.force
     return (
@@ -195,10 +193,7 @@ def _result_words(specimen: Specimen) -> str:
 
 
 def methods_view(specimen: Specimen, run: Identification) -> dict[str, Any]:
-    """Methods paragraph of one specimen.
-
-    Returns ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
-    """
+    """Methods paragraph ``before`` and ``after`` the equations, their ``degree``, and all as ``plain``."""
     made, key = run.provenance, specimen.model.key
     recordings = f"{_recordings(specimen, run)} Contact force was described by"
     ended = [_sampling_words(specimen, made), _result_words(specimen)]

@@ -1,4 +1,4 @@
-"""Pages from templates, self-contained: they ask the network for nothing; and the report of a fit."""
+"""Self-contained pages from templates: of plain sections, the index of a cohort, the report of a fit."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import base64
 import json
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -27,11 +27,13 @@ from tissueid.report.figures import curve_payload, curves_by_trial, posterior_pa
 from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
+from tissueid.report.parts import Section
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
+    FEW,
     event_words,
     in_units,
     misfit_raised,
@@ -48,16 +50,12 @@ from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-if TYPE_CHECKING:
-    from tissueid.report.plain_page import Section
-
 #: Reasons of a verdict that are seen at once.
 MOST_REASONS = 5
 #: Remarks that are said above the others, in other words.
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 #: In the order in which they need each other.
 _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
-_SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
 @cache
@@ -95,7 +93,7 @@ def page_environment() -> Environment:
 def render_page(
     template: str,
     *,
-    scripts: Sequence[str],
+    scripts: Sequence[str] = ("plain.js",),
     style: str = "",
     data: str = "payload",
     script_file: str | None = None,
@@ -130,10 +128,7 @@ def asset(name: str) -> Markup:
 
 
 def plotly_script() -> Markup:
-    """The drawing library, whole: a page asks the network for nothing.
-
-    Raises UsageError: tissueid runs from a folder that was never installed.
-    """
+    """The drawing library, whole; UsageError where tissueid runs from a folder that was never installed."""
     ours = resources.files("tissueid.report") / "static" / "plotly.min.js"
     if not ours.is_file() and find_spec("plotly") is not None:
         ours = resources.files("plotly") / "package_data" / "plotly.min.js"
@@ -153,11 +148,62 @@ def _deflated_library() -> str:
     return base64.b64encode(deflated).decode("ascii")
 
 
+def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
+    """Write a page."""
+    figures = [figure for section in sections for figure in section.figures]
+    return render_page(
+        "plain",
+        title=title,
+        sections=sections,
+        numbers={id(figure): number for number, figure in enumerate(figures)},
+        identity=id,
+        payload=[one.payload() for one in figures],
+        data="figures",
+        created=created,
+    )
+
+
+#: Refused inputs that are listed; identification.json has them all.
+_LISTED = 500
+
+
+def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
+    """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
+    named = {one.name: one for one in specimen.parameters}
+    found, sure = verdict(specimen), not misfit_raised(specimen)
+    values = [named[name].value if name in named else None for name in FEW]
+    errors = [named[name].stderr if sure and name in named else None for name in FEW]
+    said = map(with_error, values, errors)
+    nrmsd, trials, depth = 100.0 * specimen.nrmsd.range, len(specimen.trials), specimen.validity.depth_mm
+    return {
+        "name": specimen.specimen,
+        "page": page,
+        "level": found.level,
+        "verdict": found.title,
+        "keys": [specimen.specimen, found.title, *values, nrmsd, trials, depth],
+        "cells": [*said, f"{nrmsd:.2f}", str(trials), number(depth, 3)],
+    }
+
+
+def render_index(
+    rows: Sequence[Mapping[str, Any]], refused: Sequence[str], *, created: str | None = None
+) -> str:
+    """Write the report of a large cohort, with links to those of specimens."""
+    return render_page(
+        "index",
+        title=f"Contact mechanics of {len(rows):,} specimens",
+        count=len(rows),
+        counts=verdict_counts((row["level"], row["verdict"]) for row in rows),
+        refused=refused[:_LISTED],
+        more=max(len(refused) - _LISTED, 0),
+        payload={"rows": rows},
+        created=created,
+        scripts=["grids.js", "tables.js", "index.js"],
+    )
+
+
 def _view(
-    position: int,
-    specimen: Specimen,
-    run: Identification,
-    rendering: Rendering | str | None,
+    position: int, specimen: Specimen, run: Identification, rendering: Rendering | str | None
 ) -> dict[str, Any]:
     parameters = {entry.name: entry for entry in specimen.parameters}
     sure = uncertainty_view(specimen)
@@ -177,7 +223,7 @@ def _view(
         "alarms": alarms,
         "reasons": told[:shown],
         "more": told[shown:],
-        "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
+        "summary": [_without_error(parameters.get(name), specimen) for name in FEW],
         "quoted": quoted_tables(specimen.quoted),
         "cycles": cycle_table(specimen.cycles),
         "methods": methods_view(specimen, run),
@@ -222,16 +268,9 @@ def _ends(specimen: Specimen, entry: Estimate) -> dict[str, float]:
     return {"up": max(high - value, 0.0), "down": max(value - low, 0.0)}
 
 
-def _groups(specimens: Sequence[Specimen], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
-    """Curves of all specimens by program; none where their units differ."""
-    units = _common_units(specimens)
-    return [] if units is None else curve_groups(curves_by_trial(specimens, curves), units)
-
-
-def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
-    """Count of specimens by verdict, the commonest first."""
-    tally = Counter((view["verdict"].level, view["verdict"].title) for view in views)
-    return [(level, title, count) for (level, title), count in tally.most_common()]
+def verdict_counts(verdicts: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
+    """Count of specimens by level and title of their verdicts, the commonest first."""
+    return [(level, title, count) for (level, title), count in Counter(verdicts).most_common()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,19 +303,12 @@ def render_report(
     stamp to print; ``script_file``: of :func:`render_page`; ``digest``: SHA-256 of identification.json.
     """
     specimens = identification.specimens
+    units = _common_units(specimens)
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
     views = [
         _view(position, specimen, identification, rendering)
         for position, (specimen, rendering) in enumerate(zip(specimens, shown, strict=True))
     ]
-    payload = {
-        "specimens": curve_payload(specimens, curves, posteriors),
-        "posteriors": posterior_payload(specimens, posteriors),
-        "laws": law_payload(specimens, curves, posteriors),
-        "groups": _groups(specimens, curves) if len(specimens) > 1 else [],
-        "units": [plain(specimen.units) for specimen in specimens],
-        "overview": _overview(specimens),
-    }
     return render_page(
         "report",
         title=_title(specimens),
@@ -284,10 +316,10 @@ def render_report(
         unfitted=cycle_table(identification.unfitted_cycles),
         views=views,
         workbook=base64.b64encode(report_workbook(identification, digest)).decode("ascii"),
-        payload=payload,
-        common_units=_common_units(specimens),
+        payload=_payload(specimens, curves, posteriors, units if len(specimens) > 1 else None),
+        common_units=units,
         overview_sentence=overview_sentence(specimens),
-        counts=_counts(views),
+        counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
         study=study_view(identification.study),
         metadata=metadata_view(beside.metadata),
         twin=beside.twin,
@@ -297,6 +329,23 @@ def render_report(
         scripts=_SCRIPTS,
         script_file=script_file,
     )
+
+
+def _payload(
+    specimens: Sequence[Specimen],
+    curves: Sequence[TrialCurve],
+    posteriors: Sequence[StoredPosterior],
+    shared: Units | None,
+) -> dict[str, Any]:
+    """Numbers behind all figures; curves of several specimens stand together in units that they share."""
+    return {
+        "specimens": curve_payload(specimens, curves, posteriors),
+        "posteriors": posterior_payload(specimens, posteriors),
+        "laws": law_payload(specimens, curves, posteriors),
+        "groups": curve_groups(curves_by_trial(specimens, curves), shared) if shared else [],
+        "units": [plain(specimen.units) for specimen in specimens],
+        "overview": _overview(specimens),
+    }
 
 
 def _common_units(specimens: Sequence[Specimen]) -> Units | None:

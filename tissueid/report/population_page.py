@@ -12,7 +12,7 @@ from tissueid.documents import plain
 from tissueid.documents.population import CohortSize, HeldOut, Population, Populations, Specimen
 from tissueid.model.channels import loading_force
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Table
+from tissueid.report.parts import Table
 from tissueid.report.wording import Verdict, flag_remarks
 from tissueid.store.bundle import Bundle
 

@@ -1,40 +1,21 @@
-"""Tables of the numbers people quote and of the load-unload loops, ready to be printed.
-
-A cell is text: a number with its standard error, or why there is none.
-"""
+"""Tables of the numbers people quote and of the load-unload loops, in printed cells."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
 from tissueid.documents.quantities import Cycle, Measure, Quantity, Quoted
 from tissueid.quantities import DEPTH_TEST
+from tissueid.report.parts import Table
 from tissueid.report.wording import trial_label
 
 #: Rows of a table that are printed; the rest is in identification.json.
 MOST_ROWS = 12
 NONE = "–"
 _PATHS = {"step": "ideal step", "ramp": "ramp as recorded"}
-_KINDS = {
-    "cycle": "cycle",
-    "ramp-retract": "ramp and retract",
-    "ramp-hold-retract": "ramp, hold and retract",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table with a sentence before it."""
-
-    title: str
-    sentence: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]  # first cell of each is its name
-    left_out: int = 0  # rows that are not printed
-    reasons: tuple[str, ...] = ()  # why numbers are missing, each once
+_KINDS = {"cycle": "cycle", "ramp-retract": "ramp and retract", "ramp-hold-retract": "ramp, hold and retract"}
 
 
 def _shown(
@@ -49,7 +30,7 @@ def _shown(
     if len(kept) > MOST_ROWS:
         kept = [*kept[: MOST_ROWS // 2], *kept[-(MOST_ROWS // 2) :]]
     unique = tuple(dict.fromkeys(reason for reason in reasons if reason))
-    return Table(title, sentence, tuple(head), tuple(kept), len(rows) - len(kept), unique)
+    return Table(tuple(head), tuple(kept), title, sentence, len(rows) - len(kept), unique)
 
 
 def _cell(entry: Measure | Quantity | None, *, percent: bool = False) -> str:

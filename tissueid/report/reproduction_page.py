@@ -1,7 +1,4 @@
-"""The page of ``tissueid reproduce``: published beside recomputed, and what stands behind each number.
-
-Kinds are told apart by word, mark, colour and edge, never by colour alone.
-"""
+"""The page of ``tissueid reproduce``: published beside recomputed, and what stands behind each number."""
 
 from __future__ import annotations
 
@@ -13,17 +10,13 @@ from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.reproduction import Figure, Item, Paper, Reproduction
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import band
+from tissueid.report.parts import band
 from tissueid.report.wording import Verdict
 
-#: Kind -> class of its look, mark, and what it means.
+#: Kind -> class of its look, mark, and what it means: told apart by more than colour.
 KINDS: Mapping[str, tuple[str, str, str]] = {
     "reproduced": ("reproduced", "✓", "printed, and computed without the number itself"),
-    "recomputed": (
-        "recomputed",
-        "=",
-        "computed from what the paper states, which prints no number for it",
-    ),
+    "recomputed": ("recomputed", "=", "computed from what the paper states, which prints no number for it"),
     "given": ("given", "→", "printed as an input: put in, not computed"),
     "round trip": (
         "round-trip",
@@ -138,5 +131,4 @@ def render_reproduction(document: Reproduction, *, created: str | None = None) -
         payload=[_drawn(figure) for figure in document.figures],
         created=created,
         style="reproduction.css",
-        scripts=["plain.js"],
     )

@@ -9,7 +9,7 @@ from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.rupture import Rupture, Speed
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure
+from tissueid.report.parts import Figure
 from tissueid.report.wording import Verdict, flag_remarks
 
 S_PER_MIN = 60.0
@@ -122,5 +122,4 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
             _reached(document).payload(),
         ],
         created=created,
-        scripts=["plain.js"],
     )

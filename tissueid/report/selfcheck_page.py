@@ -10,8 +10,8 @@ from markupsafe import Markup
 from tissueid.digits import number
 from tissueid.documents.selfcheck import Parameter, SelfCheck
 from tissueid.report.page import render_page
-from tissueid.report.plain_page import Figure, band
-from tissueid.report.wording import Verdict, parameter_words
+from tissueid.report.parts import Figure, band
+from tissueid.report.wording import Verdict, counted, parameter_words
 
 _KINDS = {"recipe": "Recipe", "study": "Study", "bundle": "Bundle"}
 _NOISE = {"white": "white noise", "ar1": "AR(1) noise", "white+ar1": "white and AR(1) noise"}
@@ -56,21 +56,18 @@ def _verdict(document: SelfCheck) -> Verdict:
 
 def _facts(document: SelfCheck) -> list[tuple[str, str]]:
     model, protocol, simulations = document.model, document.protocol, document.simulations
-    plural = "es" if model.branches != 1 else ""
     law = (
-        f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, "
+        f"{counted(model.branches, 'branch', 'es')}, K of degree {model.stiffness_degree}, "
         f"{model.static_pooling} static, to {number(model.depth_mm, 3)} mm"
     )
     program = (
-        f"{protocol.words}; {protocol.logs} log{'s' * (protocol.logs > 1)}, "
-        f"{protocol.samples:,} samples, "
+        f"{protocol.words}; {counted(protocol.logs, 'log')}, {protocol.samples:,} samples, "
         f"step {number(protocol.step_s, 3)} s, longest {number(protocol.duration_s, 3)} s, "
         f"contact known to {number(protocol.contact_sd_mm, 2)} mm"
     )
     runs = (
-        f"{simulations.done}, {len(simulations.failed)} without a posterior; sampler "
-        f"{simulations.sampler}, seed {simulations.seed}, "
-        f"{number(simulations.median_seconds, 2)} s each"
+        f"{simulations.done}, {len(simulations.failed)} without a posterior; sampler {simulations.sampler}, "
+        f"seed {simulations.seed}, {number(simulations.median_seconds, 2)} s each"
     )
     return [
         (_KINDS[document.source.kind], document.source.path),
@@ -156,5 +153,4 @@ def render_selfcheck(document: SelfCheck, *, created: str | None = None) -> str:
         prior_words=_words,
         payload=[one.payload() for checked in document.parameters for one in _figures(document, checked)],
         created=created,
-        scripts=["plain.js"],
     )

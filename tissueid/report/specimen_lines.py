@@ -1,9 +1,4 @@
-"""Lines that the command and the library print of a fitted specimen: parameters, measured numbers, warnings.
-
-The model is a block of lines, each value with its widest 95 % interval; where the residuals contradict the
-model, or nothing is identified, none stands.  A warning is at most 25 words: what was seen, with its number,
-and the way out.  ``-v`` leaves nothing out.
-"""
+"""Lines that command and library print of a fitted specimen: parameters, measured numbers, warnings."""
 
 from __future__ import annotations
 
@@ -19,7 +14,7 @@ from tissueid.documents.quantities import Cycle, Quantity
 from tissueid.flags import FLAGS, harm_rank, warning_line
 from tissueid.quantities import DEPTH_TEST
 from tissueid.report.uncertainty_words import reported_order, window_words
-from tissueid.report.wording import misfit_raised, remarks
+from tissueid.report.wording import counted, misfit_raised, remarks
 
 #: Programs and holds that get lines of their own.
 MOST_PLACES = 2
@@ -67,15 +62,16 @@ def brief_measured_lines(rows: Sequence[Spread]) -> list[str]:
         if row.name == "force" and row.time_s in _BRIEF_TIMES_S
     ]
     more = len({row.program for row in rows}) - 1
-    told = f", {more} more program{'s' * (more > 1)}" * (more > 0)
+    told = f", {counted(more, 'more program')}" * (more > 0)
     return [f"measured    {', '.join(said)}{told}"] if said else []
 
 
 def _of_hold(rows: Sequence[Spread], number: str) -> list[str]:
     pushed = [f"{_PUSH[row.name]} {_said(row)}" for row in rows if row.name in _PUSH]
     logs = max(row.count for row in rows)
-    ramp = rows[0].ramp_time_s
-    in_time = "" if ramp is None else f", ramp of {_between(ramp)} s"
+    # one number where both ends of the ramps' times look alike
+    ends = dict.fromkeys(f"{value:.3g}" for value in rows[0].ramp_time_s or ())
+    in_time = f", ramp of {' to '.join(ends)} s" if ends else ""
     spread = f", ± sd of {logs} logs" if logs > 1 else ", one log: spread between sites unknown"
     lines = [f"measured{number}, no model{spread}{in_time}: {', '.join(pushed)}"]
     for name in ("force", "force_over_10s", "force_over_peak"):
@@ -104,11 +100,6 @@ def _with_unit(value: float | None, error: float | None, unit: str) -> str:
 
 def _said(row: Spread) -> str:
     return "not pooled" if row.mean is None else _with_unit(row.mean, row.sd, row.unit)
-
-
-def _between(pair: Sequence[float]) -> str:
-    low, high = (f"{value:.3g}" for value in pair)
-    return low if low == high else f"{low} to {high}"
 
 
 #: Columns of a terminal that lines of numbers are wrapped to.
@@ -278,11 +269,7 @@ def _shared_line(specimens: Sequence[Specimen], code: str) -> str:
 def warning_lines(
     specimen: Specimen, *, shared: Sequence[str] = (), verbose: int = 0, alarms: int = 0
 ) -> list[tuple[str, str]]:
-    """Warnings of a specimen with their level, the worst first.
-
-    ``shared``: codes that are counted once for the batch; ``alarms``: lines that are said already, of the
-    few.
-    """
+    """Warnings with their level, the worst first, less ``shared`` codes; ``alarms`` of the few are said."""
     found = remarks(specimen, holds=verbose > 0)
     hidden = frozenset() if verbose else UNREMARKABLE | frozenset(shared)
     kept = [one for one in found if one.code not in hidden]
@@ -290,17 +277,14 @@ def warning_lines(
     logs = len(specimen.trials)
     lines = []
     for remark in kept[:room]:
-        logs_of = "" if logs == 1 or not remark.where else f"{_where(remark.where, logs)}: "
+        places = remark.where[0] if len(remark.where) == 1 else f"{len(remark.where)} of {logs} logs"
+        logs_of = "" if logs == 1 or not remark.where else f"{places}: "
         more = f" ({len(remark.messages) - 1} more)" if len(remark.messages) > 1 else ""
         lines.append((remark.level, f"{logs_of}{warning_line(remark.code, remark.messages[0])}{more}"))
     if len(kept) > room:
         level, last = lines[-1]
         lines[-1] = (level, f"{last} ({len(kept) - room} more: -v)")
     return lines
-
-
-def _where(places: Sequence[str], logs: int) -> str:
-    return places[0] if len(places) == 1 else f"{len(places)} of {logs} logs"
 
 
 def quoted_lines(document: Specimen) -> list[str]:
@@ -336,7 +320,7 @@ def _drainage(slope: Quantity) -> str:
 def _loops(cycles: Sequence[Cycle]) -> str:
     """Line on the number of load-unload loops and the last of them."""
     eta, area = cycles[-1].viscosity_model_N_s_per_mm, cycles[-1].dissipated_mJ
-    said = f"{len(cycles)} loop{'s' * (len(cycles) > 1)}, last: area "
+    said = f"{counted(len(cycles), 'loop')}, last: area "
     said += f"{with_error(area.value, area.stderr)} mJ" if area.value is not None else "none"
     if eta.value is not None:
         said += f", all viscosity from that area {with_error(eta.value, eta.stderr)} N s/mm"
@@ -387,8 +371,8 @@ def _paper(fit: Specimen) -> list[str]:
     chosen = next((row for row in rows if row.chosen), None)
     if others and chosen is not None and chosen.model is not None:
         best = max(others, key=lambda row: row.score or 0.0)
-        branches = f"{best.branches} branch{'es' * (best.branches > 1)}"
-        words = f"{branches}, K of degree {best.stiffness_degree}: tau {best.tau_s:.3g} s"
+        law = f"{counted(best.branches, 'branch', 'es')}, K of degree {best.stiffness_degree}"
+        words = f"{law}: tau {best.tau_s:.3g} s"
         lines = [f"paper's model  {words}, misses what was left out by {_more(best)}"]
     mark = next((row for row in rows if row.model == "yardstick"), None)
     return [*lines, f"mark        the yardstick misses what was left out by {_more(mark)}"] if mark else lines
@@ -402,12 +386,11 @@ def _more(row: Selection) -> str:
 
 def _title(fit: Specimen) -> str:
     """Specimen, logs, law and deviation."""
-    model, logs = fit.model, len(fit.trials)
-    branches = "1 branch" if model.branches == 1 else f"{model.branches} branches"
-    law = f"{branches}, K of degree {model.stiffness_degree}"
+    model = fit.model
+    law = f"{counted(model.branches, 'branch', 'es')}, K of degree {model.stiffness_degree}"
     if model.key != "kelvin-voigt":
         law = model.key
     return (
-        f"{fit.specimen}  {logs} log{'s' * (logs > 1)}, {law}, {model.static_pooling} static, "
+        f"{fit.specimen}  {counted(len(fit.trials), 'log')}, {law}, {model.static_pooling} static, "
         f"NRMSD {100 * fit.nrmsd.range:.2f} % of range"
     )

@@ -8,7 +8,8 @@ import numpy as np
 
 from tissueid.digits import number
 from tissueid.documents.session import Attempt, Learning, Training
-from tissueid.report.plain_page import Figure, Section, Table, render_plain
+from tissueid.report.page import render_plain
+from tissueid.report.parts import Figure, Section, Table
 
 #: Measures that practice is looked for in: words and unit.
 LEARNED = {
@@ -41,9 +42,7 @@ def render_training(
 
 
 def _person(
-    document: Training,
-    tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]],
-    who: str | None,
+    document: Training, tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]], who: str | None
 ) -> Section:
     rows = [row for row in document.attempts if row.pseudonym == who]
     curves = {one.measure: one for one in document.learning if one.pseudonym == who}

@@ -10,7 +10,8 @@ import numpy as np
 
 from tissueid.digits import number
 from tissueid.documents import twin as document
-from tissueid.report.plain_page import Figure, Section, Table, render_plain
+from tissueid.report.page import render_plain
+from tissueid.report.parts import Figure, Section, Table
 
 if TYPE_CHECKING:
     from tissueid.twin.twin import Twin

@@ -1,8 +1,4 @@
-"""Uncertainty of a result, in words: intervals, sampler, noise, priors, sources, other models, checks.
-
-Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them no
-interval stands on the first screen.  What is not identified has no number.
-"""
+"""Uncertainty in words: intervals, sampler, noise, priors, sources, other models, checks."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ from typing import Any
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
-from tissueid.report.wording import misfit_raised, parameter_words, unit_words
+from tissueid.report.wording import counted, depth_words, misfit_raised, parameter_words, unit_words
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -80,10 +76,7 @@ def reported_order(parameters: Sequence[Estimate]) -> list[Estimate]:
 
 
 def _rows(specimen: Specimen, columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
-    """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
-
-    ``bare``: whether even standard errors are left out.
-    """
+    """Parameters with these intervals, ``bare`` without any error; what is not identified shares a row."""
     rows: list[IntervalRow] = []
     unknown: dict[str, list[str]] = {}
     for entry in reported_order(specimen.parameters):
@@ -125,24 +118,23 @@ def paper_view(specimen: Specimen) -> dict[str, Any]:
     """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``."""
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
+    window = window_words(specimen)
+    one_time = f" One relaxation time: {window}." if window else ""
     return {
         "model": "modified Kelvin-Voigt" if specimen.model.key == "kelvin-voigt" else specimen.model.key,
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
-        "said": f"{_fit_sentence(specimen)} {_range_sentence(specimen)}{_window_sentence(specimen)}",
+        "said": f"{_fit_sentence(specimen)} {_range_sentence(specimen)}{one_time}",
     }
 
 
 def _fit_sentence(specimen: Specimen) -> str:
     """Sentence on the fit, its method, and what it leaves."""
     model, sampler = specimen.model, specimen.sampler
-    count, degree = model.branches, model.stiffness_degree
+    branches = counted(model.branches, "branch", "es")
     rmse = f"{number(specimen.nrmsd.rmse_N, 3)} {specimen.units.force}"
     drawn = f"; {sampler.name}, {sampler.draws:,} draws" if sampler else "; nothing sampled"
-    law = (
-        f"Static force a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = "
-        f"{_FOLD[degree]}"
-    )
+    law = f"Static force a_1 x + a_2 x² + a_3 x³, {branches} with K(x) = {_FOLD[model.stiffness_degree]}"
     if model.key != "kelvin-voigt":
         law = f"Model {model.key}"
     return (
@@ -156,9 +148,9 @@ def _range_sentence(specimen: Specimen) -> str:
     """Depths, speeds and holds that the numbers are of."""
     valid, length = specimen.validity, specimen.units.length
     slow, fast = (number(value, 3) for value in valid.speeds_mm_s)
-    deep = f"{number(valid.depth_mm, 3)} mm" if length == "mm" else f"a strain of {number(valid.depth_mm, 3)}"
     windows = [row.window_s[1] - row.window_s[0] for row in specimen.relaxation]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
+    deep = depth_words(valid.depth_mm, specimen.units)
     return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
 
 
@@ -178,11 +170,6 @@ def window_words(specimen: Specimen) -> str:
     if slope + EFFECTIVE_SD * error <= EFFECTIVE_SLOPE:
         return f"{said}: not the window's"
     return said
-
-
-def _window_sentence(specimen: Specimen) -> str:
-    said = window_words(specimen)
-    return f" One relaxation time: {said}." if said else ""
 
 
 def _sampler_sentence(specimen: Specimen) -> str:

@@ -1,7 +1,4 @@
-"""Words of the report: remarks, the verdict, sentences on the tissue, events, numbers with errors and units.
-
-A number that the data do not determine is never printed as a value: it is "not identified".
-"""
+"""Words of the report: remarks, verdicts, sentences on tissues, events, numbers with errors and units."""
 
 from __future__ import annotations
 
@@ -59,25 +56,36 @@ def trial_label(trial: Placed) -> str:
     return name if trial.sheet is None else f"{name} [{trial.sheet}]"
 
 
+def whole_label(trial: Placed, folder: str = "") -> str:
+    """Path of a trial, without a folder in front, and its sheet where there is one."""
+    path = trial.path.removeprefix(folder)
+    return path if trial.sheet is None else f"{path} [{trial.sheet}]"
+
+
+def counted(count: int, noun: str, ending: str = "s") -> str:
+    """``1 log`` or ``3 logs``."""
+    return f"{count} {noun}{'' if count == 1 else ending}"
+
+
+def depth_words(depth_mm: float, units: Units) -> str:
+    """Depth with its unit, or as a strain."""
+    return f"{number(depth_mm, 3)} mm" if units.length == "mm" else f"a strain of {number(depth_mm, 3)}"
+
+
 def remarks(specimen: Specimen, *, holds: bool = True) -> tuple[Remark, ...]:
     """Every flag of a specimen, its trials and perhaps its holds, once a code, the one of most harm first."""
-    messages: dict[str, list[str]] = {}
-    where: dict[str, list[str]] = {}
+    # sentences and places of each code, none twice: several parameters may carry one code
+    messages: dict[str, dict[str, None]] = {}
+    where: dict[str, dict[str, None]] = {}
     for flag in specimen.flags:
-        said = messages.setdefault(flag.code, [])
-        where.setdefault(flag.code, [])
-        # several parameters may carry one code: each sentence is kept, and none twice
-        if flag.message not in said:
-            said.append(flag.message)
+        messages.setdefault(flag.code, {})[flag.message] = None
     parts: list[Trial | Relaxation] = [*specimen.trials, *(specimen.relaxation if holds else ())]
     for part in parts:
         for flag in part.flags:
-            messages.setdefault(flag.code, [flag.message])
-            places = where.setdefault(flag.code, [])
-            if trial_label(part) not in places:
-                places.append(trial_label(part))
+            messages.setdefault(flag.code, {flag.message: None})
+            where.setdefault(flag.code, {})[trial_label(part)] = None
     found = [
-        Remark(code, flag_level(code), remark_title(code), tuple(said), tuple(where[code]))
+        Remark(code, flag_level(code), remark_title(code), tuple(said), tuple(where.get(code, ())))
         for code, said in messages.items()
     ]
     return tuple(sorted(found, key=lambda remark: harm_rank(remark.code)))
@@ -153,7 +161,7 @@ def verdict(specimen: Specimen) -> Verdict:
 def _beside_noise(specimen: Specimen) -> str:
     """Misfit against the measured noise, where it is more."""
     noise = specimen.noise
-    if noise is None or noise.samples_per_independent <= 1.0:
+    if noise is None or not noise.discrepant:
         return ""
     unit = specimen.units.force
     beside = "" if noise.measured_N is None else f" where the noise is {noise.measured_N:.2g} {unit}"
@@ -224,6 +232,8 @@ def took(duration_s: float) -> str:
 
 
 _S_PER_MIN = 60.0
+#: Parameters that stand for a specimen where there is room for few.
+FEW = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 _WIDEST = (("ci95_total", "95 % total intervals"), ("ci95", "95 % statistical intervals"))
 
 
@@ -318,11 +328,7 @@ def tissue_sentence(specimen: Specimen) -> str:
 def overview_sentence(specimens: Sequence[Specimen]) -> str:
     """Several specimens in one sentence: medians and ranges of what is identified."""
     parts = []
-    for name, words in (
-        ("static_1_N_per_mm", "static stiffness at contact"),
-        ("relaxation_time_s", "relaxation time"),
-        ("viscosity_N_s_per_mm", "viscosity"),
-    ):
+    for name, words in zip(FEW, ("static stiffness at contact", "relaxation time", "viscosity"), strict=True):
         entries = [entry for specimen in specimens for entry in specimen.parameters if entry.name == name]
         found = [entry for entry in entries if entry.value is not None]
         values = [entry.value for entry in found if entry.value is not None]

@@ -101,10 +101,7 @@ def _held(measured: Measured | None) -> list[_Row]:
 
 
 def _push(
-    number: int | None,
-    hold: MeasuredHold | None,
-    push: MeasuredPush | None,
-    times: Sequence[float],
+    number: int | None, hold: MeasuredHold | None, push: MeasuredPush | None, times: Sequence[float]
 ) -> list[Cell]:
     forces = {} if hold is None else {one.time_s: one for one in hold.forces}
     tau = None if hold is None else hold.tau

@@ -28,8 +28,7 @@ from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report import render_report
 from tissueid.report.law_payload import tissue_of
-from tissueid.report.page import Beside, plotly_script
-from tissueid.report.plain_page import index_row, render_index
+from tissueid.report.page import Beside, index_row, plotly_script, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import TrialCurve, load_curves

@@ -1,22 +1,21 @@
-"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on.
-
-A file is whole when size and time stay the same from one look to the next and it can be opened; a machine
-that still writes, or a spreadsheet that locks it, delays it and no more.
-"""
+"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import MsgspecError, structs
+from msgspec.json import decode
 
-from tissueid.documents import typed
-from tissueid.documents.measured import MeasuredPush
+from tissueid.documents import plain, typed
+from tissueid.documents.inspect import Error, Fit, Judged, Parameter, Watch
 from tissueid.errors import InputError, was_interrupted
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
@@ -25,7 +24,6 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.store.files import write_file
-from tissueid.store.schema import first_problem
 from tissueid.trial import Trial
 
 Fingerprint = tuple[int, int]
@@ -68,10 +66,6 @@ class FolderWatch:
         ready.sort(key=lambda path: (changed[path][1], path.name))
         return Look(tuple(ready), tuple(gone), tuple(self._growing))
 
-    def know(self, paths: Mapping[Path, Fingerprint]) -> None:
-        """Take recordings for judged already."""
-        self.known |= paths
-
 
 def fingerprint(path: Path) -> Fingerprint | None:
     """Size and time of a file; ``None`` where it is gone, or empty as yet."""
@@ -91,14 +85,6 @@ def opens(path: Path) -> bool:
         return False
 
 
-Verdict = dict[str, Any]
-
-#: What a verdict keeps of ``inspect --json``.
-_KEPT = (
-    "path", "sheet", "specimen", "excluded", "units", "contact", "measured", "verdict", "flags",
-)  # fmt: skip
-
-
 def samples_digest(trial: Trial) -> str:
     """SHA-256 of the samples: tells a sheet that changed from one that was only saved again."""
     digest = hashlib.sha256()
@@ -107,50 +93,48 @@ def samples_digest(trial: Trial) -> str:
     return digest.hexdigest()
 
 
-def refused_verdict(refusal: Refusal, trial: Trial | None = None) -> Verdict:
+def refused_verdict(refusal: Refusal, trial: Trial | None = None) -> Watch:
     """The verdict on a file that can't be read, or on a trial that defeats the arithmetic."""
-    nothing: Verdict = dict.fromkeys(_KEPT)
-    return nothing | {
-        "path": refusal.path,
-        "sheet": refusal.sheet,
-        "specimen": None if trial is None else trial.specimen,
-        "verdict": {"level": "refused", "reason": f"this file can't be used: {refusal}"},
-        "flags": [],
-        "digest": None if trial is None else samples_digest(trial),
-        "error": refusal.as_json()["error"],
-        "fit": None,
-    }
+    return Watch(
+        path=refusal.path,
+        sheet=refusal.sheet,
+        specimen=None if trial is None else trial.specimen,
+        excluded=None,
+        units=None,
+        contact=None,
+        measured=None,
+        verdict=Judged("refused", f"this file can't be used: {refusal}"),
+        flags=(),
+        digest=None if trial is None else samples_digest(trial),
+        error=typed(refusal.as_json()["error"], Error),
+        fit=None,
+    )
 
 
 def judge(
     trial: Trial,
-    earlier: Iterable[Mapping[str, Any]] = (),
+    earlier: Iterable[Watch] = (),
     *,
     options: SegmentOptions | None = None,
     study: Study | None = None,
-) -> Verdict:
-    """Judge one test, as read, beside earlier ones of its specimen (``schemas/watch.schema.json``)."""
+) -> Watch:
+    """Judge one test, as read, beside earlier ones of its specimen."""
     trial, options, excluded = as_decided(trial, options, study)
     divided = segmented(trial, options=options)
     if isinstance(divided, Refusal):
         return refused_verdict(divided, trial)
-    before = [
-        typed(one["measured"]["push"], MeasuredPush)
-        for one in earlier
-        if one["specimen"] == trial.specimen and one["excluded"] is None and one["measured"] is not None
-        if one["measured"]["push"] is not None
-    ]
+    alike = [one for one in earlier if one.specimen == trial.specimen and one.excluded is None]
+    pushes = [None if one.measured is None else one.measured.push for one in alike]
+    before = [push for push in pushes if push is not None]
     found = describe_segmented(
         trial, divided, excluded=excluded, measured=measured_of(trial, divided, study), earlier=before
     )
-    kept = {name: found[name] for name in _KEPT}
-    return kept | {"digest": samples_digest(trial), "error": None, "fit": None}
+    kept = {name: found[name] for name in Watch.__struct_fields__ if name in found}
+    return typed(kept | {"digest": samples_digest(trial), "error": None, "fit": None}, Watch)
 
 
 #: Name of the log in the output folder.
 LOG = "watch.jsonl"
-
-Key = tuple[str, str | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +145,7 @@ class Happening:
     #: its fit), ``renamed``, ``copy``, ``gone``, ``unreachable`` or ``back``.
     kind: str
     text: str = ""  # in words, but for a verdict
-    verdict: Verdict | None = None
+    verdict: Watch | None = None
 
 
 @dataclass(slots=True)
@@ -170,12 +154,11 @@ class WatchSession:
 
     watch: FolderWatch
     read: Callable[[Path], Iterable[Trial | InputError]]  # trials and refusals of one file
-    judge: Callable[[Trial, Iterable[Verdict]], Verdict]  # ``judge(trial, earlier) -> verdict``
+    judge: Callable[[Trial, Iterable[Watch]], Watch]  # ``judge(trial, earlier) -> verdict``
     log: Path | None = None  # where verdicts are kept, rewritten whole after each
     #: In the order of testing; those of files that are gone stay, and are not compared with.
-    verdicts: list[Verdict] = field(default_factory=list)
-    #: ``fit(trial) -> numbers``, after the verdict is told.
-    fit: Callable[[Trial], dict[str, Any] | None] | None = None
+    verdicts: list[Watch] = field(default_factory=list)
+    fit: Callable[[Trial], Fit | None] | None = None  # after the verdict is told
     _gone: set[str] = field(default_factory=set)
     _reachable: bool = True
 
@@ -191,7 +174,7 @@ class WatchSession:
             yield from self._judged(path)
         for path in look.gone:
             self._gone.add(str(path))
-            if any(one["path"] == str(path) for one in self.verdicts):
+            if any(one.path == str(path) for one in self.verdicts):
                 yield Happening("gone", f"{path}: gone; it takes no part in comparisons")
 
     def _judged(self, path: Path) -> Iterator[Happening]:
@@ -199,7 +182,7 @@ class WatchSession:
             if isinstance(item, InputError):
                 verdict = refused_verdict(Refusal.of(item))
                 known = self._find(item.path, item.sheet)
-                if known is None or known["error"] != verdict["error"]:
+                if known is None or known.error != verdict.error:
                     yield self._keep(verdict, known)
             else:
                 yield from self._of_trial(item)
@@ -207,24 +190,22 @@ class WatchSession:
     def _of_trial(self, trial: Trial) -> Iterator[Happening]:
         digest, name = samples_digest(trial), trial.name
         known = self._find(trial.source.path, trial.source.sheet)
-        if known is not None and known["digest"] == digest:
+        if known is not None and known.digest == digest:
             return
-        same = next((one for one in self.verdicts if one["digest"] == digest and one is not known), None)
+        same = next((one for one in self.verdicts if one.digest == digest and one is not known), None)
         if same is None:
-            earlier = [one for one in self.verdicts if one is not known and one["path"] not in self._gone]
+            earlier = [one for one in self.verdicts if one is not known and one.path not in self._gone]
             verdict = self._safely(trial, earlier)
             yield self._keep(verdict, known)
-            if self.fit is not None and verdict["contact"] is not None:
+            if self.fit is not None and verdict.contact is not None:
                 yield self._fitted(trial, verdict, self.fit)
-        elif same["path"] in self._gone or not Path(same["path"]).exists():
-            before = same["path"]
-            same["path"], same["sheet"] = trial.source.path, trial.source.sheet
-            self._save()
-            yield Happening("renamed", f"{name}: was {before}, judged already")
+        elif same.path in self._gone or not Path(same.path).exists():
+            self._replace(same, path=trial.source.path, sheet=trial.source.sheet)
+            yield Happening("renamed", f"{name}: was {same.path}, judged already")
         else:
-            yield Happening("copy", f"{name}: the same samples as {same['path']}, judged already")
+            yield Happening("copy", f"{name}: the same samples as {same.path}, judged already")
 
-    def _safely(self, trial: Trial, earlier: Iterable[Verdict]) -> Verdict:
+    def _safely(self, trial: Trial, earlier: Iterable[Watch]) -> Watch:
         try:
             return self.judge(trial, earlier)
         except Exception as error:
@@ -235,62 +216,52 @@ class WatchSession:
             refusal = Refusal(trial.source.path, trial.source.sheet, "fit_failed", message)
             return refused_verdict(refusal, trial)
 
-    def _fitted(
-        self, trial: Trial, verdict: Verdict, fit: Callable[[Trial], dict[str, Any] | None]
-    ) -> Happening:
+    def _fitted(self, trial: Trial, verdict: Watch, fit: Callable[[Trial], Fit | None]) -> Happening:
         try:
-            verdict["fit"] = fit(trial)
+            verdict = self._replace(verdict, fit=fit(trial))
         except Exception as error:
             # one file must never end the session at the machine
             if was_interrupted(error):
                 raise
-        self._save()
         return Happening("fitted", verdict=verdict)
 
-    def _find(self, path: str, sheet: str | None) -> Verdict | None:
-        return next((one for one in self.verdicts if (one["path"], one["sheet"]) == (path, sheet)), None)
+    def _find(self, path: str, sheet: str | None) -> Watch | None:
+        return next((one for one in self.verdicts if (one.path, one.sheet) == (path, sheet)), None)
 
-    def _keep(self, verdict: Verdict, known: Verdict | None) -> Happening:
+    def _keep(self, verdict: Watch, known: Watch | None) -> Happening:
         if known is not None:
             self.verdicts.remove(known)
         self.verdicts.append(verdict)
         self._save()
         return Happening("verdict" if known is None else "replaced", verdict=verdict)
 
+    def _replace(self, verdict: Watch, **changes: Any) -> Watch:
+        changed = structs.replace(verdict, **changes)
+        self.verdicts[self.verdicts.index(verdict)] = changed
+        self._save()
+        return changed
+
     def _save(self) -> None:
         if self.log is not None:
-            lines = [json.dumps(one, ensure_ascii=False, allow_nan=False) for one in self.verdicts]
+            lines = [json.dumps(plain(one), ensure_ascii=False, allow_nan=False) for one in self.verdicts]
             write_file(self.log, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
-def load_log(path: Path) -> list[Verdict]:
+def load_log(path: Path) -> list[Watch]:
     """Verdicts of an earlier session; lines that are none are left out."""
-    if not path.is_file():
-        return []
-    found = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        try:
-            verdict = json.loads(line)
-        except ValueError:
-            continue
-        if first_problem(verdict, "watch") is None:
-            found.append(verdict)
+    found: list[Watch] = []
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
+        with suppress(MsgspecError, ValueError):
+            found.append(typed(decode(line), Watch))
     return found
 
 
-def quick_fit(
-    trial: Trial, options: SegmentOptions | None, study: Study | None = None
-) -> dict[str, Any] | None:
-    """Parameters of the test alone (``fit`` of ``schemas/watch.schema.json``); ``None`` without a fit."""
+def quick_fit(trial: Trial, options: SegmentOptions | None, study: Study | None = None) -> Fit | None:
+    """Parameters of the test alone; ``None`` without a fit."""
     trial, options, _ = as_decided(trial, options, study)
     quick = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0), segment=options)
     fits = identify([trial], options=quick).specimens
     if not fits:
         return None
-    return {
-        "nrmsd": fits[0].nrmsd.range,
-        "parameters": [
-            {"name": one.name, "unit": one.unit, "value": one.value, "stderr": one.stderr}
-            for one in fits[0].parameters
-        ],
-    }
+    found = [Parameter(one.name, one.unit, one.value, one.stderr) for one in fits[0].parameters]
+    return Fit(fits[0].nrmsd.range, tuple(found))
