@@ -68,7 +68,7 @@ def _interval(values: Sequence[float] | None) -> str:
 
 def _facts(document: Contrast) -> list[tuple[str, str]]:
     slow, fast = (number(speed, 3) for speed in document.common.speeds_mm_s)
-    speeds = slow if document.common.speeds_mm_s[0] == document.common.speeds_mm_s[1] else f"{slow} to {fast}"
+    speeds = slow if slow == fast else f"{slow} to {fast}"
     device = document.device
     return [
         ("Depth", f"to {number(document.common.depth_mm, 3)} mm"),

@@ -54,8 +54,8 @@ def citation(version: str) -> dict[str, str]:
 
 def _recordings(specimen: Specimen, run: Identification) -> str:
     trials, units = specimen.trials, specimen.units
-    slow, fast = specimen.validity.speeds_mm_s
-    speed = number(slow, 3) if slow == fast else f"{number(slow, 3)} to {number(fast, 3)}"
+    slow, fast = (number(speed, 3) for speed in specimen.validity.speeds_mm_s)
+    speed = slow if slow == fast else f"{slow} to {fast}"
     deep = depth_words(specimen.validity.depth_mm, units)
     held = len({(row.path, row.sheet) for row in specimen.relaxation})
     holds = f", {held} of them with a hold," if held else ""
