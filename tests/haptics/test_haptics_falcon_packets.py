@@ -7,13 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tissueid.haptics.falcon.packets import (
-    PACKET_BYTES,
-    PacketParser,
-    Reply,
-    encode_command,
-    encode_into,
-)
+from tissueid.haptics.falcon.packets import PACKET_BYTES, PacketParser, Reply, encode_command, encode_into
 
 LETTERS = "ABCDEFGHIJKLMNOP"
 #: What may stand before the end bracket.
@@ -48,8 +42,7 @@ def drawn_reply(random: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("packet", "encoders"),
-    [(b"<HNGPOKOPFPOPAA>", (-2345, -338, -267)), (b"<BAAAPPPPAAAAAA>", (1, -1, 0))],
+    ("packet", "encoders"), [(b"<HNGPOKOPFPOPAA>", (-2345, -338, -267)), (b"<BAAAPPPPAAAAAA>", (1, -1, 0))]
 )
 def test_published_replies_are_read(packet: bytes, encoders: tuple[int, int, int]) -> None:
     assert PacketParser().feed(packet) == [Reply(encoders, 0, 0)]

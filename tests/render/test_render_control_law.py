@@ -18,13 +18,7 @@ from tissueid.rendering.control import (
     Signal,
     simulate,
 )
-from tissueid.rendering.control.law import (
-    damping_form,
-    generalised_force,
-    inertia,
-    saturate,
-    solve,
-)
+from tissueid.rendering.control.law import damping_form, generalised_force, inertia, saturate, solve
 from tissueid.rendering.control.simulation import loop_block
 from tissueid.rendering.options import preset_tissue
 

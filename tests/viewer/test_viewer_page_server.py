@@ -132,9 +132,7 @@ def test_a_page_that_cant_be_made_says_why(served: PageServer) -> None:
     assert "line 3" in text
 
 
-def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(
-    served: PageServer,
-) -> None:
+def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(served: PageServer) -> None:
     with PageServer(Asked()) as other:
         assert other.access.port != served.access.port
     with pytest.raises(UsageError, match="--viewer-port"):

@@ -238,12 +238,7 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
 
 
 def scripted_hand(
-    text: str,
-    *,
-    motion_scale: float,
-    surface_m: FloatArray,
-    inward: FloatArray,
-    rest_s: float = REST_S,
+    text: str, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray, rest_s: float = REST_S
 ) -> Hand:
     """Machine that carries the grip through a script, ``motion_scale`` times the depth in the tissue."""
     time, depth = rest_s, -SCRIPT_CLEARANCE_MM

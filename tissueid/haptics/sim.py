@@ -21,16 +21,7 @@ from numpy.typing import ArrayLike
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics import shared_hand as layout
-from tissueid.haptics.arm import (
-    ARM_MEMORY,
-    HAND_FORCE,
-    POINTED,
-    POSITION,
-    TIME,
-    Arm,
-    arm_step,
-    new_arm,
-)
+from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POINTED, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import (
     PRESSED,

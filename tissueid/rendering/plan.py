@@ -331,9 +331,7 @@ def _blocks(
 ) -> tuple[FloatArray, ...]:
     """A block for each presentation: the tissues themselves, or the blind order of them."""
     control = PassivityLimits(
-        on=options.control,
-        count_m=DEFAULT_COUNT_M,
-        stiffness_N_per_m=check.scaling.device_stiffness_N_per_m,
+        on=options.control, count_m=DEFAULT_COUNT_M, stiffness_N_per_m=check.scaling.device_stiffness_N_per_m
     ).block()
     presented = range(len(picked)) if order is None else order.tissues
     return tuple(

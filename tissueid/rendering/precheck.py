@@ -154,11 +154,7 @@ def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
 
 
 def check_before_force(
-    tissue: Tissue,
-    demands: Demands,
-    *,
-    force_scale: float | None = None,
-    motion_scale: float | None = None,
+    tissue: Tissue, demands: Demands, *, force_scale: float | None = None, motion_scale: float | None = None
 ) -> Precheck:
     """Choose a scale of a rendering and lower it until it is stable, or check the one that was asked for.
 
@@ -205,11 +201,7 @@ def _must_lie(name: str, value: float, allowed: tuple[float, float]) -> None:
 
 def _need(tissue: Tissue, scaling: Scaling, demands: Demands) -> float:
     return required_damping(
-        tissue.model,
-        tissue.theta,
-        scaling,
-        period_s=demands.period_s,
-        delay_ticks=demands.delay_ticks,
+        tissue.model, tissue.theta, scaling, period_s=demands.period_s, delay_ticks=demands.delay_ticks
     )
 
 

@@ -95,11 +95,7 @@ def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
         made = Path(scratch) / "static"
         made.mkdir()
         entries = ["src/viewer.js", "src/viewer.css"]
-        _run(
-            [node, str(ESBUILD), *entries, f"--outdir={made}", *ESBUILD_FLAGS],
-            work,
-            environment,
-        )
+        _run([node, str(ESBUILD), *entries, f"--outdir={made}", *ESBUILD_FLAGS], work, environment)
         for name in COPIED:
             shutil.copyfile(sources / name, made / name)
         (made / STAMP).write_text(sources_hash(sources) + "\n", encoding="utf-8")

@@ -93,10 +93,7 @@ class PageServer:
         self.access = Access(LOOPBACK, self._listening.getsockname()[1], new_token())
         self.server = uvicorn.Server(
             config(
-                page_app(shown, self.access),
-                ws="none",
-                lifespan="off",
-                limit_concurrency=MOST_CONNECTIONS,
+                page_app(shown, self.access), ws="none", lifespan="off", limit_concurrency=MOST_CONNECTIONS
             )
         )
 

@@ -32,10 +32,7 @@ PERIOD_S = 1e-3
 #: Virtual mass [kg] and gains that a 0.25 kg arm behind 1.5 ticks bears; assumed.
 VIRTUAL_MASS_KG = 1.0
 DEVICE_GAINS = Gains(
-    reference_rate_per_s=30.0,
-    damping_N_s_per_m=15.0,
-    disturbance_bound_N=0.3,
-    adaptation=(0.01, 1.0, 10.0),
+    reference_rate_per_s=30.0, damping_N_s_per_m=15.0, disturbance_bound_N=0.3, adaptation=(0.01, 1.0, 10.0)
 )
 #: Way of the simulated hand's target [s and m from the surface]: in the air, pressed with 4 N at most, back.
 WAY = ((0.0, -0.010), (1.0, -0.010), (2.5, 0.012), (4.0, 0.012), (5.5, -0.010))

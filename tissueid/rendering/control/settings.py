@@ -14,11 +14,7 @@ from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.rendering.control.law import (
-    ARM_PARAMETERS,
-    MOST_AXES,
-    inertia,
-)
+from tissueid.rendering.control.law import ARM_PARAMETERS, MOST_AXES, inertia
 from tissueid.rendering.tissue_block import Tissue
 
 
@@ -96,11 +92,7 @@ class Signal:
 
 #: Pushes of the hand along the first axis, which is into the tissue: offset, amplitude [N], frequency [Hz].
 #: Assumed: the inputs of the paper's simulation are lost.
-TASKS = {
-    "sustained": (10.0, 10.0, 1.0),
-    "free-contact": (2.0, 3.0, 0.5),
-    "impacts": (2.0, 10.0, 0.5),
-}
+TASKS = {"sustained": (10.0, 10.0, 1.0), "free-contact": (2.0, 3.0, 0.5), "impacts": (2.0, 10.0, 0.5)}
 
 
 #: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
