@@ -1,8 +1,4 @@
-"""Devices and force laws by name: a lazy table, and what other distributions add.
-
-A device named by the user is never replaced by another one; ``auto`` takes the first hardware that can be
-opened, else the simulated device, and says which and why.
-"""
+"""Devices and force laws by name: a lazy table, and what other distributions add."""
 
 from __future__ import annotations
 

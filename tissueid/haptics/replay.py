@@ -1,7 +1,6 @@
 """A device that moves as a recorded session did: ``tissueid render --replay LOG``.
 
-At a time of the log it is where the log says, between two records on their line, outside them at rest; no
-force changes the motion: the hand of the log felt its own force, not the one rendered now.  SI units.
+Between two records it is on their line, outside them at rest; no force changes the motion.  SI units.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Everything that is decided before any force: which tissue, device, scale, surface, order, log.
-
-What can't be rendered (damaged bundle, missing device, unstable scale, another tip) is refused while nothing
-moves yet; there are sessions without a tissue: an installed force law, a planned axis.
-"""
+"""Everything that is decided before any force: which tissue, device, scale, surface, order, log."""
 
 from __future__ import annotations
 
@@ -96,20 +92,18 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
-    given = dict(options.device_options)
-    if options.replay is not None:
-        given["log"] = options.replay
+    given = _given(options)
+    touch_m, inward = _touch_point(surface, radius_m), _inward(surface)
     carried_along = script or options.program
     if carried_along is not None:
         given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
         given["hand"] = carried_along.hand(
-            motion_scale=check.scaling.motion,
-            surface_m=_touch_point(surface, radius_m),
-            inward=_inward(surface),
+            motion_scale=check.scaling.motion, surface_m=touch_m, inward=inward
         )
     led = options.led and script is None and choice[0] == SIMULATED
     if led:
-        given |= _waiting_at(_touch_point(surface, radius_m) - REST_M * _inward(surface))
+        given |= _waiting_at(touch_m - REST_M * inward)
+    of_scene = () if options.scene is None else options.scene.lines()
     return _planned(
         options,
         choice,
@@ -123,11 +117,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         script=script,
         seconds=_seconds(options, script),
         virtual=options.virtual,
-        lines=(
-            choice[1],
-            *(() if options.scene is None else options.scene.lines()),
-            *_lines(options, picked, check, functional),
-        ),
+        lines=(choice[1], *of_scene, *_lines(options, picked, check, functional)),
         led=led,
     )
 
@@ -206,12 +196,14 @@ def _digest(path: Path | None) -> str | None:
     return None if path is None else sha256_of(path)
 
 
+def _given(options: RenderOptions) -> dict[str, Any]:
+    """Arguments of the device's class."""
+    return {**options.device_options, **({} if options.replay is None else {"log": options.replay})}
+
+
 def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticDevice]:
     """The device and why it was taken; made, not opened."""
-    found = choose_device(name)
-    given = dict(options.device_options)
-    if options.replay is not None:
-        given["log"] = options.replay
+    found, given = choose_device(name), _given(options)
     check_present(found.name, given.get("port"))
     return (found.name, found.why), device_class(found.name)(**given)
 
@@ -280,33 +272,19 @@ def _scaled(
 ) -> tuple[Precheck, Surface, float]:
     """One scale for all tissues: the smallest that any of them needs; the surface at that scale."""
     capabilities = device.capabilities
+    asked = {"force_scale": options.force_scale, "motion_scale": options.motion_scale}
+    demands = demands_of(capabilities)
     checks = []
     for each in picked:
-        motion = options.motion_scale
-        demands = demands_of(capabilities)
-        first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
-        scale = first.scaling.motion
+        scale = check_before_force(each.tissue, demands, **asked).scaling.motion
         radius_m = (each.tissue.tip_radius_mm or options.tip_radius_mm or 0.0) * MM * scale
+        depth_mm = each.tissue.model.depth_mm
         surface = place_surface(
-            shape,
-            capabilities,
-            depth_mm=each.tissue.model.depth_mm,
-            motion_scale=scale,
-            tool_radius_m=radius_m,
+            shape, capabilities, depth_mm=depth_mm, motion_scale=scale, tool_radius_m=radius_m
         )
         travel_m = travel_behind(surface, capabilities, tool_radius_m=radius_m)
-        checks.append(
-            (
-                check_before_force(
-                    each.tissue,
-                    replace(demands, travel_m=travel_m),
-                    force_scale=options.force_scale,
-                    motion_scale=motion,
-                ),
-                surface,
-                radius_m,
-            )
-        )
+        check = check_before_force(each.tissue, replace(demands, travel_m=travel_m), **asked)
+        checks.append((check, surface, radius_m))
     return min(checks, key=lambda one: one[0].scaling.force)
 
 
@@ -334,22 +312,12 @@ def _blocks(
         on=options.control, count_m=DEFAULT_COUNT_M, stiffness_N_per_m=check.scaling.device_stiffness_N_per_m
     ).block()
     presented = range(len(picked)) if order is None else order.tissues
-    return tuple(
-        np.concatenate(
-            [
-                tissue_block(
-                    picked[tissue].tissue,
-                    surface,
-                    force_scale=check.scaling.force,
-                    motion_scale=check.scaling.motion,
-                    tool_radius_m=radius_m,
-                    label=label,
-                ),
-                control,
-            ]
-        )
-        for label, tissue in enumerate(presented, 0 if order is None else 1)
-    )
+    scales = {"force_scale": check.scaling.force, "motion_scale": check.scaling.motion}
+    blocks = []
+    for label, tissue in enumerate(presented, 0 if order is None else 1):
+        felt = tissue_block(picked[tissue].tissue, surface, **scales, tool_radius_m=radius_m, label=label)
+        blocks.append(np.concatenate([felt, control]))
+    return tuple(blocks)
 
 
 def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
@@ -435,7 +403,7 @@ def guided_session(options: RenderOptions, choice: tuple[str, str], device: Hapt
     guidance, check = check_guidance(plan, demands_of(device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
-    given = dict(options.device_options)
+    given = _given(options)
     if options.led:
         given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
     return _without_tissue(options, choice, device, block, lines, device_options=given, guided=True)

@@ -1,8 +1,6 @@
 """Sessions of a twin: an emulated Falcon with its counts and delay, and the simulated device.
 
-Both run in virtual time, a millisecond a tick, through the servo, the guard and the drivers that a real
-device has.  What a machine at the grip would record is the arm's true position and force, with the scales
-undone.
+What a machine at the grip would record is the arm's true position and force, with the scales undone.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The first message to a page: what the session holds, so that the page draws no more and no less.
 
-One JSON object: ``session``; ``scene`` with ``objects``, each of a ``kind`` the page knows how to draw, in
-metres of the device's frame; ``strips`` over time or another field; ``lamps`` and the bits that light them;
-``words`` by the id of what they stand in; ``band`` and ``beside``; ``sample``, the layout of
-:mod:`tissueid.viewer.frames`.
+One JSON object; objects of its scene are in metres of the device's frame, each of a ``kind`` that the page
+knows how to draw, and words go by the id of what they stand in.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it.
-
-Both ask for the token that the terminal shows; what is decided must come from the page itself (``Origin``).
-"""
+"""One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Measurements of a user's own Falcon, in one small file of the user's configuration directory.
-
-What the file leaves out has the values of :class:`Calibration`.  They are from the literature or assumed, no
-unit has confirmed them, and the clamp is small until a force was weighed.
-"""
+"""Measurements of a user's own Falcon, in one small file of the user's configuration directory."""
 
 from __future__ import annotations
 

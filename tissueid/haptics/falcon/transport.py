@@ -1,8 +1,4 @@
-"""Bytes to and from a Falcon: over a file descriptor, or over USB by libusb-1.0 and the FTDI chip's requests.
-
-Modem lines and the latency timer belong to the FTDI chip; a pseudo-terminal or a socket has none, and then
-:attr:`FileTransport.modem` is None.
-"""
+"""Bytes to and from a Falcon: over a file descriptor, or over USB by libusb and the FTDI chip's requests."""
 
 from __future__ import annotations
 
@@ -24,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import DeviceError
+from tissueid.haptics.foreign import declared
 
 try:
     import fcntl
@@ -510,21 +507,10 @@ def _load() -> Any:
             library = ctypes.CDLL(name)
         except OSError:
             continue
-        return _declared(library, name)
+        return declared(library, _PROTOTYPES, f"{name} is no libusb 1.0 of use")
     where = f"{named} ({LIBRARY_VARIABLE})" if named else "libusb-1.0"
     msg = f"{where} can't be loaded, and a Falcon needs it; on Debian: apt install libusb-1.0-0"
     raise DeviceError(msg)
-
-
-def _declared(library: Any, name: str) -> Any:
-    for function, (result, arguments) in _PROTOTYPES.items():
-        try:
-            symbol = getattr(library, function)
-        except AttributeError as error:
-            msg = f"{name} is no libusb 1.0 of use: it has no {function}"
-            raise DeviceError(msg) from error
-        symbol.restype, symbol.argtypes = result, arguments
-    return library
 
 
 #: A way for bytes to a Falcon.

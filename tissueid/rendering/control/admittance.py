@@ -1,8 +1,4 @@
-"""Admittance rendering on a device: the controller of variant B behind the device's own guard.
-
-The virtual tool is led by the measured force of the hand, along the axis into the tissue; no device of Novint
-or Force Dimension measures it, the simulated one does.
-"""
+"""Admittance rendering on a device: the controller of variant B behind the device's own guard."""
 
 from __future__ import annotations
 

@@ -1,13 +1,9 @@
-"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous.
-
-The sampled loop reads the force that the hand had under the last command, and holds its own until the next
-tick.
-"""
+"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -406,13 +402,10 @@ def tissue_law(settings: ControlSettings) -> FloatArray:
 
 def _drive(settings: ControlSettings) -> FloatArray:
     """Push and disturbance, shape (DRIVE_ROWS, n)."""
-    push = settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes)
-    rows = [push.offset_N, push.amplitude_N, push.frequency_Hz]
     drive = np.zeros((DRIVE_ROWS, settings.axes))
-    drive[:3] = rows
+    drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes))
     if settings.disturbance is not None:
-        other = settings.disturbance
-        drive[3:] = other.offset_N, other.amplitude_N, other.frequency_Hz
+        drive[3:] = astuple(settings.disturbance)
     return drive
 
 

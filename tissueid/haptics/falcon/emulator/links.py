@@ -1,8 +1,4 @@
-"""Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process.
-
-An unplugged device closes its end, so that a host sees what it would see: an error on a terminal, the end
-of the stream on a socket.
-"""
+"""Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process."""
 
 from __future__ import annotations
 
