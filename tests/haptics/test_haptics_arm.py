@@ -164,7 +164,6 @@ def test_impossible_arms_are_refused(wrong):
 
 SURFACE = np.array([0.01, -0.02, 0.13])
 INWARD = np.array([0.0, 0.0, -1.0])
-STILL = np.zeros(3)
 
 
 def test_a_script_moves_the_grip_in_tissue_units_whatever_the_force():
@@ -253,7 +252,7 @@ def test_a_tremor_swings_by_its_amplitude_at_its_frequency():
     memory, block = new_arm(hand.start_m), hand.write(Arm().block())
     seen = []
     for _ in range(500):
-        arm_step(memory, block, STILL, 1e-3)
+        arm_step(memory, block, ORIGIN, TICK)
         seen.append(memory[a.POSITION + 2] - 0.1)
     time = 1e-3 * np.arange(1, 501)
     expected = 3e-4 * np.minimum(time / a.TREMOR_RISE_S, 1.0) * np.sin(2.0 * np.pi * 8.0 * time + 0.4)
@@ -264,10 +263,10 @@ def test_a_released_grip_flies_free():
     hand = Hand((0.0, 0.05), ((0.0, 0.0, 0.1),) * 2, (1.0, 0.0), stiffness_N_per_m=500.0)
     memory, block = new_arm(hand.start_m), hand.write(Arm(damping_N_s_per_m=0.0, friction_N=0.0).block())
     for _ in range(50):
-        arm_step(memory, block, STILL, 1e-3)
+        arm_step(memory, block, ORIGIN, TICK)
     start = memory[a.POSITION + 2]
     for _ in range(100):
-        arm_step(memory, block, np.array([0.0, 0.0, 1.0]), 1e-3)
+        arm_step(memory, block, np.array([0.0, 0.0, 1.0]), TICK)
     assert memory[a.POSITION + 2] - start == pytest.approx(0.5 * 1.0 / 0.25 * 0.1**2, rel=1e-9)
 
 

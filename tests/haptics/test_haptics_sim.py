@@ -15,7 +15,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import open_device
 from tissueid.haptics.replay import ReplayDevice
 from tissueid.haptics.ring import RECORD
-from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, POINTER_ON
+from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE
 from tissueid.haptics.sim import (
     CENTRE_M,
     SimulatedDevice,
@@ -138,23 +138,6 @@ def test_in_real_time_the_arm_moves_with_the_clock():
             device.read()
             device.write_force(QUIET, step)
     assert device.time_s == pytest.approx(0.054, abs=1e-12)
-
-
-def test_the_hand_follows_a_pointer_smoothly_and_gives_it_back():
-    device = SimulatedDevice()
-    device.set_pointer(SURFACE + np.array([0.02, 0.0, -0.01]))
-    path = session(device, 600)
-    steps = np.abs(np.diff(path, axis=0)).max()
-    assert np.abs(path[-1] - SURFACE - [0.02, 0.0, 0.0])[0] < 5e-4
-    assert steps < 1e-3  # 1 m/s
-    device.set_pointer(None)
-    assert device.parameters[POINTER_ON] == 0.0
-
-
-@pytest.mark.parametrize("point", [[0.0, 0.0], [0.0, 0.0, np.nan], "x"])
-def test_a_pointer_that_is_no_point_is_refused(point):
-    with pytest.raises(ValueError, match=r"three finite|could not convert"):
-        SimulatedDevice().set_pointer(point)
 
 
 SAID = {k.FAULT_SILENT: 0, k.FAULT_GONE: -1, k.FAULT_UNHOMED: k.VALID, k.FAULT_FROZEN: k.VALID | k.HOMED}

@@ -15,6 +15,7 @@ from tissueid.haptics.guard import transition
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP
+from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
 from tissueid.rendering.options import preset_tissue
@@ -174,7 +175,7 @@ class TestExchange:
         _, records = rig.run(0.2)
         assert set(records["version"]) == {1}
         assert set(records["label"]) == {1}
-        rig.device.set_pointer((0.0, 0.0, CENTRE_M[2] + 0.02))
+        SharedHand(-1, rig.device.parameters).point_at((0.0, 0.0, CENTRE_M[2] + 0.02))
         _, records = rig.run(1.0)
         changed = np.flatnonzero(np.diff(records["version"].astype(int)))
         assert records["version"][-1] == 2

@@ -14,8 +14,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import choose_device, device_class
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
-from tissueid.model.kernels import STATE_SIZE
-from tissueid.rendering.control.law import adapt, command
+from tissueid.rendering.control.law import adapt, command, new_controller
 from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, VirtualTool
 from tissueid.rendering.control.simulation import loop_block, tissue_law
 from tissueid.rendering.options import ASSUMED_DEVICE
@@ -122,11 +121,8 @@ def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
     """Read, command, guard, write, once a tick; the columns of :class:`DeviceRun`."""
     ticks = round(settings.seconds / PERIOD_S)
     block = loop_block(settings, period_s=PERIOD_S, substeps=settings.tool_substeps())
-    gains, bounds = settings.adaptation_gains(), settings.estimate_bounds()
-    law, state, estimates = tissue_law(settings), np.zeros(STATE_SIZE), 0.5 * settings.estimated_truth()
-    tool = (np.zeros(1), np.zeros(1), np.zeros(1))
-    wanted = (np.zeros(1), np.zeros(1), np.zeros(1))
-    robust, u, Y = np.zeros(1), np.zeros(1), np.zeros((1, estimates.size))
+    gains, bounds, law = settings.adaptation_gains(), settings.estimate_bounds(), tissue_law(settings)
+    controller = new_controller(1, 0.5 * settings.estimated_truth())
     velocity, last = np.zeros(3), np.zeros(3)
     rows = np.zeros((ticks, 7))
     touched = 0.0
@@ -135,20 +131,19 @@ def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
         if tick == 0:
             device.engage()
             last[:] = sample.position_m
-            tool[0][0] = INWARD @ (sample.position_m - CENTRE_M)
+            controller.xe[0] = INWARD @ (sample.position_m - CENTRE_M)
         velocity_step(velocity, sample.position_m, last, PERIOD_S)
         x = np.array([INWARD @ (sample.position_m - CENTRE_M)])
         v = np.array([INWARD @ velocity])
         sensed = np.array([INWARD @ device.sensed_force_N])
-        before, was = touched, tool[0][0]
-        touched = command(
-            block, law, state, tick * PERIOD_S, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
-        )
-        adapt(block, Y, wanted[2], gains, bounds, PERIOD_S, estimates)
+        before, was = touched, controller.xe[0]
+        touched = command(block, law, controller, tick * PERIOD_S, (x, v), sensed, touched)
+        adapt(block, controller.Y, controller.rho, gains, bounds, PERIOD_S, controller.estimates)
         true = INWARD @ (device.true_position_m - CENTRE_M)
-        sent = device.write_force(u[0] * INWARD, PERIOD_S)
+        wanted = controller.u[0]
+        sent = device.write_force(wanted * INWARD, PERIOD_S)
         if device.state is State.FAULT:
             msg = f"the guard took the force away after {tick * PERIOD_S:.3f} s: {FAULT_WORDS[device.fault]}"
             raise DeviceError(msg)
-        rows[tick] = tick * PERIOD_S, true, was, sensed[0], u[0], INWARD @ sent, before
+        rows[tick] = tick * PERIOD_S, true, was, sensed[0], wanted, INWARD @ sent, before
     return rows
