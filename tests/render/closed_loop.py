@@ -12,6 +12,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+from felt_block import parameters
 
 from tissueid.haptics.arm import Arm, port_energy
 from tissueid.haptics.guard import FAULT, STATE
@@ -28,7 +29,7 @@ from tissueid.rendering.options import PRESETS, preset_tissue
 from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
 from tissueid.rendering.precheck import scaling_at
 from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
-from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
+from tissueid.rendering.tissue_block import Tissue
 
 SURFACE = np.array(CENTRE_M)
 INWARD = np.array([0.0, 0.0, -1.0])
@@ -251,13 +252,12 @@ def in_closed_loop(
 ) -> np.ndarray:
     """Figures of one session of a device with a tissue under its hand, shape (FIGURES,)."""
     ring, block = shared_memory()
-    environment = tissue_block(tissue, Plane(point_m=CENTRE_M), force_scale=scale, motion_scale=MOTION_SCALE)
     factor = scale / MOTION_SCALE * 1e3
     quantum = float(device.parameters[QUANTUM])
     tangent = scaling_at(tissue, force=scale, motion=MOTION_SCALE).device_stiffness_N_per_m
-    control = PassivityLimits(on=controller, count_m=quantum, stiffness_N_per_m=tangent).block()
+    control = PassivityLimits(on=controller, count_m=quantum, stiffness_N_per_m=tangent)
     servo = new_servo(device, ring, block)
-    block.write(np.concatenate([environment, control]))
+    block.write(parameters(tissue, surface_z=CENTRE_M[2], scales=(scale, MOTION_SCALE), control=control))
     block.order(COMMAND_ENGAGE)
     figures = np.zeros(FIGURES)
     io = SimulatedIO(device.parameters, device.memory)

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 from emulated_session import pressing
-from owner_to_kill import parameters, plan
+from felt_block import parameters
+from owner_to_kill import plan
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings
 from tissueid.haptics.states import Fault, State

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 import pytest
+from felt_block import parameters
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard as machine
@@ -18,12 +19,11 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
 from tissueid.rendering.servo_tick import CLIPPED, VERSION, servo_here, tick
-from tissueid.rendering.tissue_block import Plane, free_air_block, tissue_block
+from tissueid.rendering.tissue_block import free_air_block
 
 PERIOD = 1e-3
 HAND_N_PER_M = 300.0
@@ -31,20 +31,13 @@ FORCE_SCALE, MOTION_SCALE = 0.008, 5.0
 QUIET = PassivityLimits(on=False).block()
 ABOVE_M = 2e-3
 #: Into the tissue by 10 mm within a second, after homing and the start-up ramp; then held.
-PRESS = Hand(
-    (0.0, 1.5, 2.5, 9.0),
-    (CENTRE_M, CENTRE_M, (0.0, 0.0, CENTRE_M[2] - 0.010), (0.0, 0.0, CENTRE_M[2] - 0.010)),
-    (1.0, 1.0, 1.0, 1.0),
-)
+DEEP_M = (0.0, 0.0, CENTRE_M[2] - 0.010)
+PRESS = Hand((0.0, 1.5, 2.5, 9.0), (CENTRE_M, CENTRE_M, DEEP_M, DEEP_M), (1.0,) * 4)
 
 
 def tissue(label: int = 0, force_scale: float = FORCE_SCALE, above_m: float = -ABOVE_M) -> np.ndarray:
     """Parameters of paper A's tissue ``above_m`` over the resting tool."""
-    surface = Plane((0.0, 0.0, CENTRE_M[2] + above_m))
-    block = tissue_block(
-        preset_tissue("paper-a"), surface, force_scale=force_scale, motion_scale=MOTION_SCALE, label=label
-    )
-    return np.concatenate([block, QUIET])
+    return parameters(surface_z=CENTRE_M[2] + above_m, scales=(force_scale, MOTION_SCALE), label=label)
 
 
 class Rig:

@@ -161,13 +161,13 @@ class ServoHere(NamedTuple):
 
 @contextlib.contextmanager
 def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
-    """Open a device that the compiled loop knows and put a servo on it; all is closed afterwards."""
+    """Open a device and put a servo on it; all is closed afterwards."""
     ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
     try:
         with device:
             given = device.compiled()
-            assert given is not None  # noqa: S101 -- asked of the simulated device alone
-            yield ServoHere(compiled_io(given), new_servo(device, ring, block), ring, block)
+            io = PythonIO(device) if given is None else compiled_io(given)
+            yield ServoHere(io, new_servo(device, ring, block), ring, block)
     finally:
         ring.close()
         block.close()

@@ -13,21 +13,19 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device import compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import carried
-from tissueid.haptics.states import Fault, State
+from tissueid.haptics.states import State
 from tissueid.ingest import read_trials
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
+from tissueid.rendering.servo_tick import compiled_tick, servo_here
 from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
@@ -82,36 +80,24 @@ def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, mot
     surface = np.array(SURFACE_M)
     hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
     link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
-    rows: list[tuple[float, float, float]] = []
-    with link:
-        falcon = link.falcon
-        # a machine holds still: encoders that do not move are then in good health
-        device = FalconDevice(carried(LIMITS), port=link.descriptor(), calibration=Calibration())
-        device.open()
-        ring, block = Ring.create(1), ParameterBlock.create(BLOCK_SIZE)
-        try:
+    falcon, now, rows = link.falcon, 0.0, []
+    # a machine holds still: encoders that do not move are then in good health
+    device = FalconDevice(carried(LIMITS), port=link.descriptor(), calibration=Calibration())
+    with link, servo_here(device) as (io, servo, _ring, block):
+        link.step()
+        falcon.advance(HOMED_S - falcon.time_s)
+        block.write(_block(tissue, surface, force_scale, motion))
+        block.order(COMMAND_ENGAGE)
+        start = falcon.time_s
+        while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
+            now += TICK_S
+            compiled_tick(io, servo, now, TICK_S, 0.0, 0)
             link.step()
-            falcon.advance(HOMED_S - falcon.time_s)
-            servo, given = new_servo(device, ring, block), device.compiled()
-            assert given is not None  # noqa: S101 -- a Falcon is compiled
-            io, now = compiled_io(given), 0.0
-            block.write(_block(tissue, surface, force_scale, motion))
-            block.order(COMMAND_ENGAGE)
-            start = falcon.time_s
-            while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
-                now += TICK_S
-                compiled_tick(io, servo, now, TICK_S, 0.0, 0)
-                link.step()
-                depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
-                rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
-            record = ring.records[0]
-            if State(int(record["state"])) is not State.ENGAGED:
-                msg = f"the emulated session ended in {Fault(int(record['fault'])).name.lower()}"
-                raise DeviceError(msg)
-        finally:
-            device.close()
-            ring.close()
-            block.close()
+            depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
+            rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
+        if device.state is not State.ENGAGED:
+            msg = f"the emulated session ended in {device.fault.name.lower()}"
+            raise DeviceError(msg)
     time, depth, force = np.array(rows).T
     return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
 
