@@ -11,7 +11,6 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,14 +40,14 @@ def _no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     """A device on an emulator in which each command takes five milliseconds."""
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))  # type: ignore[arg-type]
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))
     told: list[str] = []
     device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
-    device._open_transport = lambda: Direct(falcon, modem=False)  # type: ignore[method-assign]
+    device._open_transport = lambda: Direct(falcon, modem=False)
     return device, falcon, told
 
 
-def test_homing_tells_what_to_do_and_ends_pulled_out() -> None:
+def test_homing_tells_what_to_do_and_ends_pulled_out():
     device, falcon, told = wired()
     with device:
         assert device.state is State.HOMING
@@ -64,7 +63,7 @@ def test_homing_tells_what_to_do_and_ends_pulled_out() -> None:
     assert falcon.last_motors == (0, 0, 0)
 
 
-def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> None:
+def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked():
     device, falcon, _ = wired()
     with device:
         device.home()
@@ -81,7 +80,7 @@ def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> No
             assert falcon.force_N == pytest.approx(force, abs=0.01)
 
 
-def test_homing_that_never_comes_ends_with_the_missing_legs() -> None:
+def test_homing_that_never_comes_ends_with_the_missing_legs():
     device, falcon, _ = wired(homes=False)
     device._homing_timeout_s = 0.2
     missing = r"leg 1 and 2 and 3 missing .* pull the grip all the way out"
@@ -92,7 +91,7 @@ def test_homing_that_never_comes_ends_with_the_missing_legs() -> None:
     assert falcon.lamps == {"red"}
 
 
-def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):
     device, _, told = wired()
     monkeypatch.setattr(module, "PULLED_OUT_M", 0.30)
 
@@ -107,7 +106,7 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyP
     assert told[-1] == module.HOMING_STEPS[1]
 
 
-def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
+def test_every_command_keeps_homing_mode_and_no_reply_is_dropped():
     device, falcon, _ = wired()
     with device:
         device.home()
@@ -134,7 +133,7 @@ def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
     ("kind", "expected"),
     [("bad packets", Fault.BAD_PACKETS), ("silence", Fault.NO_REPLY), ("unhomed", Fault.NOT_HOMED)],
 )
-def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> None:
+def test_lasting_faults_of_the_wire_end_in_fault(kind, expected):
     device, _, _ = wired(faults=(ScriptedFault(kind, 3.5),))
     homing, _, _ = wired(faults=(ScriptedFault(kind, 0.5),))
     if kind == "bad packets":
@@ -149,7 +148,7 @@ def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> 
 
 
 @pytest.mark.parametrize("kind", ["short", "garbled", "doubled"])
-def test_one_spoilt_reply_is_dropped_and_counted(kind: str) -> None:
+def test_one_spoilt_reply_is_dropped_and_counted(kind):
     device, falcon, _ = wired(faults=(ScriptedFault(kind, 3.0),))
     with device:
         device.home()
@@ -160,13 +159,13 @@ def test_one_spoilt_reply_is_dropped_and_counted(kind: str) -> None:
         assert device._parser.invalid == (0 if kind == "doubled" else 1)
 
 
-def test_counts_of_no_position_are_as_good_as_damaged() -> None:
+def test_counts_of_no_position_are_as_good_as_damaged():
     device, _, _ = wired()
     with device:
         device.home()
         before = device.read().position_m
         # leg angles of 83, 35 and -19 degrees and more have no grip position
-        device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"  # type: ignore[method-assign,union-attr]
+        device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"
         device._reply = device._reply._replace(encoders=(0, 0, 0))
         sample = device.read()
         assert not sample.valid
@@ -174,7 +173,7 @@ def test_counts_of_no_position_are_as_good_as_damaged() -> None:
         assert sample.position_m == pytest.approx(before)
 
 
-def test_unplugging_is_a_device_error_and_closing_still_ends() -> None:
+def test_unplugging_is_a_device_error_and_closing_still_ends():
     device, falcon, _ = wired(faults=(ScriptedFault("unplug", 3.0),))
     with device:
         device.home()
@@ -185,7 +184,7 @@ def test_unplugging_is_a_device_error_and_closing_still_ends() -> None:
     assert device.state is State.CLOSED
 
 
-def test_capabilities_say_that_nothing_was_measured() -> None:
+def test_capabilities_say_that_nothing_was_measured():
     device = FalconDevice(calibration=Calibration(), port=0)
     found = device.capabilities
     assert (found.name, found.clamp_N, found.calibrated, found.delay_ticks) == ("falcon", 2.0, False, 1.5)
@@ -194,7 +193,7 @@ def test_capabilities_say_that_nothing_was_measured() -> None:
 
 
 @pytest.mark.parametrize("is_pty", [False, True])
-def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
+def test_opens_reads_and_closes_on_a_real_descriptor(is_pty):
     with EmulatedLink(EmulatorSettings(period_s=1e-3), pty=is_pty) as link:
         port: str | int = link.path if is_pty and link.path else link.descriptor()
         device = FalconDevice(calibration=Calibration(), port=port)
@@ -215,7 +214,7 @@ def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
         assert link.falcon.commands >= 20
 
 
-def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
     monkeypatch.setattr("tissueid.haptics.falcon.firmware.PRESENCE_TRIES", 3)
     file = tmp_path / "firmware.bin"
     file.write_bytes(np.random.default_rng(4).bytes(700))
@@ -246,7 +245,7 @@ def terminal() -> Iterator[tuple[int, FileTransport]]:
     os.close(slave)
 
 
-def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal: tuple[int, FileTransport]) -> None:
+def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal):
     master, transport = terminal
     for baud in (9600, 142_857, 1_500_000):
         transport.set_baud(baud)
@@ -256,7 +255,7 @@ def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal: tuple[int, 
     assert transport.modem is None
 
 
-def test_every_byte_passes_a_terminal_unchanged(terminal: tuple[int, FileTransport]) -> None:
+def test_every_byte_passes_a_terminal_unchanged(terminal):
     master, transport = terminal
     everything = bytes(range(256))
     transport.write(everything)
@@ -270,7 +269,7 @@ def test_every_byte_passes_a_terminal_unchanged(terminal: tuple[int, FileTranspo
     assert (received, back) == (everything, everything)
 
 
-def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
+def test_socket_transport_purges_times_out_and_notices_the_end():
     ours, theirs = socket.socketpair()
     transport = FileTransport(ours.detach(), "socket")
     theirs.send(b"stale")
@@ -290,7 +289,7 @@ def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
         transport.read(0.0)
 
 
-def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch):
     monkeypatch.setattr("tissueid.haptics.falcon.transport.WRITE_TIMEOUT_S", 0.02)
     ours, theirs = socket.socketpair()
     transport = FileTransport(ours.detach(), "socket")
@@ -300,7 +299,7 @@ def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.Monke
     theirs.close()
 
 
-def test_ports_that_can_not_be_opened_say_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports_that_can_not_be_opened_say_why(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("", encoding="utf-8")
     for name, why in (("ttyUSB9", "there is no such device"), ("file", "is no terminal device")):
         with pytest.raises(DeviceError, match=why):
@@ -314,14 +313,12 @@ def test_ports_that_can_not_be_opened_say_why(tmp_path: Path, monkeypatch: pytes
         FileTransport.open("/dev/ttyUSB0")
 
 
-def test_modem_lines_of_a_serial_port_are_set_one_by_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_modem_lines_of_a_serial_port_are_set_one_by_one(monkeypatch, tmp_path):
     asked: list[tuple[int, int]] = []
 
     def ioctl(_descriptor: int, request: int, value: object) -> int:
         if request != termios.TIOCMGET:
-            asked.append((request, struct.unpack("I", value)[0]))  # type: ignore[arg-type]
+            asked.append((request, struct.unpack("I", value)[0]))
         return 0
 
     master, slave = pty.openpty()

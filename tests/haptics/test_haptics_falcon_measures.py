@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,7 +129,7 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGr
 
 
 @pytest.mark.parametrize(("truth", "grams"), [(1.9, 150.0), (0.7, 50.0)])
-def test_weighing_finds_the_newton_of_a_device(hanging, truth: float, grams: float) -> None:
+def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
     device = hanging(truth=truth)
     found = weigh(device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause)
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
@@ -148,15 +147,13 @@ def test_weighing_finds_the_newton_of_a_device(hanging, truth: float, grams: flo
         (0.30, "did not lift the grip.*smaller mass"),
     ],
 )
-def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(
-    hanging, own_kg: float, reason: str
-) -> None:
+def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(hanging, own_kg, reason):
     with pytest.raises(DeviceError, match=reason):
         weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
-def test_a_swing_tells_mass_damping_and_friction(arm: Arm, delay_ticks: float) -> None:
+def test_a_swing_tells_mass_damping_and_friction(arm, delay_ticks):
     free = Hand((0.0,), ((0.0, 0.0, 0.13),), (0.0,))
     device = SimulatedDevice(HANDS_OFF, arm=arm, hand=free, delay_ticks=delay_ticks)
     homed(device)
@@ -170,7 +167,7 @@ def test_a_swing_tells_mass_damping_and_friction(arm: Arm, delay_ticks: float) -
     device.close()
 
 
-def test_a_grip_that_is_held_gives_no_damping() -> None:
+def test_a_grip_that_is_held_gives_no_damping():
     time_s = np.arange(0.0, 14.0, 1e-3)
     place = np.tile([0.0, 0.0, 0.13], (len(time_s), 1))
     with pytest.raises(DeviceError, match="hardly moved"):
@@ -202,9 +199,7 @@ def clocked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clocked]:
 
 
 @pytest.mark.parametrize(("answer_ms", "ticks"), [(0.3, 1.5), (0.9, 1.5), (1.4, 2.5)])
-def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
-    clocked: Clocked, answer_ms: float, ticks: float
-) -> None:
+def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(clocked, answer_ms, ticks):
     clocked.answer_s, clocked.lost_every = answer_ms * 1e-3, 10
     report = measure_link(clocked, 1.0)
     assert report.delay_ticks == pytest.approx(ticks, abs=1e-9)
@@ -215,7 +210,7 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
     assert report.damaged == report.commands - report.replies
 
 
-def test_a_device_that_never_answers_is_told(clocked: Clocked) -> None:
+def test_a_device_that_never_answers_is_told(clocked):
     clocked.answer_s, clocked.lost_every = 0.002, 1
     with pytest.raises(DeviceError, match="answered none of 50 commands"):
         measure_link(clocked, 0.1)
@@ -254,7 +249,7 @@ class HeavyGrip(Grip):
 
 
 @pytest.mark.slow
-def test_the_weight_is_found_behind_friction_and_encoders() -> None:
+def test_the_weight_is_found_behind_friction_and_encoders():
     device = HeavyGrip()
     homed(device)
     found = weigh_poses(device, no_pause)
@@ -266,7 +261,7 @@ def test_the_weight_is_found_behind_friction_and_encoders() -> None:
     assert found.poses == len(POSES_M) == 9
 
 
-def test_a_plane_through_exact_forces_is_the_plane() -> None:
+def test_a_plane_through_exact_forces_is_the_plane():
     places = np.array(POSES_M)
     found = fitted(places, WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T)
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=1e-12)
@@ -274,7 +269,7 @@ def test_a_plane_through_exact_forces_is_the_plane() -> None:
     assert found.residual_N < 1e-12
 
 
-def test_noise_of_the_forces_is_the_standard_error() -> None:
+def test_noise_of_the_forces_is_the_standard_error():
     places, chance = np.array(POSES_M), np.random.default_rng(1)
     clean = WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T
     found = [fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
@@ -284,7 +279,7 @@ def test_noise_of_the_forces_is_the_standard_error() -> None:
     assert np.sqrt(np.mean([one.stderr_N**2 for one in found])) == pytest.approx(0.05 / 3.0, rel=0.1)
 
 
-def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path: Path) -> None:
+def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path):
     path = save_calibration(KNOWN, tmp_path / "falcon.toml")
     assert load_calibration(path) == KNOWN
     path.write_text("weight_N = [0.0, 0.7]\n")
@@ -297,7 +292,7 @@ def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path: Path) -> 
         save_calibration(replace(KNOWN, weight_N=(0.0, 9.0, 0.0)), path)
 
 
-def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise() -> None:
+def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise():
     device = FalconDevice(calibration=KNOWN)
     plan = replace(
         load_scene("hip-resurfacing").guidance,

@@ -211,7 +211,7 @@ def player(monkeypatch: pytest.MonkeyPatch, records: np.ndarray, **options: obje
     """A replay device of records that need no file."""
     log = session_log.SessionLog(head={}, records=records, summary=None)
     monkeypatch.setattr(session_log, "read_session_log", lambda _path: log)
-    return ReplayDevice(log="motion.h5", **options)  # type: ignore[arg-type]
+    return ReplayDevice(log="motion.h5", **options)
 
 
 def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch):

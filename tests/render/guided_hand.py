@@ -54,7 +54,7 @@ class Aim:
 
 
 @nb.njit
-def _run(block, start, direction, tremor, phase, frequency, ticks, guided, track):  # type: ignore[no-untyped-def]
+def _run(block, start, direction, tremor, phase, frequency, ticks, guided, track):
     position, velocity = start.copy(), np.zeros(3)
     memory, said = np.zeros(GUIDANCE_MEMORY), np.zeros(SAID_SIZE)
     force, held = np.zeros(3), np.zeros(3)

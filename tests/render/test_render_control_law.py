@@ -82,7 +82,7 @@ def by_hand(run: ControlRun) -> tuple[np.ndarray, np.ndarray]:
         pytest.param("B", 1.0, marks=pytest.mark.slow),
     ],
 )
-def test_the_equality_of_the_proof_holds_along_the_run(variant: str, scale: float) -> None:
+def test_the_equality_of_the_proof_holds_along_the_run(variant, scale):
     run = learning(variant, scale)
     V, rate = by_hand(run)
 
@@ -99,7 +99,7 @@ def test_the_equality_of_the_proof_holds_along_the_run(variant: str, scale: floa
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize("sign", [0, -1])
-def test_the_equality_fails_where_nothing_or_the_wrong_way_is_learnt(variant: str, sign: int) -> None:
+def test_the_equality_fails_where_nothing_or_the_wrong_way_is_learnt(variant, sign):
     run = learning(variant, 1.0, sign, step_s=2e-5)
     V, rate = by_hand(run)
 
@@ -131,7 +131,7 @@ def arm_inertia(x: np.ndarray) -> np.ndarray:
     return inverse.T @ joints @ inverse
 
 
-def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy() -> None:
+def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy():
     settings = ControlSettings(PAPER_A, device=JOINTS, operator=HAND, arm=ARM)
     block = loop_block(settings, period_s=1e-3, substeps=1)
     theta = np.array([*ARM.inertia_kg_m2, *np.zeros(9)])
@@ -155,7 +155,7 @@ def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy() -> None:
     np.testing.assert_allclose(forces[0] + forces[1], forces[2], atol=1e-12)
 
 
-def test_matrices_of_several_axes_come_back_from_their_parameters() -> None:
+def test_matrices_of_several_axes_come_back_from_their_parameters():
     n = 3
     rng = np.random.default_rng(5)
     parts = [one @ one.T + np.eye(n) for one in rng.normal(size=(3, n, n))]
@@ -187,9 +187,7 @@ def test_matrices_of_several_axes_come_back_from_their_parameters() -> None:
         pytest.param("B", SKEWED, None, id="B-matrices", marks=pytest.mark.slow),
     ],
 )
-def test_the_equality_holds_for_two_axes_and_an_arm(
-    variant: str, device: Mechanics, arm: PlanarArm | None
-) -> None:
+def test_the_equality_holds_for_two_axes_and_an_arm(variant, device, arm):
     size = 9 if arm is None else 12
     settings = ControlSettings(
         PAPER_A,
@@ -214,7 +212,7 @@ def test_the_equality_holds_for_two_axes_and_an_arm(
     assert drift(wrong) > 0.5
 
 
-def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does() -> None:
+def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does():
     one = ControlSettings(PAPER_A, variant="B", seconds=0.06)
     two = replace(
         one,
@@ -230,7 +228,7 @@ def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does() -> None:
     np.testing.assert_allclose(first.control_force_N[:, 0], alone.control_force_N[:, 0], atol=1e-9)
 
 
-def test_v_follows_its_equality_in_interpreted_and_compiled_code() -> None:
+def test_v_follows_its_equality_in_interpreted_and_compiled_code():
     settings = ControlSettings(
         PAPER_A,
         device=JOINTS,
@@ -295,7 +293,7 @@ def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["B", pytest.param("A", marks=pytest.mark.slow)])
-def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant: str) -> None:
+def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant):
     base = ControlSettings(
         PAPER_A,
         variant=variant,
@@ -322,7 +320,7 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
     assert fine[-1] <= 1e-4
 
 
-def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction() -> None:
+def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction():
     most = 7.0
     settings = ControlSettings(PAPER_A, gains=Gains(saturation_N=most))
     block = loop_block(settings, period_s=1e-3, substeps=1)

@@ -45,7 +45,7 @@ def run(*arguments: str | Path) -> Ended:
     said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = main([str(argument) for argument in arguments])
-    return Ended(code, said.buffer.getvalue().decode("utf-8"))  # type: ignore[attr-defined]
+    return Ended(code, said.buffer.getvalue().decode("utf-8"))
 
 
 @contextlib.contextmanager

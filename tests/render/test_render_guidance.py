@@ -228,7 +228,7 @@ def test_the_hole_holds_the_tip_sideways_and_the_ball_pushes_it_off() -> None:
 )
 def test_numbers_that_guide_nowhere_are_refused(change: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        replace(PULL, **change)  # type: ignore[arg-type]
+        replace(PULL, **change)
 
 
 def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:

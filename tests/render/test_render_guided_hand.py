@@ -35,7 +35,7 @@ def ratios(seeds: range) -> dict[str, tuple[np.ndarray, np.ndarray]]:
             np.array([np.degrees(track_angle_rad(one, CONE_ENTRY_M)) for one in way])
             for way in (free, guided)
         ),
-    }  # type: ignore[return-value]
+    }
 
 
 @pytest.mark.parametrize("hands", [10, pytest.param(100, marks=pytest.mark.slow)])

@@ -74,9 +74,7 @@ def led() -> Iterator[Led]:
     made.close()
 
 
-def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
-    led: Led, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(led, capsys):
     shown = telling_stop(led.viewer, None, lambda _record, _summary: None)
 
     def kill() -> None:
@@ -91,14 +89,12 @@ def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
         assert led.height_m == REST_M[2]
         shown(None, None)
 
-    led.meanwhile = kill  # type: ignore[method-assign]
+    led.meanwhile = kill
     led.press()
     assert capsys.readouterr().err.count("goes on unseen") == 1
 
 
-def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(
-    led: Led, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(led, monkeypatch):
     monkeypatch.setattr(serving, "SILENCE_S", 0.5)
     seen = []
 
@@ -112,14 +108,14 @@ def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(
         led.viewer._process.send_signal(signal.SIGCONT)
         until(lambda: led.hand.silent_s() < 0.2)
 
-    led.meanwhile = hang  # type: ignore[method-assign]
+    led.meanwhile = hang
     led.press()
     assert seen == [0.1, REST_M[2]]
-    led.meanwhile = lambda: None  # type: ignore[method-assign]
+    led.meanwhile = lambda: None
     led.press()
 
 
-def test_a_page_that_is_closed_while_it_presses_lets_go(led: Led) -> None:
+def test_a_page_that_is_closed_while_it_presses_lets_go(led):
     led.press()
     until(lambda: led.height_m == REST_M[2])
 
@@ -137,7 +133,7 @@ def pressed() -> Iterator[tuple[Live, Any, SharedHand]]:
     hand.close()
 
 
-def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch):
     monkeypatch.setattr(server, "SILENCE_S", 0.2)
     with pressed() as (live, _, hand):
         # its connection stays, and nothing comes
@@ -145,7 +141,7 @@ def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.M
         assert len(live.stage.clients) == 1
 
 
-def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_only_answers_goes_on_pressing(monkeypatch):
     monkeypatch.setattr(server, "SILENCE_S", 3600.0)
     with pressed() as (live, page, hand):
         heard_s = live.stage.leader_heard_s
@@ -156,9 +152,7 @@ def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPat
         assert hand.parameters[POINTER + 2] == 0.1
 
 
-def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(monkeypatch):
     monkeypatch.setattr("tissueid.viewer.serving.REAP_S", 0.3)
     led = Led()
     os.kill(led.viewer._process.pid, signal.SIGSTOP)
@@ -169,7 +163,7 @@ def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(
     assert led.viewer._process.returncode == -signal.SIGKILL
 
 
-def test_a_server_whose_owner_was_killed_ends() -> None:
+def test_a_server_whose_owner_was_killed_ends():
     owner = (
         "import os, signal\n"
         "from tissueid.viewer.serving import ServedViewer, ViewerOptions\n"
@@ -185,9 +179,7 @@ def test_a_server_whose_owner_was_killed_ends() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(
-    tmp_path: Path, how: signal.Signals
-) -> None:
+def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(tmp_path, how):
     log = tmp_path / "out.h5"
     asked = ("--preset", "paper-a", "--device", "sim", "--viewer", "--seconds", "4", "--log", log)
     session = Session(*asked, folder=tmp_path / "said")

@@ -109,7 +109,7 @@ def ask(falcon: FalconDevice) -> Callable[..., str]:
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     """Note in the report which checks passed."""
     outcome = yield
-    result = outcome.get_result()  # type: ignore[attr-defined]
+    result = outcome.get_result()
     found = getattr(item, "funcargs", {}).get("readings")
     if result.when == "call" and found is not None:
         found["passed"][item.name] = result.outcome
