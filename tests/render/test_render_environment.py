@@ -33,8 +33,14 @@ SCALES = {"force_scale": FORCE_SCALE, "motion_scale": MOTION_SCALE}
 PERIOD_S = 0.001
 
 
-def plane_block(tissue: Tissue = PAPER_A, **more: object) -> FloatArray:
-    return tissue_block(tissue, Plane(), **SCALES, **more)
+def felt(depth: FloatArray, times: FloatArray, tissue: Tissue = PAPER_A) -> tuple[FloatArray, FloatArray]:
+    """Forces and infos of a press through depths [mm] behind a plane."""
+    return walk(tissue_block(tissue, Plane(), **SCALES), pressed(depth, motion=MOTION_SCALE), times)
+
+
+def lit(infos: FloatArray, lamp: int) -> FloatArray:
+    """Whether a lamp was on, tick by tick."""
+    return (infos[:, env.INFO_FLAGS].astype(int) & lamp) > 0
 
 
 def ode_force(
@@ -71,7 +77,7 @@ def test_a_ramp_is_felt_as_an_independent_integrator_computes_it(speed_mm_min):
     v = speed_mm_min / 60.0
     times = np.arange(0.0, DEPTH_MM / v, PERIOD_S)
     expected = ode_force(PAPER_A, times, lambda t: v * t, lambda _t, _m: v, [])
-    forces, _ = walk(plane_block(), pressed(v * times, motion=MOTION_SCALE), times)
+    forces, _ = felt(v * times, times)
     # 0.1 % of the peak is asked for; the recursion is exact for a ramp, so rounding is what is left
     assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 1e-6 * expected.max()
 
@@ -88,9 +94,7 @@ def test_a_hold_relaxes_as_an_independent_integrator_computes_it(depth_mm):
         lambda _t, middle: v if middle < corner else 0.0,
         [corner],
     )
-    forces, _ = walk(
-        plane_block(TWO_BRANCHES), pressed(np.minimum(v * times, depth_mm), motion=MOTION_SCALE), times
-    )
+    forces, _ = felt(np.minimum(v * times, depth_mm), times, TWO_BRANCHES)
     # the corner lies between two ticks: half a tick of a millisecond is unseen
     assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 1e-3 * expected.max()
 
@@ -111,7 +115,7 @@ def test_a_jittery_time_base_costs_less_than_half_a_percent(tissue):
         return amplitude * (1.0 - np.cos(omega * t))
 
     expected = ode_force(tissue, times, depth, lambda t, _m: amplitude * omega * np.sin(omega * t), [])
-    forces, _ = walk(plane_block(tissue), pressed(depth(times), motion=MOTION_SCALE), times)
+    forces, _ = felt(depth(times), times, tissue)
     assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 5e-3 * expected.max()
 
 
@@ -120,7 +124,7 @@ def test_what_is_felt_is_what_was_fitted_on_any_path_through_loss_of_contact():
     rng = np.random.default_rng(11)
     times = np.cumsum(rng.uniform(0.0005, 0.002, 3000))
     depth = 3.0 * np.sin(7.0 * times) + 1.5 * np.sin(31.0 * times)
-    forces, infos = walk(plane_block(TWO_BRANCHES), pressed(depth, motion=MOTION_SCALE), times)
+    forces, infos = felt(depth, times, TWO_BRANCHES)
     stepper = TissueStepper(TWO_BRANCHES.model, TWO_BRANCHES.theta)
     steps = np.concatenate([[0.001], np.diff(times)])
     expected = [stepper.step(x, h) for x, h in zip(depth, steps, strict=True)]
@@ -137,7 +141,7 @@ def test_force_and_motion_scale_are_linear():
     unscaled, _ = walk(
         tissue_block(PAPER_A, Plane(), force_scale=1.0, motion_scale=1.0), pressed(depth, motion=1.0), times
     )
-    scaled, _ = walk(plane_block(), pressed(depth, motion=MOTION_SCALE), times)
+    scaled, _ = felt(depth, times)
     assert scaled[:, 2] == pytest.approx(FORCE_SCALE * unscaled[:, 2], rel=1e-9, abs=1e-12)
 
 
@@ -209,20 +213,18 @@ def test_lamps_tell_when_the_law_is_continued():
     fastest = PAPER_A.speeds_mm_s[1]
     times = np.arange(0.0, 3.0, PERIOD_S)
     slow = np.minimum(0.5 * fastest * times, 9.0)
-    _, infos = walk(plane_block(), pressed(slow, motion=MOTION_SCALE), times)
-    flags = infos[:, env.INFO_FLAGS].astype(int)
-    assert ((flags & env.OUTSIDE_DEPTH) > 0).tolist() == (slow > DEPTH_MM * 1.01).tolist()
-    assert not (flags & env.OUTSIDE_SPEED).any()
-    _, infos = walk(plane_block(), pressed(2.0 * fastest * times[:400], motion=MOTION_SCALE), times[:400])
-    flags = infos[:, env.INFO_FLAGS].astype(int)
+    _, infos = felt(slow, times)
+    assert lit(infos, env.OUTSIDE_DEPTH).tolist() == (slow > DEPTH_MM * 1.01).tolist()
+    assert not lit(infos, env.OUTSIDE_SPEED).any()
+    _, infos = felt(2.0 * fastest * times[:400], times[:400])
     # the lamp waits for the speed's filter, 50 ms, then stays
-    assert ((flags[100:] & env.OUTSIDE_SPEED) > 0).all()
+    assert lit(infos, env.OUTSIDE_SPEED)[100:].all()
 
 
 def test_beyond_the_identified_depth_the_force_grows_with_its_end_slope():
     times = np.arange(0.0, 20.0, 0.01)
     depth = np.minimum(times, 10.0)
-    _, infos = walk(plane_block(), pressed(depth, motion=MOTION_SCALE), times)
+    _, infos = felt(depth, times)
     a1, a2, a3 = PAPER_A.theta[:3]
     end = a1 * 8.0 + a2 * 64.0 + a3 * 512.0
     slope = a1 + 2.0 * a2 * 8.0 + 3.0 * a3 * 64.0
@@ -244,30 +246,28 @@ def breaking(criterion: str, threshold: float, weight: float = 1.5) -> Tissue:
 def test_a_rupture_leaves_a_share_of_the_force_until_the_tissue_is_put_at_rest(criterion, threshold):
     times = np.arange(0.0, 2.0, PERIOD_S)
     depth = 4.0 * np.minimum(times, 1.0)
-    whole, _ = walk(plane_block(), pressed(depth, motion=MOTION_SCALE), times)
-    block = plane_block(breaking(criterion, threshold))
-    broken, infos = walk(block, pressed(depth, motion=MOTION_SCALE), times)
+    whole, _ = felt(depth, times)
+    broken, infos = felt(depth, times, breaking(criterion, threshold))
     # the same measures, worked out for the whole path in numpy
     measures = rupture_measures(PAPER_A.model, PAPER_A.theta, ContactPath(times, depth), weight=1.5)
     expected = int(np.argmax(measures[criterion] >= threshold))
     assert expected > 0
     assert (broken[:expected] == whole[:expected]).all()
     assert broken[expected:, 2] == pytest.approx(RESIDUAL * whole[expected:, 2], rel=1e-12)
-    assert (infos[expected:, env.INFO_FLAGS].astype(int) & env.RUPTURED > 0).all()
+    assert lit(infos, env.RUPTURED)[expected:].all()
 
 
 def test_tissue_without_a_rupture_law_never_breaks():
     times = np.arange(0.0, 2.0, PERIOD_S)
-    _, infos = walk(plane_block(), pressed(4.0 * times, motion=MOTION_SCALE), times)
-    assert not (infos[:, env.INFO_FLAGS].astype(int) & env.RUPTURED).any()
+    _, infos = felt(4.0 * times, times)
+    assert not lit(infos, env.RUPTURED).any()
 
 
 @pytest.mark.parametrize("criterion", ["weighted-force", "stored-energy"])
 def test_a_tool_in_air_breaks_nothing_however_low_the_threshold(criterion):
     times = np.arange(0.0, 0.1, PERIOD_S)
-    block = plane_block(breaking(criterion, 1e-12))
-    _, infos = walk(block, pressed(np.full(times.size, -1.0), motion=MOTION_SCALE), times)
-    assert not (infos[:, env.INFO_FLAGS].astype(int) & env.RUPTURED).any()
+    _, infos = felt(np.full(times.size, -1.0), times, breaking(criterion, 1e-12))
+    assert not lit(infos, env.RUPTURED).any()
 
 
 def test_a_rupture_beyond_the_identified_depth_counts_the_energy_of_the_continued_law():
@@ -279,11 +279,8 @@ def test_a_rupture_beyond_the_identified_depth_counts_the_energy_of_the_continue
     inside = a1 * 32.0 + a2 * 512.0 / 3.0 + a3 * 1024.0
     # 1 mm beyond, so slowly that the branch holds next to nothing
     threshold = inside + at_end + 0.5 * slope
-    _, infos = walk(
-        plane_block(breaking("stored-energy", threshold)), pressed(depth, motion=MOTION_SCALE), times
-    )
-    flags = infos[:, env.INFO_FLAGS].astype(int)
-    assert depth[int(np.argmax(flags & env.RUPTURED > 0))] == pytest.approx(9.0, abs=3e-3)
+    _, infos = felt(depth, times, breaking("stored-energy", threshold))
+    assert depth[int(np.argmax(lit(infos, env.RUPTURED)))] == pytest.approx(9.0, abs=3e-3)
 
 
 def test_put_at_rest_forgets_everything():
@@ -298,12 +295,7 @@ def test_put_at_rest_forgets_everything():
     [
         lambda: tissue_block(PAPER_A, Plane(), force_scale=0.0, motion_scale=1.0),
         lambda: tissue_block(PAPER_A, Plane(), force_scale=1.0, motion_scale=float("nan")),
-        lambda: tissue_block(
-            Tissue(PAPER_A.model, -PAPER_A.theta, PAPER_A.speeds_mm_s),
-            Plane(),
-            force_scale=1.0,
-            motion_scale=1.0,
-        ),
+        lambda: tissue_block(replace(PAPER_A, theta=-PAPER_A.theta), Plane(), **SCALES),
         lambda: Plane((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
         lambda: Sphere((0.0, 0.0, 0.0), 0.0),
         lambda: Box((0.0, 0.0, 0.0), (1.0, -1.0, 1.0)),
