@@ -12,7 +12,6 @@ from tissueid.haptics import sim as k
 from tissueid.haptics.arm import TIME, Arm
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.registry import open_device
 from tissueid.haptics.replay import ReplayDevice
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE
@@ -189,12 +188,10 @@ def test_impossible_devices_are_refused(wrong):
         SimulatedDevice(**wrong)
 
 
-def test_it_is_found_by_name_without_any_device():
-    device = open_device("sim", limits=GuardLimits.simulated())
-    assert isinstance(device, SimulatedDevice)
+def test_it_is_always_there_and_has_no_motors():
     assert SimulatedDevice.detect()[0].note == ""
-    assert not device.capabilities.hardware
-    assert device.capabilities.delay_ticks == 1.5
+    capabilities = SimulatedDevice(GuardLimits.simulated()).capabilities
+    assert (capabilities.hardware, capabilities.delay_ticks) == (False, 1.5)
 
 
 def motion(count: int = 200) -> np.ndarray:

@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 from felt_block import parameters
 
-from tissueid.haptics.arm import Arm, port_energy
+from tissueid.haptics.arm import DAMPING_LOSS, FRICTION_LOSS, MOTOR_WORK, Arm
 from tissueid.haptics.guard import FAULT, STATE
 from tissueid.haptics.hand import PRESETS as HANDS
 from tissueid.haptics.hand import preset
@@ -101,7 +101,8 @@ def _look(io: Any, servo: Any, static: Any, factor: float, last: int, touch: Any
     What was dissipated in air pays for nothing: the ledger of a touch begins with its last tick in air.
     """
     depth = servo.info[INFO_DEPTH_MM]
-    energy = port_energy(io.memory)
+    # through the grip into what is rendered, and into damping and friction (doi 10.1002/rob.4620140110)
+    energy = io.memory[DAMPING_LOSS] + io.memory[FRICTION_LOSS] - io.memory[MOTOR_WORK]
     if depth > 0.0 and touch[IN_CONTACT] == 0.0:
         touch[BEGAN_J] = touch[LAST_J]
         touch[ALLOWED_J] = ALLOWANCE_J

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from typing import Any, Self
 
 import numpy as np
-from felt_block import parameters
+from felt_block import parameters, preset_check
 
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
@@ -19,7 +19,6 @@ from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.states import Fault, State
-from tissueid.rendering.options import preset_check
 from tissueid.rendering.servo_tick import compiled_tick, servo_here
 
 TICK_S = 1e-3

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.rendering.options import preset_check, preset_tissue
+from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.precheck import Precheck, check_before_force
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 
 #: The controller counts, and never brakes.
 WATCHING = PassivityLimits(on=False)
+
+
+def preset_check(name: str) -> Precheck:
+    """Scale and numbers of a preset on the device that is assumed where nothing was measured."""
+    return check_before_force(preset_tissue(name), ASSUMED_DEVICE)
 
 
 def parameters(

@@ -284,8 +284,7 @@ def test_a_rupture_beyond_the_identified_depth_counts_the_energy_of_the_continue
 
 
 def test_put_at_rest_forgets_everything():
-    memory = env.new_memory()
-    memory[:] = 7.0
+    memory = np.full(env.MEMORY_SIZE, 7.0)
     env.put_at_rest(memory)
     assert (memory == 0.0).all()
 

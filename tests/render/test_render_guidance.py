@@ -234,7 +234,7 @@ def test_numbers_that_guide_nowhere_are_refused(change: dict[str, object], words
 def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:
     plan = Guidance((0.0, 0.0, 0.13))
     assert plan.numbers().shape == (gd.GUIDANCE_SIZE,)
-    block, memory = guidance_block(plan, label=3), env.new_memory()
+    block, memory = guidance_block(plan, label=3), np.zeros(env.MEMORY_SIZE)
     alone, force, info = Guided(plan), np.zeros(3), np.zeros(env.INFO_SIZE)
     rng = np.random.default_rng(5)
     for point in np.array([0.004, 0.0, 0.134]) + np.cumsum(rng.normal(0.0, 2e-4, (200, 3)), axis=0):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import closed_loop as loop
 import numpy as np
 import pytest
+from felt_block import preset_check
 
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.hand import PRESETS as HANDS
@@ -17,7 +18,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import Fault, State
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check
+from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS
 from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.tissue_block import Tissue
 

@@ -177,8 +177,3 @@ def check_present(name: str, port: object = None) -> None:
         raise DeviceError(msg)
     if all(one.note for one in found):
         raise DeviceError("; ".join(f"{name} at {one.where}: {one.note}" for one in found))
-
-
-def open_device(name: str = AUTO, **options: Any) -> HapticDevice:
-    """Make the device that a name stands for; it is opened with ``with`` or ``open()``."""
-    return device_class(choose_device(name).name)(**options)

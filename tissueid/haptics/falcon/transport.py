@@ -215,6 +215,8 @@ UDEV_FILE = "/etc/udev/rules.d/70-falcon.rules"
 LIBRARY_VARIABLE = "TISSUEID_LIBUSB"
 LIBRARY_NAMES = ("libusb-1.0.so.0", "libusb-1.0.so", "libusb-1.0.dylib")
 
+#: ``struct libusb_device_descriptor``, and where vendor and product stand in it.
+DESCRIPTOR_BYTES, VENDOR_AT = 18, 8
 INTERFACE, BULK_IN, BULK_OUT = 0, 0x81, 0x02
 #: Packets of the chip hold 64 bytes, two of them modem status.
 USB_PACKET_BYTES, STATUS_BYTES = 64, 2
@@ -259,18 +261,6 @@ NOT_FOUND = (
     "no Falcon is plugged in (USB 0403:cb48): check its power supply and cable, or go on without one, with "
     "the device sim"
 )
-
-
-class _Descriptor(ctypes.Structure):
-    """``struct libusb_device_descriptor``."""
-
-    _fields_ = (
-        ("bLength", c_ubyte), ("bDescriptorType", c_ubyte), ("bcdUSB", c_uint16),
-        ("bDeviceClass", c_ubyte), ("bDeviceSubClass", c_ubyte), ("bDeviceProtocol", c_ubyte),
-        ("bMaxPacketSize0", c_ubyte), ("idVendor", c_uint16), ("idProduct", c_uint16),
-        ("bcdDevice", c_uint16), ("iManufacturer", c_ubyte), ("iProduct", c_ubyte),
-        ("iSerialNumber", c_ubyte), ("bNumConfigurations", c_ubyte),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -358,10 +348,10 @@ class LibUsb:
             self.library.libusb_free_device_list(devices, 1)
 
     def _is_falcon(self, device: c_void_p) -> bool:
-        descriptor = _Descriptor()
-        if self.library.libusb_get_device_descriptor(device, byref(descriptor)) != 0:
+        descriptor = ctypes.create_string_buffer(DESCRIPTOR_BYTES)
+        if self.library.libusb_get_device_descriptor(device, descriptor) != 0:
             return False
-        return (descriptor.idVendor, descriptor.idProduct) == (VENDOR, PRODUCT)
+        return struct.unpack_from("HH", descriptor, VENDOR_AT) == (VENDOR, PRODUCT)
 
     def _node(self, device: c_void_p) -> UsbNode:
         return UsbNode(

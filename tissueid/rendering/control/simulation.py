@@ -12,32 +12,8 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
-from tissueid.rendering.control.law import (
-    DRIVE_ROWS,
-    SCALARS,
-    VECTORS,
-    Controller,
-    LoopBlock,
-    adapt,
-    command,
-    control_force,
-    disturbance,
-    environment_force,
-    generalised_force,
-    hand_push,
-    inertia,
-    lyapunov,
-    new_controller,
-    not_covered,
-    record_row,
-    reference,
-    regress,
-    robust_term,
-    row_size,
-    sigma_at,
-    solve,
-    tool_acceleration,
-)
+from tissueid.rendering.control import law
+from tissueid.rendering.control.law import Controller, LoopBlock
 from tissueid.rendering.control.settings import TASKS, ControlSettings, Signal, check_virtual_mass
 
 #: A device that is farther away than this has diverged [m].
@@ -86,18 +62,18 @@ def _advance_plant(
     steps = block.substeps
     h = block.period_s / steps
     for step in range(steps):
-        hand_push(block, loop.drive, time + step * h, push)
-        disturbance(loop.drive, time + step * h, disturbed)
+        law.hand_push(block, loop.drive, time + step * h, push)
+        law.disturbance(loop.drive, time + step * h, disturbed)
         for i in range(x.size):
             a[i] = 0.0
-        generalised_force(block.arm, loop.total, x, v, v, a, Y, hand)
+        law.generalised_force(block.arm, loop.total, x, v, v, a, Y, hand)
         for i in range(x.size):
             a[i] = push[i] + u[i] - disturbed[i] - hand[i]
-        inertia(block.arm, loop.total, x, spare, Y, M)
-        solve(M, a)
+        law.inertia(block.arm, loop.total, x, spare, Y, M)
+        law.solve(M, a)
         if step == steps - 1:
             # what the sensor feels: the push, less what moves and holds the hand itself
-            generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
+            law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
             for i in range(x.size):
                 hand[i] = push[i] - hand[i]
         for i in range(x.size):
@@ -118,19 +94,19 @@ def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom,
     touched = 0.0
     for tick in range(out.shape[0]):
         time = tick * block.period_s
-        hand_push(block, loop.drive, time, push)
-        disturbance(loop.drive, time, disturbed)
+        law.hand_push(block, loop.drive, time, push)
+        law.disturbance(loop.drive, time, disturbed)
         for i in range(x.size):
             sensed[i] = hand[i] + noise[tick, i]
             was[0][i], was[1][i] = c.xe[i], c.ve[i]
         before = touched
-        touched = command(block, loop.law, c, time, (x, v), sensed, touched)
-        not_covered(block, push, disturbed, unknown)
+        touched = law.command(block, loop.law, c, time, (x, v), sensed, touched)
+        law.not_covered(block, push, disturbed, unknown)
         terms = (c.rho, c.robust, unknown)
-        V, rate = lyapunov(block, x, terms, loop.truth, c.estimates, loop.gains, (spare, Y, M))
+        V, rate = law.lyapunov(block, x, terms, loop.truth, c.estimates, loop.gains, (spare, Y, M))
         vectors = (x, v, was[0], was[1], sensed, c.u, c.rho, push, disturbed)
-        record_row(out[tick], time, vectors, (before, sigma_at(block, time), V, rate), c.estimates)
-        adapt(block, c.Y, c.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
+        law.record_row(out[tick], time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
+        law.adapt(block, c.Y, c.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
         _advance_plant(loop, time, c.u, (x, v, hand), (rows[9], rows[10], rows[11]), room)
         for i in range(x.size):
             if not abs(x[i]) < LARGEST_M:
@@ -181,23 +157,23 @@ def _forces(
     push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
     a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
     n = x.size
-    hand_push(block, loop.drive, time, push)
-    disturbance(loop.drive, time, disturbed)
-    inertia(block.arm, loop.operator, x, spare, Y, Mh)
-    inertia(block.arm, estimates, x, spare, Y, Mc)
-    inertia(block.arm, loop.total, x, spare, Y, M)
+    law.hand_push(block, loop.drive, time, push)
+    law.disturbance(loop.drive, time, disturbed)
+    law.inertia(block.arm, loop.operator, x, spare, Y, Mh)
+    law.inertia(block.arm, estimates, x, spare, Y, Mc)
+    law.inertia(block.arm, loop.total, x, spare, Y, M)
     for i in range(n):
         a[i] = 0.0
-    generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
+    law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
     for i in range(n):
         hand[i] = push[i] - hand[i]
-    tool_acceleration(block, ve, hand, touched, ae)
-    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    robust_term(block, rho, sigma_at(block, time), robust)
-    regress(block.arm, x, v, vr, ar, Y)
-    control_force(block, Y, estimates, rho, robust, hand, u)
+    law.tool_acceleration(block, ve, hand, touched, ae)
+    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    law.robust_term(block, rho, law.sigma_at(block, time), robust)
+    law.regress(block.arm, x, v, vr, ar, Y)
+    law.control_force(block, Y, estimates, rho, robust, hand, u)
     # the plant's own forces take the room of vr, which is not needed any more
-    generalised_force(block.arm, loop.total, x, v, v, a, Y, vr)
+    law.generalised_force(block.arm, loop.total, x, v, v, a, Y, vr)
     for i in range(n):
         ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
         for j in range(n):
@@ -205,23 +181,23 @@ def _forces(
                 M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
             if block.variant_B:
                 M[i, j] -= Mh[i, j]
-    solve(M, ar)
+    law.solve(M, ar)
     for i in range(n):
         a[i] = ar[i]
     for i in range(n):
         for j in range(n):
             hand[i] -= Mh[i, j] * a[j]
-    tool_acceleration(block, ve, hand, touched, ae)
-    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    regress(block.arm, x, v, vr, ar, Y)
-    control_force(block, Y, estimates, rho, robust, hand, u)
+    law.tool_acceleration(block, ve, hand, touched, ae)
+    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    law.regress(block.arm, x, v, vr, ar, Y)
+    law.control_force(block, Y, estimates, rho, robust, hand, u)
 
 
 @tick_kernel
 def _tissue(loop: Loop, state: FloatArray, motion: FloatArray) -> float:
     """Force of the environment [N] on whatever touches it, a step later."""
     block = loop.block
-    return environment_force(
+    return law.environment_force(
         block, loop.law, state, motion[0 if block.touched_by_device else 2], block.period_s
     )
 
@@ -251,10 +227,10 @@ def _step(loop: Loop, time: float, room: ContinuousRoom) -> float:
     motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
     estimates, guess, moved, state, trial = lists
     Y = solving[1]
-    regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
+    law.regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
     _slopes(motion, forces, slope)
     _copy(estimates, guess)
-    adapt(block, Y, forces[4], loop.gains, loop.bounds, h, guess)
+    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, guess)
     for k in range(MOTION_ROWS):
         for i in range(motion.shape[1]):
             ahead[k, i] = motion[k, i] + h * slope[k, i]
@@ -263,7 +239,7 @@ def _step(loop: Loop, time: float, room: ContinuousRoom) -> float:
     _forces(loop, time + h, ahead, guess, pressed, forces, solving)
     _slopes(ahead, forces, slope_ahead)
     _copy(guess, moved)
-    adapt(block, Y, forces[4], loop.gains, loop.bounds, h, moved)
+    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, moved)
     for k in range(estimates.size):
         estimates[k] = 0.5 * (estimates[k] + moved[k])
     for k in range(MOTION_ROWS):
@@ -284,12 +260,14 @@ def run_continuous(loop: Loop, every: int, room: ContinuousRoom, out: FloatArray
             time = (row * every + step) * block.period_s
             _forces(loop, time, motion, estimates, touched, forces, solving)
             if step == 0:
-                not_covered(block, forces[0], forces[1], unknown)
+                law.not_covered(block, forces[0], forces[1], unknown)
                 terms, work = (forces[4], forces[5], unknown), (solving[0], solving[1], solving[2])
-                V, rate = lyapunov(block, motion[0], terms, loop.truth, estimates, loop.gains, work)
+                V, rate = law.lyapunov(block, motion[0], terms, loop.truth, estimates, loop.gains, work)
                 led = (motion[0], motion[1], motion[2], motion[3])
                 vectors = (*led, forces[2], forces[3], forces[4], forces[0], forces[1])
-                record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
+                law.record_row(
+                    out[row], time, vectors, (touched, law.sigma_at(block, time), V, rate), estimates
+                )
             touched = _step(loop, time, room)
         for i in range(motion.shape[1]):
             if not abs(motion[0, i]) < LARGEST_M:
@@ -366,13 +344,13 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
 
 def tissue_law(settings: ControlSettings) -> FloatArray:
     """The tissue's law, made stiffer by the scale, shape (LAW_SIZE,)."""
-    law = servo_law(settings.tissue.model, settings.tissue.theta)
-    return law.stiffer(settings.stiffness_scale).packed()
+    found = servo_law(settings.tissue.model, settings.tissue.theta)
+    return found.stiffer(settings.stiffness_scale).packed()
 
 
 def _drive(settings: ControlSettings) -> FloatArray:
     """Push and disturbance, shape (DRIVE_ROWS, n)."""
-    drive = np.zeros((DRIVE_ROWS, settings.axes))
+    drive = np.zeros((law.DRIVE_ROWS, settings.axes))
     drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes))
     if settings.disturbance is not None:
         drive[3:] = astuple(settings.disturbance)
@@ -387,7 +365,7 @@ def simulate(settings: ControlSettings) -> ControlRun:
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
     start = np.array(start, dtype=np.float64)
     rows = max(1, round(settings.seconds * settings.rate_Hz))
-    out = np.zeros((rows, row_size(settings.axes, truth.size)))
+    out = np.zeros((rows, law.row_size(settings.axes, truth.size)))
 
     def loop(block: LoopBlock) -> Loop:
         adaptation = settings.adaptation_gains(), settings.estimate_bounds()
@@ -399,7 +377,7 @@ def simulate(settings: ControlSettings) -> ControlRun:
         noise = np.zeros((rows, settings.axes))
         if settings.sensor_noise_N > 0.0:
             noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
-        controller, room = new_controller(settings.axes, start), sampled_room(settings.axes, start.size)
+        controller, room = law.new_controller(settings.axes, start), sampled_room(settings.axes, start.size)
         written = run_sampled(loop(block), controller, noise, room, out)
     else:
         every = max(1, math.ceil(1.0 / (settings.rate_Hz * settings.continuous_step_s) - 1e-9))
@@ -412,14 +390,14 @@ def _as_run(settings: ControlSettings, rows: FloatArray, *, complete: bool) -> C
     """Name the columns; what a diverging loop wrote last may be no number."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     n = settings.axes
-    vectors = {name: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, name in enumerate(VECTORS)}
-    first = 1 + n * len(VECTORS)
-    scalars = {name: rows[:, first + k] for k, name in enumerate(SCALARS)}
+    vectors = {name: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, name in enumerate(law.VECTORS)}
+    first = 1 + n * len(law.VECTORS)
+    scalars = {name: rows[:, first + k] for k, name in enumerate(law.SCALARS)}
     return ControlRun(
         settings=settings,
         time_s=rows[:, 0],
         **vectors,
         **scalars,
-        estimates=rows[:, first + len(SCALARS) :],
+        estimates=rows[:, first + len(law.SCALARS) :],
         diverged_s=None if complete else float(rows[-1, 0]),
     )
