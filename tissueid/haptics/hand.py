@@ -199,10 +199,7 @@ def _speed(value: str, per: str, line: str) -> float:
 
 
 def parse_script(text: str) -> tuple[Stroke, ...]:
-    """Read strokes, separated by semicolons; a retract without a depth leaves the tissue.
-
-    Raises UsageError: naming the part that is no stroke, or leads nowhere.
-    """
+    """Read strokes between semicolons; a retract without a depth leaves the tissue; else UsageError."""
     strokes: list[Stroke] = []
     depth = -SCRIPT_CLEARANCE_MM
     for part in text.split(";"):

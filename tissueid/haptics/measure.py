@@ -122,10 +122,7 @@ class LinkReport:
 
 
 def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
-    """Send zero force to an open device and wait for the answer, over and over.
-
-    Raises DeviceError: the device is lost, or answers nothing at all.
-    """
+    """Send zero force and wait for the answer, over and over; DeviceError where none comes, or it is lost."""
     zero = np.zeros(3)
     trips: list[float] = []
     commands = damaged = 0
@@ -292,11 +289,7 @@ def _held(device: HapticDevice, pace: Pace) -> FloatArray:
 
 
 def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
-    """Hold the grip at every pose.
-
-    ``device``: homed; its dead-man button off, since no hand may hold the grip.  Raises DeviceError: on a
-    fault, or when the device is lost.
-    """
+    """Hold the free grip of a homed device, no dead-man button, at every pose; DeviceError on a fault."""
     engage(device, pace)
     diagonal = np.full(3, 3.0**-0.5)
     holder = _Holder(device.read().position_m, POSE_APPROACH_S, POSE_PERIOD_S, diagonal, np.ones(3))

@@ -93,11 +93,7 @@ class ParameterBlock:
         return read_ordered(self.head, _TAKEN_AT)
 
     def write(self, parameters: FloatArray) -> int:
-        """Publish parameters (size,), which the servo takes when nothing is touched; their version.
-
-        Raises ValueError: another size, or a number that is not finite; DeviceError: the last are not taken
-        yet.
-        """
+        """Publish finite parameters (size,); their version, or DeviceError while the last are not taken."""
         if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
             msg = f"parameters must be {self.values.shape[1]} finite numbers"
             raise ValueError(msg)

@@ -20,10 +20,7 @@ from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, 
 
 
 class ReplayDevice(HapticDevice):
-    """The motion of a log, in real time or one period a force written.
-
-    Raises BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
-    """
+    """The motion of a log, in real time or one period a force written; DeviceError where it holds none."""
 
     name = "replay"
 

@@ -24,10 +24,7 @@ HEAD_BYTES = 64
 
 
 def shared_memory(name: str, size: int) -> int:
-    """Descriptor of new memory, all zero, which another process gets only where it is handed over.
-
-    Raises DeviceError: the system has no such memory.
-    """
+    """Descriptor of new memory, all zero, for whom it is handed to; DeviceError on systems without any."""
     try:
         descriptor = os.memfd_create(f"tissueid-{name}", 0)
         os.ftruncate(descriptor, size)

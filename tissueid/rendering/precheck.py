@@ -157,11 +157,7 @@ def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
 def check_before_force(
     tissue: Tissue, demands: Demands, *, force_scale: float | None = None, motion_scale: float | None = None
 ) -> Precheck:
-    """Choose a scale of a rendering and lower it until it is stable, or check the one that was asked for.
-
-    Raises UsageError: a scale is outside what can be meant; DeviceError: the device can't render this
-    tissue stably, at the scale asked for, or at any that could be felt.
-    """
+    """The largest scale that is stable, or the one asked for; DeviceError where none is felt stably."""
     motion = DEFAULT_MOTION_SCALE if motion_scale is None else motion_scale
     _must_lie("--motion-scale", motion, MOTION_RANGE)
     if force_scale is not None:

@@ -73,10 +73,7 @@ def _block(tissue: Tissue, surface: FloatArray, force_scale: float, motion: floa
 
 
 def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
-    """The program on an emulated Falcon: encoder counts, wire, kinematics, motor units and delay.
-
-    Raises DeviceError: a fault ended the session.
-    """
+    """The program on an emulated Falcon: counts, wire, kinematics, motors, delay; DeviceError on a fault."""
     surface = np.array(SURFACE_M)
     hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
     link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
@@ -126,10 +123,7 @@ def planned(bundle: Path, asked: Setup) -> SessionPlan:
 
 
 def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Felt:
-    """A test machine's recording at the grip of a real device, scales undone.
-
-    Its delay and counts are taken to be a Falcon's.  Raises UsageError: there is no contact in it.
-    """
+    """A recording at a real Falcon's grip, scales undone; UsageError where there is no contact in it."""
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
     if segmentation.contact is None:
         msg = f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip"
@@ -139,10 +133,7 @@ def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Fel
 
 
 def simulated(plan: SessionPlan, folder: Path) -> Felt:
-    """The program on the simulated device, through the session that ``render`` runs.
-
-    ``plan``: of :func:`planned`; ``folder``: for the session's log, ``felt.h5``.
-    """
+    """A plan of :func:`planned` on the simulated device, as ``render`` runs it; its log is ``felt.h5``."""
     with TemporaryDirectory(dir=folder) as made:
         log = Path(made) / "felt.h5"
         Session(plan, recorder=Recorder(log, plan.head)).run()

@@ -66,10 +66,7 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 
 
 class Sdk:
-    """The loaded SDK with one open device.
-
-    Raises DeviceError: none is found, it lacks a function, or is older than :data:`OLDEST`.
-    """
+    """The loaded SDK with one open device; DeviceError where there is none of :data:`OLDEST` or newer."""
 
     def __init__(self) -> None:
         self.path, library = _load()

@@ -152,11 +152,7 @@ def _arm_columns(
 def regress(
     arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
 ) -> None:
-    """Write the regressor, shape (n, p), of velocity ``v`` and reference ``vr``, ``ar``.
-
-    p is 3 n (n + 1) / 2, and 3 more with an arm; the device's own velocity and acceleration as reference
-    give the force that it needs.
-    """
+    """Write the regressor of ``v``, ``vr`` and ``ar``, (n, 3 n (n + 1) / 2), 3 more with an arm."""
     n, size = Y.shape
     for i in range(n):
         for k in range(size):

@@ -138,10 +138,7 @@ class EmulatedLink:
 
 
 class EmulatorProcess:
-    """An emulated Falcon in a process of its own that ends with its owner, on a pseudo-terminal.
-
-    Raises DeviceError: it did not come up; with what it said.
-    """
+    """An emulated Falcon in a process that ends with its owner; DeviceError, in its words, without one."""
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
