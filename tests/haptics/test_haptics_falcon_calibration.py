@@ -21,7 +21,8 @@ from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
 def test_what_is_saved_is_loaded(tmp_path):
     file = tmp_path / "new folder" / "falcon.toml"
-    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True)
+    weight = ((0.05, 0.7, -0.1), (2.0, *(0.5,) * 8), True)
+    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True, *weight)
     assert save_calibration(own, file) == file
     assert load_calibration(file) == own
     assert [path.name for path in file.parent.iterdir()] == ["falcon.toml"]
@@ -61,6 +62,8 @@ def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path):
         ("clamp_N = 8.0", "unknown key 'clamp_N'"),
         ("zero_angle_deg = ", "is no TOML"),
         ("damping_N_s_per_m = -1.0", "is no number from 0 to 20"),
+        ("weight_N = [0.0, 0.7]", "not 3 numbers"),
+        ("weight_N = [0.0, 70.0, 0.0]", "weight_N"),
     ],
 )
 def test_a_damaged_file_is_refused_with_the_way_out(line, reason, tmp_path):
@@ -79,10 +82,17 @@ def test_what_is_no_text_is_refused(tmp_path):
             load_calibration(path)
 
 
-def test_nothing_that_would_be_refused_is_written(tmp_path):
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"units_per_Nm": float("inf")}, r"units_per_Nm = inf is not from 1000\.0 to 30000\.0"),
+        ({"weight_N": (0.0, 9.0, 0.0)}, "weight_N"),
+    ],
+)
+def test_nothing_that_would_be_refused_is_written(tmp_path, wrong, words):
     file = tmp_path / "falcon.toml"
-    with pytest.raises(DeviceError, match=r"not kept: units_per_Nm = inf is not from 1000\.0 to 30000\.0"):
-        save_calibration(Calibration(units_per_Nm=float("inf")), file)
+    with pytest.raises(DeviceError, match=f"not kept: {words}"):
+        save_calibration(Calibration(**wrong), file)
     assert not file.exists()
 
 

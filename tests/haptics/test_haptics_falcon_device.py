@@ -11,6 +11,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -47,6 +48,22 @@ def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     return device, falcon, told
 
 
+@contextmanager
+def at_home(**settings: object) -> Iterator[tuple[FalconDevice, EmulatedFalcon]]:
+    """The same, homed and open."""
+    device, falcon, _ = wired(**settings)
+    with device:
+        device.home()
+        yield device, falcon
+
+
+def idle(device: FalconDevice, falcon: EmulatedFalcon, until_s: float) -> None:
+    """Read and send no force until the emulator's clock says so."""
+    while falcon.time_s < until_s:
+        device.read()
+        device.write_force([0.0, 0.0, 0.0], 1e-3)
+
+
 def test_homing_tells_what_to_do_and_ends_pulled_out():
     device, falcon, told = wired()
     with device:
@@ -64,13 +81,9 @@ def test_homing_tells_what_to_do_and_ends_pulled_out():
 
 
 def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked():
-    device, falcon, _ = wired()
-    with device:
-        device.home()
-        while falcon.time_s < 3.0:
-            # the emulated user still pulls
-            device.read()
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
+    with at_home() as (device, falcon):
+        # the emulated user still pulls
+        idle(device, falcon, 3.0)
         for force in ([0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, -0.4], [0.2, -0.2, 0.1]):
             for _ in range(4):
                 device.read()
@@ -107,9 +120,7 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):
 
 
 def test_every_command_keeps_homing_mode_and_no_reply_is_dropped():
-    device, falcon, _ = wired()
-    with device:
-        device.home()
+    with at_home() as (device, falcon):
         assert falcon.homed_bits == 7
         for _ in range(100):
             assert device.read().homed
@@ -149,20 +160,14 @@ def test_lasting_faults_of_the_wire_end_in_fault(kind, expected):
 
 @pytest.mark.parametrize("kind", ["short", "garbled", "doubled"])
 def test_one_spoilt_reply_is_dropped_and_counted(kind):
-    device, falcon, _ = wired(faults=(ScriptedFault(kind, 3.0),))
-    with device:
-        device.home()
-        while falcon.time_s < 3.2:
-            device.read()
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
+    with at_home(faults=(ScriptedFault(kind, 3.0),)) as (device, falcon):
+        idle(device, falcon, 3.2)
         assert device.state is State.ARMED
         assert device._parser.invalid == (0 if kind == "doubled" else 1)
 
 
 def test_counts_of_no_position_are_as_good_as_damaged():
-    device, _, _ = wired()
-    with device:
-        device.home()
+    with at_home() as (device, _):
         before = device.read().position_m
         # leg angles of 83, 35 and -19 degrees and more have no grip position
         device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"
@@ -174,9 +179,7 @@ def test_counts_of_no_position_are_as_good_as_damaged():
 
 
 def test_unplugging_is_a_device_error_and_closing_still_ends():
-    device, falcon, _ = wired(faults=(ScriptedFault("unplug", 3.0),))
-    with device:
-        device.home()
+    with at_home(faults=(ScriptedFault("unplug", 3.0),)) as (device, falcon):
         with pytest.raises(DeviceError, match="the device is gone"):
             read_until_fault(device, 3000)
         assert device.fault is Fault.TRANSPORT

@@ -14,7 +14,7 @@ from tissueid.errors import DeviceError
 from tissueid.haptics import measure
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
-from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
+from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
@@ -277,19 +277,6 @@ def test_noise_of_the_forces_is_the_standard_error():
     # nine poses around the middle: a third of the noise of one; 300 draws know a spread to 4 %
     assert spread == pytest.approx(0.05 / 3.0, rel=0.15)
     assert np.sqrt(np.mean([one.stderr_N**2 for one in found])) == pytest.approx(0.05 / 3.0, rel=0.1)
-
-
-def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path):
-    path = save_calibration(KNOWN, tmp_path / "falcon.toml")
-    assert load_calibration(path) == KNOWN
-    path.write_text("weight_N = [0.0, 0.7]\n")
-    with pytest.raises(DeviceError, match="not 3 numbers"):
-        load_calibration(path)
-    path.write_text("weight_N = [0.0, 70.0, 0.0]\n")
-    with pytest.raises(DeviceError, match="weight_N"):
-        load_calibration(path)
-    with pytest.raises(DeviceError, match="not kept"):
-        save_calibration(replace(KNOWN, weight_N=(0.0, 9.0, 0.0)), path)
 
 
 def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise():

@@ -48,6 +48,19 @@ def session(device: SimulatedDevice, ticks: int) -> np.ndarray:
     return seen
 
 
+def pushed(device: SimulatedDevice, force_N: list[float]) -> None:
+    """A tick under a force."""
+    simulated_command(device.memory, device.parameters, np.array(force_N))
+    simulated_advance(device.memory, device.parameters, 1e-3)
+
+
+def error_m(device: SimulatedDevice) -> np.ndarray:
+    """Difference of a reading from the true position."""
+    place, counts = np.zeros(3), np.zeros(3, np.int64)
+    simulated_sample(device.memory, device.parameters, place, counts)
+    return place - device.true_position_m
+
+
 def pressing() -> Hand:
     return preset("hold", surface_m=SURFACE, inward=INWARD, depth_m=0.008, rest_s=0.1)
 
@@ -86,8 +99,7 @@ def test_a_force_is_felt_after_its_delay_and_not_before_also_in_a_stall(delay_ti
 def test_forces_take_over_from_each_other_within_a_tick():
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=1.5)
     for force in (1.0, -3.0, 0.0, 0.0, 0.0):
-        simulated_command(device.memory, device.parameters, np.array([force, 0.0, 0.0]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
+        pushed(device, [force, 0.0, 0.0])
     # 1 N from 1.5 to 2.5 ms, -3 N from 2.5 to 3.5 ms, then free flight to 5 ms
     speed = (1.0 - 3.0) / 0.25 * 1e-3
     way = (0.5 * 1.0 * 1.0**2 + 1.0 * 1.0 - 0.5 * 3.0 * 1.0**2) / 0.25 * 1e-6 + speed * 1.5e-3
@@ -98,13 +110,10 @@ def test_forces_take_over_from_each_other_within_a_tick():
 @pytest.mark.needs_jit
 def test_positions_are_rounded_to_counts_without_a_mean_error():
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
     errors = []
     for _ in range(2000):
-        simulated_command(device.memory, device.parameters, np.array([0.01, -0.013, 0.007]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
-        simulated_sample(device.memory, device.parameters, place, counts)
-        errors.append(place - device.true_position_m)
+        pushed(device, [0.01, -0.013, 0.007])
+        errors.append(error_m(device))
     assert np.abs(errors).max() <= 30e-6 * (1.0 + 1e-9)
     # evenly spread over a count of 60 um: sd of the mean of at least some 300 counts passed is 1 um
     assert np.abs(np.mean(errors, axis=0)).max() < 4e-6
@@ -150,21 +159,19 @@ def test_scripted_faults_begin_at_their_time(kind, said):
     answers, seen = [], []
     for _ in range(40):
         answers.append(simulated_sample(device.memory, device.parameters, place, counts))
-        seen.append(counts.copy())
-        simulated_command(device.memory, device.parameters, np.array([5.0, 0.0, 0.0]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
+        seen.append(int(counts[0]))
+        pushed(device, [5.0, 0.0, 0.0])
     assert set(answers[:10]) == {k.VALID | k.HOMED}
     assert set(answers[11:]) == {said}
-    still = len({int(count[0]) for count in seen[12:]}) == 1
-    assert still == (kind != k.FAULT_UNHOMED)
+    assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
 
 
 def test_a_jump_is_one_encoder_off_by_its_size():
     device = SimulatedDevice(hand=FREE)
     device.parameters[[FAULT_KIND, FAULT_AT, FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
-    simulated_sample(device.memory, device.parameters, place, counts)
-    np.testing.assert_allclose(place - device.true_position_m, [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
+    np.testing.assert_allclose(
+        sampled(device)[1] - device.true_position_m, [300 * 45e-6, 0.0, 0.0], atol=22.6e-6
+    )
 
 
 def test_a_device_that_is_gone_ends_in_fault():

@@ -145,19 +145,6 @@ class TestVirtualTime:
         assert records.size == 39
         assert set(records["fault"]) == {fault}
 
-    @pytest.mark.needs_jit
-    def test_a_stall_is_marked_and_resumes(self, rig):
-        rig.block.write(tissue())
-        rig.run(2.6)
-        rig.run(0.1, period=0.1)
-        ended, records = rig.run(0.5)
-        assert ended == ENDED_TICKS
-        assert records["state"][-1] == State.ENGAGED
-        held = np.linalg.norm(records["force_N"], axis=1)
-        # at the bottom of the ramp only damping is left, of a hand that recoils at some 10 mm/s
-        assert held.min() < 2.0 * 0.02
-        assert held[-1] == pytest.approx(FORCE_SCALE * records["tissue_force_N"][-1], rel=1e-9)
-
 
 @pytest.mark.needs_jit
 class TestExchange:
