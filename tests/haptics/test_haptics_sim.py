@@ -169,9 +169,7 @@ def test_scripted_faults_begin_at_their_time(kind, said):
 def test_a_jump_is_one_encoder_off_by_its_size():
     device = SimulatedDevice(hand=FREE)
     device.parameters[[FAULT_KIND, FAULT_AT, FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
-    np.testing.assert_allclose(
-        sampled(device)[1] - device.true_position_m, [300 * 45e-6, 0.0, 0.0], atol=22.6e-6
-    )
+    np.testing.assert_allclose(error_m(device), [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
 
 
 def test_a_device_that_is_gone_ends_in_fault():
