@@ -202,7 +202,6 @@ def test_opens_reads_and_closes_on_a_real_descriptor(is_pty):
         device = FalconDevice(calibration=Calibration(), port=port)
         with device:
             given = device.compiled()
-            assert given is not None
             assert given.kind == "tissueid.haptics.falcon.servo_io:DESCRIPTOR"
             os.fstat(int(given.handles[0]))
             # a thread of this process answers: it may be late on a busy machine
@@ -328,7 +327,6 @@ def test_modem_lines_of_a_serial_port_are_set_one_by_one(monkeypatch, tmp_path):
     transport = FileTransport(slave, "serial port")
     monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
     modem = transport.modem
-    assert modem is not None
     modem.set_frame()
     modem.set_rts(on=False)
     modem.set_dtr(on=False)

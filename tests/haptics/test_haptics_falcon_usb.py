@@ -121,7 +121,6 @@ def test_compiled_servo_is_given_libusbs_own_transfer(stub):
     assert device.compiled() is None
     device.open()
     given = device.compiled()
-    assert given is not None
     address, handle, bulk_out, bulk_in, timeout = given.handles[:5].tolist()
     assert (given.kind, bulk_out, bulk_in) == ("tissueid.haptics.falcon.servo_io:USB", 0x02, 0x81)
     assert 0 < timeout <= 5

@@ -160,7 +160,6 @@ def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub):
     assert device.compiled() is None
     with device:
         given = device.compiled()
-        assert given is not None
         assert given.kind == "tissueid.haptics.forcedimension.servo_io:SDK"
         assert given.handles[3] == 5
         assert given.constants.tolist() == [*ROTATION.ravel().tolist(), *ORIGIN_M.tolist()]

@@ -85,6 +85,5 @@ def test_an_owner_that_falls_silent_loses_the_force_after_half_a_second():
         assert 0.4 < relaxed < 2.0
         assert ended < 5.0
         assert time.monotonic() - silent < 7.0
-        assert servo.end is not None
         assert (servo.end.reason, servo.end.fault, servo.end.state) == ("fault", Fault.HEARTBEAT, State.FAULT)
         assert "stopped giving signs of life" in servo.end.message

@@ -63,7 +63,6 @@ def press(page: Any, pixels: int) -> Any:
 
 def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page):
     before = now(page)
-    assert before is not None
     assert before["newest"]["depth_mm"] < 0.0
     assert before["newest"]["device_N"] == 0.0
     shallow = press(page, 110)
@@ -190,7 +189,6 @@ def test_traces_and_digits_are_the_servos_records(page):
     assert read["depth"] == f"{record['depth_mm']:.2f}"
     assert read["now"]["newest"]["tick"] - read["tick"] <= OLDEST_DIGITS_TICKS
     assert read["now"]["dropped"] == 0
-    assert log.summary is not None
     assert log.summary["lost_records"] == 0
     assert log.records["fault"].max() == Fault.NONE
     assert errors == []

@@ -24,7 +24,6 @@ def fill(ring: Ring, count: int, first: int = 0) -> None:
 def shown(one: Client) -> Frame:
     """The frame that is to be sent now."""
     data = one.next_frame()
-    assert data is not None
     return read_frame(data)
 
 
