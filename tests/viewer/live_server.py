@@ -88,6 +88,14 @@ def client(url: str, **options: Any) -> Iterator[ClientConnection]:
         yield connection
 
 
+@contextmanager
+def greeted(url: str) -> Iterator[ClientConnection]:
+    """A client that has heard its hello."""
+    with client(url) as connection:
+        connection.recv(PATIENCE_S)
+        yield connection
+
+
 def frame_of(connection: ClientConnection) -> Frame:
     """The next frame, answered by nobody."""
     data = connection.recv(PATIENCE_S)

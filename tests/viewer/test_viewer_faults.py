@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_server import Live, client, served, until
+from live_server import Live, greeted, served, until
 from rendered_session import Session
 from session_heads import head_of
 
@@ -52,8 +52,7 @@ class Led:
         return float(self.hand.parameters[POINTER + 2])
 
     def press(self) -> None:
-        with client(self.viewer.url.replace("http", "ws") + "ws") as page:
-            page.recv()
+        with greeted(self.viewer.url.replace("http", "ws") + "ws") as page:
             page.send(PRESS)
             until(lambda: self.height_m == 0.1)
             self.meanwhile()
@@ -125,8 +124,7 @@ def pressed() -> Iterator[tuple[Live, Any, SharedHand]]:
     """A hand that a page presses through a server in this process."""
     hand = SharedHand.create()
     pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
-    with served(pointer=pointer) as live, client(live.ws) as page:
-        page.recv()
+    with served(pointer=pointer) as live, greeted(live.ws) as page:
         page.send(PRESS)
         until(lambda: live.stage.leader is not None and hand.parameters[POINTER + 2] == 0.1)
         yield live, page, hand
@@ -183,8 +181,7 @@ def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(t
     log = tmp_path / "out.h5"
     asked = ("--preset", "paper-a", "--device", "sim", "--viewer", "--seconds", "4", "--log", log)
     session = Session(*asked, folder=tmp_path / "said")
-    with client(session.url.replace("http", "ws") + "ws") as page:
-        page.recv()
+    with greeted(session.url.replace("http", "ws") + "ws") as page:
         until(lambda: isinstance(page.recv(PATIENCE_S), bytes))
         os.kill(server_of(session), how)
     deadline = time.monotonic() + PATIENCE_S

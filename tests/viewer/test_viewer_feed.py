@@ -8,12 +8,17 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from live_server import client, frame_of, record, served, until
+from live_server import frame_of, greeted, record, served, until
 
 from tissueid.haptics.ring import RECORD, Ring
 from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed, Playback
 from tissueid.viewer.frames import Frame, read_frame, samples_of
 from tissueid.viewer.protocols import Play
+
+
+@pytest.fixture
+def feed(ring: Ring) -> LiveFeed:
+    return LiveFeed(ring)
 
 
 def fill(ring: Ring, count: int, first: int = 0) -> None:
@@ -27,8 +32,7 @@ def shown(one: Client) -> Frame:
     return read_frame(data)
 
 
-def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_a_client_gets_every_sample_in_order(ring: Ring, feed: LiveFeed) -> None:
     one = Client(feed, "one")
     seen: list[int] = []
     for turn in range(20):
@@ -43,8 +47,9 @@ def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
     assert one.next_frame() is None
 
 
-def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(
+    ring: Ring, feed: LiveFeed
+) -> None:
     hung, awake = Client(feed, "hung"), Client(feed, "awake")
     received = sent = 0
     while (data := hung.next_frame()) is not None or sent < MOST_UNANSWERED:
@@ -82,8 +87,7 @@ def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers() -> None:
     assert feed.between(140, 200)["tick"].tolist() == list(range(140, 200))
 
 
-def test_numbers_stay_right_when_the_kept_samples_go_round(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_numbers_stay_right_when_the_kept_samples_go_round(ring: Ring, feed: LiveFeed) -> None:
     for turn in range(4):
         fill(ring, 3000, 3000 * turn)
         feed.pump()
@@ -103,8 +107,7 @@ def test_an_answer_that_cannot_be_is_refused(ring: Ring) -> None:
     assert not one.answer(2)
 
 
-def test_the_end_is_said_once(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_the_end_is_said_once(ring: Ring, feed: LiveFeed) -> None:
     one = Client(feed, "one")
     fill(ring, 3)
     feed.end()
@@ -114,11 +117,8 @@ def test_the_end_is_said_once(ring: Ring) -> None:
 
 
 def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
-    with served() as live, client(live.ws) as hung, ExitStack() as others:
-        hung.recv()
-        opened = [others.enter_context(client(live.ws)) for _ in range(4)]
-        for one in opened:
-            one.recv()
+    with served() as live, greeted(live.ws) as hung, ExitStack() as others:
+        opened = [others.enter_context(greeted(live.ws)) for _ in range(4)]
         seen: list[list[int]] = [[] for _ in opened]
         written = 0
         begun = time.monotonic()

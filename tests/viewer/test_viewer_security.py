@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_server import Live, client, frame_of, served, until
+from live_server import Live, client, frame_of, greeted, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
@@ -177,11 +177,9 @@ def code_of(connection: ClientConnection) -> int | None:
 
 
 def test_what_is_no_message_closes_with_its_code_and_harms_no_other(capfd):
-    with served() as live, client(live.ws) as other:
-        other.recv()
+    with served() as live, greeted(live.ws) as other:
         for message, code in CLOSED:
-            with client(live.ws) as bad:
-                bad.recv()
+            with greeted(live.ws) as bad:
                 bad.send(message)
                 assert code_of(bad) == code, message[:60]
         live.write(3)
@@ -193,8 +191,7 @@ def test_what_is_no_message_closes_with_its_code_and_harms_no_other(capfd):
 
 def test_a_flood_of_messages_is_ended(hand):
     corner = np.full(3, 0.1)
-    with served(pointer=HandPointer(hand, corner, corner, corner)) as live, client(live.ws) as one:
-        one.recv()
+    with served(pointer=HandPointer(hand, corner, corner, corner)) as live, greeted(live.ws) as one:
         with suppress(ConnectionClosed):
             for _ in range(20 * MOST_MESSAGES):
                 one.send('{"v": 1, "pointer": null}')
@@ -220,8 +217,7 @@ def seen_after_noise(count: int, seed: int) -> tuple[int, bool]:
     """
     chance = np.random.default_rng(seed)
     right = ['{"v": 1, "answer": 1}', '{"v": 1, "pointer": [0, 0, 0.1]}', '{"v": 1, "play": {"at_s": 1}}']
-    with served() as live, client(live.ws) as watcher:
-        watcher.recv()
+    with served() as live, greeted(live.ws) as watcher:
         live.stage.log.note = lambda _client, _why: None
         sent = 0
         while sent < count:
@@ -261,8 +257,7 @@ def test_noise_is_never_taken_for_a_message_that_moves_anything():
 def test_a_pointer_leads_the_hand_within_the_workspace_and_is_let_go_with_its_page(hand):
     rest, low, high = np.array([0.0, 0.0, 0.15]), np.full(3, -0.04), np.full(3, 0.17)
     with served(pointer=HandPointer(hand, rest, low, high)) as live:
-        with client(live.ws) as one:
-            one.recv()
+        with greeted(live.ws) as one:
             one.send('{"v": 1, "pointer": [0.01, 0.02, 0.12]}')
             until(lambda: hand.parameters[13] == 1.0)
             assert hand.parameters[14:17].tolist() == [0.01, 0.02, 0.12]
@@ -344,8 +339,7 @@ def test_a_request_that_never_ends_is_cut_off_in_time(monkeypatch):
         with suppress(ConnectionError):
             assert silent.recv(1) == b""
         # a page that asked for what it wanted, and waits with its connection open, is none of these
-        with client(live.ws) as one:
-            one.recv()
+        with greeted(live.ws) as one:
             time.sleep(0.6)
             live.write(3)
             assert frame_of(one).samples["tick"].size
@@ -354,9 +348,7 @@ def test_a_request_that_never_ends_is_cut_off_in_time(monkeypatch):
 
 
 def test_a_flood_of_pings_ends_its_own_client_alone():
-    with served() as live, client(live.ws) as watcher, client(live.ws) as one:
-        watcher.recv()
-        one.recv()
+    with served() as live, greeted(live.ws) as watcher, greeted(live.ws) as one:
         with suppress(ConnectionClosed):
             for _ in range(50 * protocols.MOST_PINGS):
                 one.ping()
