@@ -18,18 +18,6 @@ from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure import (
-    GRAVITY,
-    MIDDLE_M,
-    POSES_M,
-    Motion,
-    estimate_arm,
-    fitted,
-    measure_link,
-    ring_down,
-    weigh,
-    weigh_poses,
-)
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering.plan import _carried
 from tissueid.rendering.scene import load_scene
@@ -81,7 +69,7 @@ class HangingGrip(Grip):
 
     def _read(self) -> DeviceSample:
         step, inertia = TICK_S / 4, 0.25 + self.mass_hung_kg
-        weight = (self._own_kg + self.mass_hung_kg) * GRAVITY
+        weight = (self._own_kg + self.mass_hung_kg) * measure.GRAVITY
         for _ in range(4):
             pushed = self._speed + step * (self._truth * self._force - weight - 0.5 * self._speed) / inertia
             # Coulomb friction takes speed away, never turns it round
@@ -131,10 +119,12 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGr
 @pytest.mark.parametrize(("truth", "grams"), [(1.9, 150.0), (0.7, 50.0)])
 def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
     device = hanging(truth=truth)
-    found = weigh(device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause)
+    found = measure.weigh(
+        device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause
+    )
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
     assert found.ratio == pytest.approx(1.0 / truth, rel=2e-3)
-    assert found.empty_N == pytest.approx(0.06 * GRAVITY / truth, rel=5e-3)
+    assert found.empty_N == pytest.approx(0.06 * measure.GRAVITY / truth, rel=5e-3)
     assert found.weight_N == pytest.approx(grams / 1000 * 9.80665, rel=1e-12)
 
 
@@ -149,7 +139,7 @@ def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
 )
 def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(hanging, own_kg, reason):
     with pytest.raises(DeviceError, match=reason):
-        weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
+        measure.weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
@@ -157,7 +147,7 @@ def test_a_swing_tells_mass_damping_and_friction(arm, delay_ticks):
     free = Hand((0.0,), ((0.0, 0.0, 0.13),), (0.0,))
     device = SimulatedDevice(HANDS_OFF, arm=arm, hand=free, delay_ticks=delay_ticks)
     homed(device)
-    found = ring_down(device, delay_ticks * TICK_S, no_pause)
+    found = measure.ring_down(device, delay_ticks * TICK_S, no_pause)
     # counts of 45 um and windows of 30 ms; the bars hold for seeds and arms tried beside these
     assert found.mass_kg == pytest.approx(arm.mass_kg, rel=0.02)
     assert found.damping_N_s_per_m == pytest.approx(arm.damping_N_s_per_m, abs=0.02)
@@ -171,7 +161,7 @@ def test_a_grip_that_is_held_gives_no_damping():
     time_s = np.arange(0.0, 14.0, 1e-3)
     place = np.tile([0.0, 0.0, 0.13], (len(time_s), 1))
     with pytest.raises(DeviceError, match="hardly moved"):
-        estimate_arm(Motion(time_s, place, np.zeros_like(place)), 1.5e-3)
+        measure.estimate_arm(measure.Motion(time_s, place, np.zeros_like(place)), 1.5e-3)
 
 
 class Clocked(SimulatedDevice):
@@ -201,7 +191,7 @@ def clocked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clocked]:
 @pytest.mark.parametrize(("answer_ms", "ticks"), [(0.3, 1.5), (0.9, 1.5), (1.4, 2.5)])
 def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(clocked, answer_ms, ticks):
     clocked.answer_s, clocked.lost_every = answer_ms * 1e-3, 10
-    report = measure_link(clocked, 1.0)
+    report = measure.measure_link(clocked, 1.0)
     assert report.delay_ticks == pytest.approx(ticks, abs=1e-9)
     assert report.round_trip_ms == pytest.approx((answer_ms,) * 3, rel=1e-6)
     assert report.rate_hz == pytest.approx(0.9 * 1e3 / answer_ms, rel=0.01)
@@ -213,7 +203,7 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(clocked, answer_m
 def test_a_device_that_never_answers_is_told(clocked):
     clocked.answer_s, clocked.lost_every = 0.002, 1
     with pytest.raises(DeviceError, match="answered none of 50 commands"):
-        measure_link(clocked, 0.1)
+        measure.measure_link(clocked, 0.1)
 
 
 WEIGHT_N = np.array([0.05, 0.7, -0.1])
@@ -231,10 +221,10 @@ class HeavyGrip(Grip):
     def __init__(self) -> None:
         super().__init__()
         self._force = np.zeros(3)
-        self._place, self._speed = np.array(MIDDLE_M), np.zeros(3)
+        self._place, self._speed = np.array(measure.MIDDLE_M), np.zeros(3)
 
     def _read(self) -> DeviceSample:
-        held = WEIGHT_N + SLOPE @ (self._place - MIDDLE_M)
+        held = WEIGHT_N + SLOPE @ (self._place - measure.MIDDLE_M)
         push = self._speed + TICK_S * (self._force - held - 0.5 * self._speed) / 0.25
         # Coulomb friction takes speed away, never turns it round
         size = float(np.linalg.norm(push))
@@ -252,27 +242,27 @@ class HeavyGrip(Grip):
 def test_the_weight_is_found_behind_friction_and_encoders():
     device = HeavyGrip()
     homed(device)
-    found = weigh_poses(device, no_pause)
+    found = measure.weigh_poses(device, no_pause)
     device.close()
     # friction of 0.1 N is in every force; to and fro it cancels to a tenth of that
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=0.01)
     np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=0.5)
     assert found.residual_N < 0.02
-    assert found.poses == len(POSES_M) == 9
+    assert found.poses == len(measure.POSES_M) == 9
 
 
 def test_a_plane_through_exact_forces_is_the_plane():
-    places = np.array(POSES_M)
-    found = fitted(places, WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T)
+    places = np.array(measure.POSES_M)
+    found = measure.fitted(places, WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T)
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=1e-12)
     np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=1e-10)
     assert found.residual_N < 1e-12
 
 
 def test_noise_of_the_forces_is_the_standard_error():
-    places, chance = np.array(POSES_M), np.random.default_rng(1)
-    clean = WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T
-    found = [fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
+    places, chance = np.array(measure.POSES_M), np.random.default_rng(1)
+    clean = WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T
+    found = [measure.fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
     spread = np.std([one.weight_N[1] for one in found])
     # nine poses around the middle: a third of the noise of one; 300 draws know a spread to 4 %
     assert spread == pytest.approx(0.05 / 3.0, rel=0.15)
@@ -287,7 +277,7 @@ def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherw
         weight_slope_N_per_m=((0.0,) * 3,) * 3,
     )
     carried = _carried(plan, device, assumed=False)
-    there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - MIDDLE_M)
+    there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - measure.MIDDLE_M)
     np.testing.assert_allclose(carried.weight_N, there, atol=1e-12)
     np.testing.assert_allclose(carried.weight_slope_N_per_m, SLOPE)
     stated = replace(plan, weight_N=(0.0, 1.0, 0.0))

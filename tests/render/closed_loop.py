@@ -183,18 +183,10 @@ class Setting:
 def drawn_session(
     seed: int, *, near: bool, pool_size: int, controller: bool = False
 ) -> tuple[Setting, np.ndarray]:
-    """Draw a session of a preset tissue and run it.
+    """Draw a session of a preset tissue and run it; ``pool_size``: tissues drawn from each posterior.
 
-    Parameters
-    ----------
-    seed : int
-    near : bool
-        The device's damping is drawn within a tenth above the bound of this very tissue, scale and delay;
-        else it is the preset, and the scale as large as clamp and preset allow.
-    pool_size : int
-        Tissues drawn from each posterior.
-    controller : bool
-        With the passivity controller.
+    ``near``: the device's damping is drawn within a tenth above the bound of this very tissue, scale and
+    delay; else it is the preset, and the scale as large as clamp and preset allow.
     """
     rng = np.random.default_rng([1999, seed])
     name = list(PRESETS)[int(rng.integers(len(PRESETS)))]

@@ -39,15 +39,7 @@ def pressing(stiffness: float = 500.0) -> Hand:
 
 
 class EmulatedSession:
-    """Driver, emulator and servo; a context manager.
-
-    Attributes
-    ----------
-    records : list of records
-        One a tick: state, fault, force sent, lamps.
-    motors : list of tuple
-        Motor units that had arrived at the emulator after each tick.
-    """
+    """Driver, emulator and servo; of each tick its record, and motor units that had arrived by then."""
 
     def __init__(
         self,

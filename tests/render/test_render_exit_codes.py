@@ -1,7 +1,6 @@
 """Exit codes and log of `tissueid render` when a device, a bundle or a disk fails.
 
-An emulated Falcon on a terminal, a servo process of its own, real time: the watchdog for silence is set to a
-second, which a loaded machine needs.
+Real time on a shared machine: the watchdog for silence is set to a second.
 """
 
 from __future__ import annotations
