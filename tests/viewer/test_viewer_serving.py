@@ -11,6 +11,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,7 @@ from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, indentation, records_of, summary_of
 
 from tissueid.errors import BundleError, UsageError
-from tissueid.haptics.ring import RECORD, Ring
-from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.ring import RECORD
 from tissueid.model.channels import loading_force
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
@@ -244,7 +244,7 @@ class TestShowing:
         assert without["draws"] == 0
         assert all("low_N" not in curve for curve in without["curves"])
 
-    def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path):
+    def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path, ring, hand):
         draws = np.array([PAPER_A.theta, 1.1 * PAPER_A.theta])
         write_bundle(bundle_of(PAPER_A, draws=draws), tmp_path / "bundle.h5")
         options = RenderOptions(bundle=tmp_path / "bundle.h5", device="sim", led=True)
@@ -258,9 +258,8 @@ class TestShowing:
 
         for given in (options, replace(options, script="indent 1 mm at 500 mm/min")):
             plan = plan_session(given)
-            servo = Servo(led=plan.led)
+            servo = SimpleNamespace(ring=ring, hand=hand if plan.led else None)
             show_session(Watched(), plan, servo, given.bundle)
-            servo.close()
         (led, led_count, places), (scripted, scripted_count, _) = shown
         assert (led["session"]["pointer"], led_count) == (True, 2)
         assert (scripted["session"]["pointer"], scripted_count) == (False, 1)
@@ -279,16 +278,3 @@ class TestShowing:
         path = recorder.finish(summary_of(records_of(np.zeros(2))))
         with pytest.raises(BundleError, match="nothing to see"):
             check_log(path)
-
-
-class Servo:
-    """The memories of a servo without its process."""
-
-    def __init__(self, *, led: bool) -> None:
-        self.ring = Ring.create()
-        self.hand = SharedHand.create() if led else None
-
-    def close(self) -> None:
-        self.ring.close()
-        if self.hand is not None:
-            self.hand.close()
