@@ -70,7 +70,7 @@ SIMULATED = "sim"
 
 
 class _Asked(NamedTuple):
-    """What the user asked for, the device and why it was taken; it is made, not opened."""
+    """The user's wishes, the device and why it was taken; it is made, not opened."""
 
     options: RenderOptions
     choice: Choice
