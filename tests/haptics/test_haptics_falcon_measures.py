@@ -55,6 +55,12 @@ class Grip(HapticDevice):
     def _close(self) -> None:
         pass
 
+    def _seen(self, place_m: NDArray[np.float64]) -> DeviceSample:
+        """A reading a tick later, in counts of 45 um."""
+        self._time += TICK_S
+        counts = np.floor(place_m / 45e-6).astype(int)
+        return DeviceSample(self._time, 45e-6 * counts, counts, 0, homed=True, valid=True)
+
 
 class HangingGrip(Grip):
     """A grip that falls along y until its stop, whose newton is not one; in virtual time."""
@@ -78,16 +84,7 @@ class HangingGrip(Grip):
             self._place += step * self._speed
             if self._place < -0.07:
                 self._place, self._speed = -0.07, 0.0
-        self._time += TICK_S
-        count = math.floor(self._place / 45e-6)
-        return DeviceSample(
-            self._time,
-            np.array([0.0, 45e-6 * count, 0.13]),
-            np.array([0, count, 0]),
-            0,
-            homed=True,
-            valid=True,
-        )
+        return self._seen(np.array([0.0, self._place, 0.13]))
 
     def _write(self, force_N: NDArray[np.float64]) -> None:
         self._force = float(force_N[1])
@@ -230,9 +227,7 @@ class HeavyGrip(Grip):
         size = float(np.linalg.norm(push))
         self._speed = push * max(size - TICK_S * 0.1 / 0.25, 0.0) / max(size, 1e-12)
         self._place = self._place + TICK_S * self._speed
-        self._time += TICK_S
-        counts = np.floor(self._place / 45e-6)
-        return DeviceSample(self._time, 45e-6 * counts, counts.astype(int), 0, homed=True, valid=True)
+        return self._seen(self._place)
 
     def _write(self, force_N: NDArray[np.float64]) -> None:
         self._force = np.array(force_N)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 import threading
 import time
@@ -89,10 +90,10 @@ def client(url: str, **options: Any) -> Iterator[ClientConnection]:
 
 
 @contextmanager
-def greeted(url: str) -> Iterator[ClientConnection]:
+def greeted(url: str, **options: Any) -> Iterator[ClientConnection]:
     """A client that has heard its hello."""
-    with client(url) as connection:
-        connection.recv(PATIENCE_S)
+    with client(url, **options) as connection:
+        assert json.loads(connection.recv(PATIENCE_S))["type"] == "hello"
         yield connection
 
 
