@@ -1,4 +1,4 @@
-"""What docs/devices.md prints is true: the plug-in runs, keys, rule and numbers are those of the code."""
+"""Truth of what docs/devices.md prints: the plug-in runs, keys, rule and numbers are those of the code."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CHECKLIST = (DOCS / "hardware-checklist.md").read_text(encoding="utf-8")
 
 
 class Driver:
-    """What the page calls my_driver."""
+    """The page's my_driver."""
 
     pushed: tuple[float, ...] | None = None
 

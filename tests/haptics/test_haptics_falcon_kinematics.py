@@ -60,7 +60,7 @@ def working_sphere(count: int, seed: int) -> FloatArray:
 
 
 def chain(position: FloatArray, angles: FloatArray, geometry: Geometry) -> FloatArray:
-    """How far the legs, built link by link from the base, miss the grip [m], shape (3,)."""
+    """Gaps between the legs, built link by link from the base, and the grip [m], shape (3,)."""
     missed = []
     for azimuth, angle in zip(np.radians(AZIMUTHS_DEG), angles, strict=True):
         radial = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])

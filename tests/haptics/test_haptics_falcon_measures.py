@@ -1,4 +1,4 @@
-"""What a device measures of itself, against simulated devices whose numbers are known."""
+"""Measurements of a device on itself, against simulated devices whose numbers are known."""
 
 from __future__ import annotations
 

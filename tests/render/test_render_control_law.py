@@ -52,7 +52,7 @@ def learning(variant: str, scale: float, sign: int = 1, step_s: float = 5e-6) ->
 
 
 def drift(run: ControlRun) -> float:
-    """How far V leaves the integral of what (I-4) says of it, as a share of that integral."""
+    """Distance of V from the integral of what (I-4) says of it, as a share of that integral."""
     rate, dt = run.lyapunov_rate, np.diff(run.time_s)
     said = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * dt)
     return float(np.abs(run.lyapunov[1:] - run.lyapunov[0] - said).max() / np.abs(said).max())

@@ -1,4 +1,4 @@
-"""What the sampled loop does: tracking, hard impacts, the virtual mass, many hands and tissues."""
+"""The sampled loop: tracking, hard impacts, the virtual mass, many hands and tissues."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def felt(depth: FloatArray, times: FloatArray, tissue: Tissue = PAPER_A) -> tupl
 
 
 def lit(infos: FloatArray, lamp: int) -> FloatArray:
-    """Whether a lamp was on, tick by tick."""
+    """True where a lamp was on, tick by tick."""
     return (infos[:, env.INFO_FLAGS].astype(int) & lamp) > 0
 
 

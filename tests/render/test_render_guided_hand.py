@@ -33,7 +33,7 @@ SECONDS = 20.0
 
 @dataclass(frozen=True)
 class Aim:
-    """Where one hand aims: drawn by a seed."""
+    """Aim of one hand, drawn by a seed."""
 
     start: np.ndarray
     direction: np.ndarray

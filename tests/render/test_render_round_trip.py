@@ -1,4 +1,4 @@
-"""What a measuring machine would find at the grip of an emulated Falcon: is it the tissue that was rendered?
+"""Findings of a measuring machine at the grip of an emulated Falcon: is it the tissue that was rendered?
 
 Position and force are the arm's true ones: behind them lie encoder counts, the wire, both kinematics, motor
 units and the delay.  With the scales undone they are a recording, of which `tissueid fit` must find the time.

@@ -45,7 +45,7 @@ def page(chromium: Any, sessions: Any) -> Iterator[Any]:
 
 
 def is_engaged(page: Any) -> bool:
-    """Whether the session lived until it may show a force."""
+    """True where the session lived until it may show a force."""
     deadline = time.monotonic() + PATIENCE_S
     while page.session.process.poll() is None and time.monotonic() < deadline:
         found = now(page)

@@ -48,7 +48,7 @@ class Led:
 
     @property
     def height_m(self) -> float:
-        """Where the hand is led to."""
+        """Place the hand is led to."""
         return float(self.hand.parameters[POINTER + 2])
 
     def press(self) -> None:

@@ -33,7 +33,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session")
 def readings(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
-    """What was read and answered; written to the report when the session ends, also after a failure."""
+    """Readings and answers; written to the report when the session ends, also after a failure."""
     found: dict[str, Any] = {
         "tissueid": __version__,
         "platform": platform.platform(),

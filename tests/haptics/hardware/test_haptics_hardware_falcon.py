@@ -1,4 +1,4 @@
-"""What only a real Falcon can settle, in the order of docs/hardware-checklist.md."""
+"""Things only a real Falcon can settle, in the order of docs/hardware-checklist.md."""
 
 from __future__ import annotations
 
