@@ -42,7 +42,7 @@ TWO_BRANCHES = Tissue(
 
 def walk(block: np.ndarray, positions_m: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces and infos of the environment along a path, first sample at rest."""
-    memory = env.new_memory()
+    memory = np.zeros(env.MEMORY_SIZE)
     force, velocity = np.zeros(3), np.zeros(3)
     info = np.zeros(env.INFO_SIZE)
     forces, infos = np.zeros((len(times_s), 3)), np.zeros((len(times_s), env.INFO_SIZE))

@@ -40,7 +40,7 @@ def homed_bits(packet: bytes) -> int:
 
 def homed_falcon(**settings: object) -> EmulatedFalcon:
     """An emulated Falcon in virtual time whose user has homed it."""
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3, **settings))  # type: ignore[arg-type]
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3, **settings))
     falcon.receive(HOME)
     falcon.advance(1e-3 * HOMED_AFTER)
     return falcon

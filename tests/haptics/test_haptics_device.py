@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,21 +17,21 @@ from tissueid.haptics import device as devices
 from tissueid.haptics.device import ZERO_COMMANDS, await_homed, wait_with_zero_force
 from tissueid.haptics.states import Fault, State
 
-SOURCES = Path(devices.__file__).parents[1]
+SOURCES, TESTS = Path(devices.__file__).parents[1], Path(__file__).parents[1]
 
 
-def engaged() -> FakeDevice:
+@pytest.fixture
+def engaged() -> Iterator[FakeDevice]:
     """A device with 2 N on."""
-    device = FakeDevice()
-    device.open()
-    device.engage()
-    for _ in range(1100):
-        device.counts = 1 - device.counts
-        device.read()
-        device.write_force((0.0, 0.0, 0.1), 1e-3)
-    for _ in range(10):
-        device.write_force((0.0, 0.0, 2.0), 1e-3)
-    return device
+    with FakeDevice() as device:
+        device.engage()
+        for _ in range(1100):
+            device.counts = 1 - device.counts
+            device.read()
+            device.write_force((0.0, 0.0, 0.1), 1e-3)
+        for _ in range(10):
+            device.write_force((0.0, 0.0, 2.0), 1e-3)
+        yield device
 
 
 @pytest.mark.parametrize("method", ["open", "close", "sample", "read", "write_force", "engage", "disengage"])
@@ -39,38 +40,32 @@ def test_what_is_final_can_not_be_overridden(method):
         type("Sneaky", (FakeDevice,), {method: lambda self: None})
 
 
-def test_a_device_walks_to_armed_and_to_force():
+def test_a_device_walks_to_armed_and_to_force(engaged):
     device = FakeDevice()
     assert device.state is State.CLOSED
-    device.open()
-    assert device.state is State.HOMING
-    for _ in range(50):
-        device.read()
-    assert device.state is State.ARMED
-    device.close()
-    device = engaged()
-    assert device.state is State.ENGAGED
-    assert device.sent[-1].tolist() == [0.0, 0.0, 2.0]
-    device.close()
+    with device:
+        assert device.state is State.HOMING
+        for _ in range(50):
+            device.read()
+        assert device.state is State.ARMED
+    assert engaged.state is State.ENGAGED
+    assert engaged.sent[-1].tolist() == [0.0, 0.0, 2.0]
 
 
-def test_write_force_returns_what_was_sent():
-    device = engaged()
-    returned = device.write_force((0.0, 30.0, 40.0), 1e-3)
-    assert returned.tolist() == device.sent[-1].tolist()
+def test_write_force_returns_what_was_sent(engaged):
+    returned = engaged.write_force((0.0, 30.0, 40.0), 1e-3)
+    assert returned.tolist() == engaged.sent[-1].tolist()
     assert np.linalg.norm(returned) == pytest.approx(2.0 * 0.8 + 0.5, rel=1e-12)
-    device.close()
 
 
-def test_closing_sends_zero_force_twenty_times_then_lets_go():
-    device = engaged()
-    before = len(device.sent)
-    device.close()
-    assert np.array(device.sent[before:]).tolist() == np.zeros((ZERO_COMMANDS, 3)).tolist()
-    assert device.closed == 1
-    assert device.state is State.CLOSED
-    device.close()
-    assert device.closed == 1
+def test_closing_sends_zero_force_twenty_times_then_lets_go(engaged):
+    before = len(engaged.sent)
+    engaged.close()
+    assert np.array(engaged.sent[before:]).tolist() == np.zeros((ZERO_COMMANDS, 3)).tolist()
+    assert engaged.closed == 1
+    assert engaged.state is State.CLOSED
+    engaged.close()
+    assert engaged.closed == 1
 
 
 def test_an_exception_in_the_users_code_ends_in_zero_force():
@@ -83,14 +78,13 @@ def test_an_exception_in_the_users_code_ends_in_zero_force():
 
 @pytest.mark.parametrize("error", [OSError("gone"), DeviceError("gone")])
 @pytest.mark.parametrize("act", [FakeDevice.read, lambda one: one.write_force((0.0, 0.0, 1.0), 1e-3)])
-def test_a_device_that_is_gone_while_read_or_written_is_a_fault_with_its_reason(error, act):
-    device = engaged()
-    device.broken = error
+def test_a_device_that_is_gone_while_read_or_written_is_a_fault_with_its_reason(engaged, error, act):
+    engaged.broken = error
     with pytest.raises(DeviceError, match=r"fake: the device is gone.*gone"):
-        act(device)
-    assert device.fault is Fault.TRANSPORT
-    device.close()
-    assert device.closed == 1
+        act(engaged)
+    assert engaged.fault is Fault.TRANSPORT
+    engaged.close()
+    assert engaged.closed == 1
 
 
 def test_a_device_that_can_not_be_opened_stays_closed():
@@ -115,18 +109,19 @@ def test_a_closed_device_and_a_misshapen_force_are_refused():
             device.write_force((0.0, 0.0), 1e-3)
 
 
-def test_silence_and_damage_reach_the_watchdogs():
-    for answer, fault in (
+@pytest.mark.parametrize(
+    ("answer", "fault"),
+    [
         ({"valid": False}, Fault.NO_REPLY),
         ({"valid": False, "damaged": 1}, Fault.BAD_PACKETS),
         ({"homed": False}, Fault.NOT_HOMED),
-    ):
-        device = engaged()
-        device.answer.update(answer)
-        for _ in range(101):
-            device.read()
-        assert device.fault is fault
-        device.close()
+    ],
+)
+def test_silence_and_damage_reach_the_watchdogs(engaged, answer, fault):
+    engaged.answer.update(answer)
+    for _ in range(101):
+        engaged.read()
+    assert engaged.fault is fault
 
 
 def test_ending_the_interpreter_sends_zero_force():
@@ -139,13 +134,8 @@ def test_ending_the_interpreter_sends_zero_force():
         "device.open()\n"
         "raise SystemExit(3)\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=Path(__file__).parents[1],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
     assert ended.returncode == 3
     assert ended.stdout.splitlines() == ["[0.0, 0.0, 0.0]"] * ZERO_COMMANDS
 

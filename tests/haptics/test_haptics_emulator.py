@@ -33,6 +33,12 @@ SLIPPERY = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)
 OFF_AXIS = (0.012, -0.018, 0.125)
 
 
+@pytest.fixture
+def falcon() -> EmulatedFalcon:
+    """In virtual time, a millisecond a command."""
+    return EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+
+
 def places(count: int) -> np.ndarray:
     """Points in the working sphere of 40 mm about its centre, shape (count, 3) [m]."""
     rng = np.random.default_rng(8)
@@ -65,8 +71,7 @@ def test_a_place_out_of_reach_is_said(place):
     assert (force == 0.0).all()
 
 
-def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts():
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts(falcon):
     answers = [falcon.receive(HOME) for _ in range(HOMED_AFTER)]
     counts = [encoders(packet) for packet in answers]
     assert (homed_bits(answers[0]), homed_bits(answers[-1])) == (0, 7)
@@ -82,8 +87,7 @@ def test_homed_bits_are_said_only_while_homing_is_commanded_and_forgotten_withou
     assert homed_bits(homed_falcon(homes=False).receive(HOME)) == 0
 
 
-def test_the_user_waits_for_the_first_homing_command():
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+def test_the_user_waits_for_the_first_homing_command(falcon):
     assert len({tuple(encoders(falcon.receive(ZERO))) for _ in range(100)}) == 1
     assert falcon.time_s == 0.0
 
@@ -376,8 +380,7 @@ def test_commands_are_found_in_any_pieces_and_among_garbage():
 @pytest.mark.parametrize(
     "spoilt", [b"<AAAAQAAAAAAAAA>", b"<AAAAAAAAAAAAQA>", b"<AAAAAAAAAAAAAAA", b"AAAAAAAAAAAAAAA>"]
 )
-def test_what_is_no_command_gets_no_answer(spoilt):
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+def test_what_is_no_command_gets_no_answer(falcon, spoilt):
     assert falcon.receive(spoilt) == b""
     assert falcon.commands == 0
     assert len(falcon.receive(ZERO)) == 16

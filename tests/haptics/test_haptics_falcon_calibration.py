@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,15 +19,16 @@ from tissueid.haptics.falcon.kinematics import GEOMETRIES, jacobian
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_what_is_saved_is_loaded(tmp_path):
     file = tmp_path / "new folder" / "falcon.toml"
-    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True)
+    weight = ((0.05, 0.7, -0.1), (2.0, *(0.5,) * 8), True)
+    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True, *weight)
     assert save_calibration(own, file) == file
     assert load_calibration(file) == own
     assert [path.name for path in file.parent.iterdir()] == ["falcon.toml"]
 
 
-def test_file_lies_in_the_configuration_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_file_lies_in_the_configuration_directory(monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("APPDATA", str(tmp_path / "roaming"))
     for platform, configured, folder in (
@@ -43,7 +42,7 @@ def test_file_lies_in_the_configuration_directory(monkeypatch: pytest.MonkeyPatc
         assert calibration_path() == tmp_path / folder / "tissueid" / "falcon.toml"
 
 
-def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path: Path) -> None:
+def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path):
     file = tmp_path / "falcon.toml"
     assert load_calibration(file) == Calibration()
     file.write_text("zero_angle_deg = 40\n", encoding="utf-8")
@@ -63,9 +62,11 @@ def test_without_a_file_or_a_key_the_assumptions_hold(tmp_path: Path) -> None:
         ("clamp_N = 8.0", "unknown key 'clamp_N'"),
         ("zero_angle_deg = ", "is no TOML"),
         ("damping_N_s_per_m = -1.0", "is no number from 0 to 20"),
+        ("weight_N = [0.0, 0.7]", "not 3 numbers"),
+        ("weight_N = [0.0, 70.0, 0.0]", "weight_N"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_way_out(line: str, reason: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_with_the_way_out(line, reason, tmp_path):
     file = tmp_path / "falcon.toml"
     file.write_text(line + "\n", encoding="utf-8")
     with pytest.raises(DeviceError, match=reason) as refused:
@@ -74,27 +75,34 @@ def test_a_damaged_file_is_refused_with_the_way_out(line: str, reason: str, tmp_
     assert "delete it" in refused.value.message
 
 
-def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_text_is_refused(tmp_path):
     (tmp_path / "falcon.toml").write_bytes(b"\xff\xfe\x00")
     for path in (tmp_path / "falcon.toml", tmp_path):
         with pytest.raises(DeviceError, match="can't be read"):
             load_calibration(path)
 
 
-def test_nothing_that_would_be_refused_is_written(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"units_per_Nm": float("inf")}, r"units_per_Nm = inf is not from 1000\.0 to 30000\.0"),
+        ({"weight_N": (0.0, 9.0, 0.0)}, "weight_N"),
+    ],
+)
+def test_nothing_that_would_be_refused_is_written(tmp_path, wrong, words):
     file = tmp_path / "falcon.toml"
-    with pytest.raises(DeviceError, match=r"not kept: units_per_Nm = inf is not from 1000\.0 to 30000\.0"):
-        save_calibration(Calibration(units_per_Nm=float("inf")), file)
+    with pytest.raises(DeviceError, match=f"not kept: {words}"):
+        save_calibration(Calibration(**wrong), file)
     assert not file.exists()
 
 
-def test_a_place_that_can_not_be_written_is_named(tmp_path: Path) -> None:
+def test_a_place_that_can_not_be_written_is_named(tmp_path):
     (tmp_path / "blocked").write_text("", encoding="utf-8")
     with pytest.raises(DeviceError, match="can't be written"):
         save_calibration(Calibration(), tmp_path / "blocked" / "falcon.toml")
 
 
-def test_clamp_grows_with_what_was_checked() -> None:
+def test_clamp_grows_with_what_was_checked():
     # 2 N until the checklist was passed; 5 N for the worst constant: 5 * 3460 / 6600; 8 N when weighed
     assert Calibration().clamp_N == 2.0
     assert Calibration(confirmed=True).clamp_N == pytest.approx(2.621, abs=1e-3)
@@ -105,7 +113,7 @@ def test_clamp_grows_with_what_was_checked() -> None:
     assert not limits_of(Calibration(), hands_off=True).dead_man
 
 
-def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
+def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
     uncalibrated = Calibration(confirmed=True, units_per_Nm=30_000.0)
     clamp = LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
     random = np.random.default_rng(3)
@@ -123,7 +131,7 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
 
 
 @pytest.mark.parametrize("geometry", sorted(GEOMETRIES))
-def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry: str) -> None:
+def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry):
     """A pose that is believed wrongly turns the clamp into less than twice of it in the middle."""
     calibration = Calibration(geometry=geometry)
     torques = calibration.clamp_units / calibration.units_per_Nm

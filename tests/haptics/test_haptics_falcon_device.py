@@ -11,7 +11,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -41,14 +41,30 @@ def _no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     """A device on an emulator in which each command takes five milliseconds."""
-    falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))  # type: ignore[arg-type]
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))
     told: list[str] = []
     device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
-    device._open_transport = lambda: Direct(falcon, modem=False)  # type: ignore[method-assign]
+    device._open_transport = lambda: Direct(falcon, modem=False)
     return device, falcon, told
 
 
-def test_homing_tells_what_to_do_and_ends_pulled_out() -> None:
+@contextmanager
+def at_home(**settings: object) -> Iterator[tuple[FalconDevice, EmulatedFalcon]]:
+    """The same, homed and open."""
+    device, falcon, _ = wired(**settings)
+    with device:
+        device.home()
+        yield device, falcon
+
+
+def idle(device: FalconDevice, falcon: EmulatedFalcon, until_s: float) -> None:
+    """Read and send no force until the emulator's clock says so."""
+    while falcon.time_s < until_s:
+        device.read()
+        device.write_force([0.0, 0.0, 0.0], 1e-3)
+
+
+def test_homing_tells_what_to_do_and_ends_pulled_out():
     device, falcon, told = wired()
     with device:
         assert device.state is State.HOMING
@@ -64,14 +80,10 @@ def test_homing_tells_what_to_do_and_ends_pulled_out() -> None:
     assert falcon.last_motors == (0, 0, 0)
 
 
-def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> None:
-    device, falcon, _ = wired()
-    with device:
-        device.home()
-        while falcon.time_s < 3.0:
-            # the emulated user still pulls
-            device.read()
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
+def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked():
+    with at_home() as (device, falcon):
+        # the emulated user still pulls
+        idle(device, falcon, 3.0)
         for force in ([0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, -0.4], [0.2, -0.2, 0.1]):
             for _ in range(4):
                 device.read()
@@ -81,7 +93,7 @@ def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> No
             assert falcon.force_N == pytest.approx(force, abs=0.01)
 
 
-def test_homing_that_never_comes_ends_with_the_missing_legs() -> None:
+def test_homing_that_never_comes_ends_with_the_missing_legs():
     device, falcon, _ = wired(homes=False)
     device._homing_timeout_s = 0.2
     missing = r"leg 1 and 2 and 3 missing .* pull the grip all the way out"
@@ -92,7 +104,7 @@ def test_homing_that_never_comes_ends_with_the_missing_legs() -> None:
     assert falcon.lamps == {"red"}
 
 
-def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):
     device, _, told = wired()
     monkeypatch.setattr(module, "PULLED_OUT_M", 0.30)
 
@@ -107,10 +119,8 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyP
     assert told[-1] == module.HOMING_STEPS[1]
 
 
-def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
-    device, falcon, _ = wired()
-    with device:
-        device.home()
+def test_every_command_keeps_homing_mode_and_no_reply_is_dropped():
+    with at_home() as (device, falcon):
         assert falcon.homed_bits == 7
         for _ in range(100):
             assert device.read().homed
@@ -134,7 +144,7 @@ def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
     ("kind", "expected"),
     [("bad packets", Fault.BAD_PACKETS), ("silence", Fault.NO_REPLY), ("unhomed", Fault.NOT_HOMED)],
 )
-def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> None:
+def test_lasting_faults_of_the_wire_end_in_fault(kind, expected):
     device, _, _ = wired(faults=(ScriptedFault(kind, 3.5),))
     homing, _, _ = wired(faults=(ScriptedFault(kind, 0.5),))
     if kind == "bad packets":
@@ -149,24 +159,18 @@ def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> 
 
 
 @pytest.mark.parametrize("kind", ["short", "garbled", "doubled"])
-def test_one_spoilt_reply_is_dropped_and_counted(kind: str) -> None:
-    device, falcon, _ = wired(faults=(ScriptedFault(kind, 3.0),))
-    with device:
-        device.home()
-        while falcon.time_s < 3.2:
-            device.read()
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
+def test_one_spoilt_reply_is_dropped_and_counted(kind):
+    with at_home(faults=(ScriptedFault(kind, 3.0),)) as (device, falcon):
+        idle(device, falcon, 3.2)
         assert device.state is State.ARMED
         assert device._parser.invalid == (0 if kind == "doubled" else 1)
 
 
-def test_counts_of_no_position_are_as_good_as_damaged() -> None:
-    device, _, _ = wired()
-    with device:
-        device.home()
+def test_counts_of_no_position_are_as_good_as_damaged():
+    with at_home() as (device, _):
         before = device.read().position_m
         # leg angles of 83, 35 and -19 degrees and more have no grip position
-        device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"  # type: ignore[method-assign,union-attr]
+        device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"
         device._reply = device._reply._replace(encoders=(0, 0, 0))
         sample = device.read()
         assert not sample.valid
@@ -174,10 +178,8 @@ def test_counts_of_no_position_are_as_good_as_damaged() -> None:
         assert sample.position_m == pytest.approx(before)
 
 
-def test_unplugging_is_a_device_error_and_closing_still_ends() -> None:
-    device, falcon, _ = wired(faults=(ScriptedFault("unplug", 3.0),))
-    with device:
-        device.home()
+def test_unplugging_is_a_device_error_and_closing_still_ends():
+    with at_home(faults=(ScriptedFault("unplug", 3.0),)) as (device, falcon):
         with pytest.raises(DeviceError, match="the device is gone"):
             read_until_fault(device, 3000)
         assert device.fault is Fault.TRANSPORT
@@ -185,7 +187,7 @@ def test_unplugging_is_a_device_error_and_closing_still_ends() -> None:
     assert device.state is State.CLOSED
 
 
-def test_capabilities_say_that_nothing_was_measured() -> None:
+def test_capabilities_say_that_nothing_was_measured():
     device = FalconDevice(calibration=Calibration(), port=0)
     found = device.capabilities
     assert (found.name, found.clamp_N, found.calibrated, found.delay_ticks) == ("falcon", 2.0, False, 1.5)
@@ -194,13 +196,12 @@ def test_capabilities_say_that_nothing_was_measured() -> None:
 
 
 @pytest.mark.parametrize("is_pty", [False, True])
-def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
+def test_opens_reads_and_closes_on_a_real_descriptor(is_pty):
     with EmulatedLink(EmulatorSettings(period_s=1e-3), pty=is_pty) as link:
         port: str | int = link.path if is_pty and link.path else link.descriptor()
         device = FalconDevice(calibration=Calibration(), port=port)
         with device:
             given = device.compiled()
-            assert given is not None
             assert given.kind == "tissueid.haptics.falcon.servo_io:DESCRIPTOR"
             os.fstat(int(given.handles[0]))
             # a thread of this process answers: it may be late on a busy machine
@@ -215,7 +216,7 @@ def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
         assert link.falcon.commands >= 20
 
 
-def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
     monkeypatch.setattr("tissueid.haptics.falcon.firmware.PRESENCE_TRIES", 3)
     file = tmp_path / "firmware.bin"
     file.write_bytes(np.random.default_rng(4).bytes(700))
@@ -246,7 +247,7 @@ def terminal() -> Iterator[tuple[int, FileTransport]]:
     os.close(slave)
 
 
-def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal: tuple[int, FileTransport]) -> None:
+def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal):
     master, transport = terminal
     for baud in (9600, 142_857, 1_500_000):
         transport.set_baud(baud)
@@ -256,7 +257,7 @@ def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal: tuple[int, 
     assert transport.modem is None
 
 
-def test_every_byte_passes_a_terminal_unchanged(terminal: tuple[int, FileTransport]) -> None:
+def test_every_byte_passes_a_terminal_unchanged(terminal):
     master, transport = terminal
     everything = bytes(range(256))
     transport.write(everything)
@@ -270,7 +271,7 @@ def test_every_byte_passes_a_terminal_unchanged(terminal: tuple[int, FileTranspo
     assert (received, back) == (everything, everything)
 
 
-def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
+def test_socket_transport_purges_times_out_and_notices_the_end():
     ours, theirs = socket.socketpair()
     transport = FileTransport(ours.detach(), "socket")
     theirs.send(b"stale")
@@ -290,7 +291,7 @@ def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
         transport.read(0.0)
 
 
-def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch):
     monkeypatch.setattr("tissueid.haptics.falcon.transport.WRITE_TIMEOUT_S", 0.02)
     ours, theirs = socket.socketpair()
     transport = FileTransport(ours.detach(), "socket")
@@ -300,7 +301,7 @@ def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.Monke
     theirs.close()
 
 
-def test_ports_that_can_not_be_opened_say_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports_that_can_not_be_opened_say_why(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("", encoding="utf-8")
     for name, why in (("ttyUSB9", "there is no such device"), ("file", "is no terminal device")):
         with pytest.raises(DeviceError, match=why):
@@ -314,21 +315,18 @@ def test_ports_that_can_not_be_opened_say_why(tmp_path: Path, monkeypatch: pytes
         FileTransport.open("/dev/ttyUSB0")
 
 
-def test_modem_lines_of_a_serial_port_are_set_one_by_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_modem_lines_of_a_serial_port_are_set_one_by_one(monkeypatch, tmp_path):
     asked: list[tuple[int, int]] = []
 
     def ioctl(_descriptor: int, request: int, value: object) -> int:
         if request != termios.TIOCMGET:
-            asked.append((request, struct.unpack("I", value)[0]))  # type: ignore[arg-type]
+            asked.append((request, struct.unpack("I", value)[0]))
         return 0
 
     master, slave = pty.openpty()
     transport = FileTransport(slave, "serial port")
     monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
     modem = transport.modem
-    assert modem is not None
     modem.set_frame()
     modem.set_rts(on=False)
     modem.set_dtr(on=False)

@@ -1,4 +1,4 @@
-"""What docs/devices.md prints is true: the plug-in runs, keys, rule and numbers are those of the code."""
+"""Truth of what docs/devices.md prints: the plug-in runs, keys, rule and numbers are those of the code."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CHECKLIST = (DOCS / "hardware-checklist.md").read_text(encoding="utf-8")
 
 
 class Driver:
-    """What the page calls my_driver."""
+    """The page's my_driver."""
 
     pushed: tuple[float, ...] | None = None
 
@@ -41,8 +41,8 @@ class Driver:
 def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch: pytest.MonkeyPatch) -> None:
     driver = Driver()
     module = ModuleType("my_driver")
-    module.open = lambda: driver  # type: ignore[attr-defined]
-    module.places = lambda: ["/dev/input/js0"]  # type: ignore[attr-defined]
+    module.open = lambda: driver
+    module.places = lambda: ["/dev/input/js0"]
     monkeypatch.setitem(sys.modules, "my_driver", module)
     (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
     found: dict[str, object] = {}
@@ -51,7 +51,7 @@ def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch: pytest.MonkeyPat
     assert isinstance(kind, type)
     assert issubclass(kind, HapticDevice)
     assert [one.where for one in kind.detect()] == ["/dev/input/js0"]
-    with kind() as device:  # type: ignore[call-arg]
+    with kind() as device:
         for _ in range(60):
             device.read()
             device.write_force(np.array([0.0, 0.0, 50.0]), 1e-3)

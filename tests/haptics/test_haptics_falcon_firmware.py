@@ -36,9 +36,7 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def bare(**settings: object) -> EmulatedFalcon:
-    return EmulatedFalcon(
-        EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings)  # type: ignore[arg-type]
-    )
+    return EmulatedFalcon(EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings))
 
 
 def reopening(falcon: EmulatedFalcon) -> tuple[list[Direct], Callable[[], Direct]]:
@@ -53,14 +51,14 @@ def reopening(falcon: EmulatedFalcon) -> tuple[list[Direct], Callable[[], Direct
     return opened, open_transport
 
 
-def test_running_firmware_is_recognised_by_its_reply() -> None:
+def test_running_firmware_is_recognised_by_its_reply():
     assert is_running(Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))))
     assert not is_running(Direct(bare()))
 
 
 @pytest.mark.parametrize("long_greeting", [False, True])
 @pytest.mark.parametrize("modem", [False, True])
-def test_an_upload_starts_the_firmware(long_greeting: bool, modem: bool) -> None:
+def test_an_upload_starts_the_firmware(long_greeting, modem):
     transport = Direct(bare(long_greeting=long_greeting), modem=modem)
     upload(transport, CONTENT)
     assert transport.falcon.running
@@ -75,7 +73,7 @@ def test_an_upload_starts_the_firmware(long_greeting: bool, modem: bool) -> None
     )  # fmt: skip
 
 
-def test_hello_is_said_until_it_is_answered() -> None:
+def test_hello_is_said_until_it_is_answered():
     transport = Direct(bare(silent_hellos=20))
     upload(transport, CONTENT)
     assert transport.falcon.running
@@ -88,14 +86,12 @@ def test_hello_is_said_until_it_is_answered() -> None:
         ({"failing_tries": 1}, "echo of bytes 186 to 247"),
     ],
 )
-def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(
-    settings: dict[str, int], reason: str
-) -> None:
+def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(settings, reason):
     with pytest.raises(UploadError, match=reason):
         upload(Direct(bare(**settings)), CONTENT)
 
 
-def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport() -> None:
+def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport():
     falcon = bare(failing_tries=2)
     opened, open_transport = reopening(falcon)
     told: list[str] = []
@@ -111,7 +107,7 @@ def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport() -> None
     ]
 
 
-def test_ten_failed_uploads_are_the_end_with_what_to_do() -> None:
+def test_ten_failed_uploads_are_the_end_with_what_to_do():
     falcon = bare(failing_tries=99)
     opened, open_transport = reopening(falcon)
     with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
@@ -120,7 +116,7 @@ def test_ten_failed_uploads_are_the_end_with_what_to_do() -> None:
     assert all(one.closed for one in opened)
 
 
-def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch):
     # a try is 100 calls of 5 ms here, and of 40 ms in use: 8 s are two of them
     monkeypatch.setattr(module, "SILENT_S", 0.8)
     told: list[str] = []
@@ -133,9 +129,7 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch: pytest.Monkey
     assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
 
 
-def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(monkeypatch):
     monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
     running, transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))), Direct(bare())
     assert ensure_running(lambda: running, find_firmware) is running
@@ -144,7 +138,7 @@ def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transp
     assert transport.closed
 
 
-def test_option_comes_before_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_option_comes_before_environment(monkeypatch, tmp_path):
     first, second = tmp_path / "first.bin", tmp_path / "second.bin"
     first.write_bytes(b"first")
     second.write_bytes(b"second")
@@ -157,7 +151,7 @@ def test_option_comes_before_environment(monkeypatch: pytest.MonkeyPatch, tmp_pa
     ("content", "reason"),
     [(None, "No such file"), (b"", "is empty"), (b"x" * 70_000, "has 70000 bytes, far more")],
 )
-def test_a_file_that_is_no_firmware_is_refused(content: bytes | None, reason: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_firmware_is_refused(content, reason, tmp_path):
     file = tmp_path / "firmware.bin"
     if content is not None:
         file.write_bytes(content)
@@ -165,9 +159,7 @@ def test_a_file_that_is_no_firmware_is_refused(content: bytes | None, reason: st
         find_firmware(file)
 
 
-def test_an_unknown_file_is_warned_of_and_a_known_one_is_not(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_unknown_file_is_warned_of_and_a_known_one_is_not(monkeypatch, tmp_path):
     file = tmp_path / "firmware.bin"
     file.write_bytes(CONTENT)
     digest = hashlib.sha256(CONTENT).hexdigest()

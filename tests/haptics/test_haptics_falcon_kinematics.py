@@ -60,7 +60,7 @@ def working_sphere(count: int, seed: int) -> FloatArray:
 
 
 def chain(position: FloatArray, angles: FloatArray, geometry: Geometry) -> FloatArray:
-    """How far the legs, built link by link from the base, miss the grip [m], shape (3,)."""
+    """Gaps between the legs, built link by link from the base, and the grip [m], shape (3,)."""
     missed = []
     for azimuth, angle in zip(np.radians(AZIMUTHS_DEG), angles, strict=True):
         radial = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
@@ -77,7 +77,7 @@ def chain(position: FloatArray, angles: FloatArray, geometry: Geometry) -> Float
 
 
 @both
-def test_legs_built_link_by_link_meet_at_the_grip_with_their_knees_outward(geometry: Geometry) -> None:
+def test_legs_built_link_by_link_meet_at_the_grip_with_their_knees_outward(geometry):
     # a pushed-in grip lies lower than the knees of the other solution would allow
     assert np.degrees(inverse(MIDDLE, geometry=DEFAULT_GEOMETRY)) == pytest.approx([31.1] * 3, abs=1.0)
     for position in reachable(geometry, 300, seed=1):
@@ -87,7 +87,7 @@ def test_legs_built_link_by_link_meet_at_the_grip_with_their_knees_outward(geome
 
 @pytest.mark.needs_jit
 @both
-def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry: Geometry) -> None:
+def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry):
     random = np.random.default_rng(2)
     low, high = stops(geometry)
     worst = 0.0
@@ -106,7 +106,7 @@ def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry
 
 
 @pytest.mark.needs_jit
-def test_forward_of_inverse_is_the_identity_from_any_guess() -> None:
+def test_forward_of_inverse_is_the_identity_from_any_guess():
     random = np.random.default_rng(3)
     positions = reachable(DEFAULT_GEOMETRY, 2000, seed=4)
     for position in positions:
@@ -119,7 +119,7 @@ def test_forward_of_inverse_is_the_identity_from_any_guess() -> None:
 
 
 @both
-def test_tracking_takes_three_steps_and_a_cold_start_seven(geometry: Geometry) -> None:
+def test_tracking_takes_three_steps_and_a_cold_start_seven(geometry):
     block = geometry.block()
     cold, warm = [], []
     for position in working_sphere(500, seed=5):
@@ -133,7 +133,7 @@ def test_tracking_takes_three_steps_and_a_cold_start_seven(geometry: Geometry) -
 
 
 @both
-def test_jacobian_agrees_with_central_differences(geometry: Geometry) -> None:
+def test_jacobian_agrees_with_central_differences(geometry):
     step = 1e-6
     for position in reachable(geometry, 300, seed=6):
         expected = np.empty((3, 3))
@@ -153,7 +153,7 @@ def test_jacobian_agrees_with_central_differences(geometry: Geometry) -> None:
 
 
 @both
-def test_work_at_the_legs_is_work_at_the_grip(geometry: Geometry) -> None:
+def test_work_at_the_legs_is_work_at_the_grip(geometry):
     random = np.random.default_rng(8)
     for position in working_sphere(300, seed=9):
         force = random.normal(size=3)
@@ -165,14 +165,14 @@ def test_work_at_the_legs_is_work_at_the_grip(geometry: Geometry) -> None:
         assert at_legs == pytest.approx(force @ shift, abs=1e-15)
 
 
-def test_whole_sphere_of_47_mm_is_reached_and_forces_of_8_9_N() -> None:
+def test_whole_sphere_of_47_mm_is_reached_and_forces_of_8_9_N():
     # the sphere about (0, 0, 0.130), and the vendor's "> 8.9 N" with 6616 units per N m
     assert all(np.isfinite(jacobian(position)).all() for position in working_sphere(500, seed=10))
     weakest = (4095 / 6616) / np.linalg.norm(jacobian(MIDDLE), axis=0).max()
     assert weakest == pytest.approx(8.9, abs=0.05)
 
 
-def test_one_count_is_38_to_48_micrometres_and_is_an_angle_from_the_zero_angle() -> None:
+def test_one_count_is_38_to_48_micrometres_and_is_an_angle_from_the_zero_angle():
     per_count = DEFAULT_GEOMETRY.radians_per_count
     assert math.degrees(per_count) == pytest.approx(0.0364347, abs=1e-7)
     along_z = [1e6 * per_count * jacobian([0.0, 0.0, z])[2].sum() for z in (0.09, 0.13, 0.16)]
@@ -182,14 +182,14 @@ def test_one_count_is_38_to_48_micrometres_and_is_an_angle_from_the_zero_angle()
     assert np.degrees(out) == pytest.approx([40.0, 40.0 + 36.4347, 40.0 - 36.4347], abs=1e-4)
 
 
-def test_geometries_differ_by_four_millimetres() -> None:
+def test_geometries_differ_by_four_millimetres():
     zero = np.radians([35.0] * 3)
     shift = forward(zero, geometry=GEOMETRIES["martin-hillier"]) - forward(zero)
     assert shift == pytest.approx([0.0, 0.0, 0.004], abs=2e-4)
 
 
 @pytest.mark.parametrize("position", [(0.0, 0.0, 0.30), (0.2, 0.0, 0.13), (0.0, 0.5, 0.1)])
-def test_positions_out_of_reach_are_errors(position: tuple[float, float, float]) -> None:
+def test_positions_out_of_reach_are_errors(position):
     with pytest.raises(WorkspaceError, match="outside the workspace"):
         inverse(position)
     with pytest.raises(DeviceError, match="no Jacobian"):
@@ -199,13 +199,13 @@ def test_positions_out_of_reach_are_errors(position: tuple[float, float, float])
 
 
 @pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.13)])
-def test_angles_of_no_grip_in_front_of_the_base_are_errors(position: tuple[float, float, float]) -> None:
+def test_angles_of_no_grip_in_front_of_the_base_are_errors(position):
     with pytest.raises(WorkspaceError):
         forward(inverse(position))
 
 
 @pytest.mark.parametrize("angles", [(3.0, 0.0, 0.0), (-1.5, 1.6, 1.6), (2.5, 2.5, 2.5), (7.0, 0.6, 0.6)])
-def test_angles_that_no_position_has_are_errors(angles: tuple[float, float, float]) -> None:
+def test_angles_that_no_position_has_are_errors(angles):
     with pytest.raises(WorkspaceError, match="no grip position"):
         forward(angles)
 
@@ -213,10 +213,10 @@ def test_angles_that_no_position_has_are_errors(angles: tuple[float, float, floa
 @pytest.mark.parametrize(
     "wrong", [(0.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, math.inf), ((0.0, 0.0, 0.1),)]
 )
-def test_what_is_no_vector_is_refused(wrong: object) -> None:
+def test_what_is_no_vector_is_refused(wrong):
     for function in (inverse, forward, jacobian):
         with pytest.raises(ValueError, match="three finite numbers"):
-            function(wrong)  # type: ignore[operator]
+            function(wrong)
 
 
 def units(force: FloatArray, clamp: float, position: FloatArray = MIDDLE) -> tuple[NDArray[np.int64], bool]:
@@ -224,7 +224,7 @@ def units(force: FloatArray, clamp: float, position: FloatArray = MIDDLE) -> tup
     return out, motor_units(force, position, DEFAULT_GEOMETRY.block(), 6600.0, clamp, out, np.zeros(3))
 
 
-def test_motor_signs_are_those_of_a_recorded_driver() -> None:
+def test_motor_signs_are_those_of_a_recorded_driver():
     # recorded for 10 N to the right, at an unknown place: (-679, 2529, -1862)
     sideways, _ = units(np.array([10.0, 0.0, 0.0]), 4095.0)
     assert np.sign(sideways).tolist() == [-1, 1, -1]
@@ -235,7 +235,7 @@ def test_motor_signs_are_those_of_a_recorded_driver() -> None:
     assert inward.min() > 3900 / np.sqrt(3.0)
 
 
-def test_motor_values_are_the_torques_and_clipping_keeps_their_direction_within_the_clamp() -> None:
+def test_motor_values_are_the_torques_and_clipping_keeps_their_direction_within_the_clamp():
     random = np.random.default_rng(11)
     for position in working_sphere(200, seed=12):
         force = 40.0 * random.normal(size=3)
@@ -250,7 +250,7 @@ def test_motor_values_are_the_torques_and_clipping_keeps_their_direction_within_
             assert clamp - 2.0 < np.linalg.norm(found) <= clamp
 
 
-def test_the_mean_of_motor_values_is_the_torque_and_no_force_is_zero_at_once() -> None:
+def test_the_mean_of_motor_values_is_the_torque_and_no_force_is_zero_at_once():
     random, out, left = np.random.default_rng(13), np.zeros(3, np.int64), np.zeros(3)
     geometry = DEFAULT_GEOMETRY.block()
     for position in working_sphere(20, seed=14):
@@ -265,7 +265,7 @@ def test_the_mean_of_motor_values_is_the_torque_and_no_force_is_zero_at_once() -
         assert (out.tolist(), left.tolist()) == ([0, 0, 0], [0.0, 0.0, 0.0])
 
 
-def test_what_rounding_left_never_exceeds_the_clamp() -> None:
+def test_what_rounding_left_never_exceeds_the_clamp():
     out, left = np.zeros(3, np.int64), np.zeros(3)
     force = np.array([0.6, -0.4, 0.9])
     clamp = float(np.linalg.norm(6600.0 * torque(MIDDLE, force))) + 0.01
@@ -283,7 +283,7 @@ def test_what_rounding_left_never_exceeds_the_clamp() -> None:
         ([1.0, 0.0, 0.0], np.array([0.0, math.nan, 0.13])),
     ],
 )
-def test_what_has_no_torque_sends_zero(force: list[float], position: FloatArray) -> None:
+def test_what_has_no_torque_sends_zero(force, position):
     found, clipped = units(np.array(force), 4095.0, position)
     assert clipped
     assert found.tolist() == [0, 0, 0]

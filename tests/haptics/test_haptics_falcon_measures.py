@@ -1,11 +1,10 @@
-"""What a device measures of itself, against simulated devices whose numbers are known."""
+"""Measurements of a device on itself, against simulated devices whose numbers are known."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,22 +14,10 @@ from tissueid.errors import DeviceError
 from tissueid.haptics import measure
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
-from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
+from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure import (
-    GRAVITY,
-    MIDDLE_M,
-    POSES_M,
-    Motion,
-    estimate_arm,
-    fitted,
-    measure_link,
-    ring_down,
-    weigh,
-    weigh_poses,
-)
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering.plan import _carried
 from tissueid.rendering.scene import load_scene
@@ -68,6 +55,12 @@ class Grip(HapticDevice):
     def _close(self) -> None:
         pass
 
+    def _seen(self, place_m: NDArray[np.float64]) -> DeviceSample:
+        """A reading a tick later, in counts of 45 um."""
+        self._time += TICK_S
+        counts = np.floor(place_m / 45e-6).astype(int)
+        return DeviceSample(self._time, 45e-6 * counts, counts, 0, homed=True, valid=True)
+
 
 class HangingGrip(Grip):
     """A grip that falls along y until its stop, whose newton is not one; in virtual time."""
@@ -82,7 +75,7 @@ class HangingGrip(Grip):
 
     def _read(self) -> DeviceSample:
         step, inertia = TICK_S / 4, 0.25 + self.mass_hung_kg
-        weight = (self._own_kg + self.mass_hung_kg) * GRAVITY
+        weight = (self._own_kg + self.mass_hung_kg) * measure.GRAVITY
         for _ in range(4):
             pushed = self._speed + step * (self._truth * self._force - weight - 0.5 * self._speed) / inertia
             # Coulomb friction takes speed away, never turns it round
@@ -91,16 +84,7 @@ class HangingGrip(Grip):
             self._place += step * self._speed
             if self._place < -0.07:
                 self._place, self._speed = -0.07, 0.0
-        self._time += TICK_S
-        count = math.floor(self._place / 45e-6)
-        return DeviceSample(
-            self._time,
-            np.array([0.0, 45e-6 * count, 0.13]),
-            np.array([0, count, 0]),
-            0,
-            homed=True,
-            valid=True,
-        )
+        return self._seen(np.array([0.0, self._place, 0.13]))
 
     def _write(self, force_N: NDArray[np.float64]) -> None:
         self._force = float(force_N[1])
@@ -130,12 +114,14 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGr
 
 
 @pytest.mark.parametrize(("truth", "grams"), [(1.9, 150.0), (0.7, 50.0)])
-def test_weighing_finds_the_newton_of_a_device(hanging, truth: float, grams: float) -> None:
+def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
     device = hanging(truth=truth)
-    found = weigh(device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause)
+    found = measure.weigh(
+        device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause
+    )
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
     assert found.ratio == pytest.approx(1.0 / truth, rel=2e-3)
-    assert found.empty_N == pytest.approx(0.06 * GRAVITY / truth, rel=5e-3)
+    assert found.empty_N == pytest.approx(0.06 * measure.GRAVITY / truth, rel=5e-3)
     assert found.weight_N == pytest.approx(grams / 1000 * 9.80665, rel=1e-12)
 
 
@@ -148,19 +134,17 @@ def test_weighing_finds_the_newton_of_a_device(hanging, truth: float, grams: flo
         (0.30, "did not lift the grip.*smaller mass"),
     ],
 )
-def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(
-    hanging, own_kg: float, reason: str
-) -> None:
+def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(hanging, own_kg, reason):
     with pytest.raises(DeviceError, match=reason):
-        weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
+        measure.weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
-def test_a_swing_tells_mass_damping_and_friction(arm: Arm, delay_ticks: float) -> None:
+def test_a_swing_tells_mass_damping_and_friction(arm, delay_ticks):
     free = Hand((0.0,), ((0.0, 0.0, 0.13),), (0.0,))
     device = SimulatedDevice(HANDS_OFF, arm=arm, hand=free, delay_ticks=delay_ticks)
     homed(device)
-    found = ring_down(device, delay_ticks * TICK_S, no_pause)
+    found = measure.ring_down(device, delay_ticks * TICK_S, no_pause)
     # counts of 45 um and windows of 30 ms; the bars hold for seeds and arms tried beside these
     assert found.mass_kg == pytest.approx(arm.mass_kg, rel=0.02)
     assert found.damping_N_s_per_m == pytest.approx(arm.damping_N_s_per_m, abs=0.02)
@@ -170,11 +154,11 @@ def test_a_swing_tells_mass_damping_and_friction(arm: Arm, delay_ticks: float) -
     device.close()
 
 
-def test_a_grip_that_is_held_gives_no_damping() -> None:
+def test_a_grip_that_is_held_gives_no_damping():
     time_s = np.arange(0.0, 14.0, 1e-3)
     place = np.tile([0.0, 0.0, 0.13], (len(time_s), 1))
     with pytest.raises(DeviceError, match="hardly moved"):
-        estimate_arm(Motion(time_s, place, np.zeros_like(place)), 1.5e-3)
+        measure.estimate_arm(measure.Motion(time_s, place, np.zeros_like(place)), 1.5e-3)
 
 
 class Clocked(SimulatedDevice):
@@ -202,11 +186,9 @@ def clocked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clocked]:
 
 
 @pytest.mark.parametrize(("answer_ms", "ticks"), [(0.3, 1.5), (0.9, 1.5), (1.4, 2.5)])
-def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
-    clocked: Clocked, answer_ms: float, ticks: float
-) -> None:
+def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(clocked, answer_ms, ticks):
     clocked.answer_s, clocked.lost_every = answer_ms * 1e-3, 10
-    report = measure_link(clocked, 1.0)
+    report = measure.measure_link(clocked, 1.0)
     assert report.delay_ticks == pytest.approx(ticks, abs=1e-9)
     assert report.round_trip_ms == pytest.approx((answer_ms,) * 3, rel=1e-6)
     assert report.rate_hz == pytest.approx(0.9 * 1e3 / answer_ms, rel=0.01)
@@ -215,10 +197,10 @@ def test_delay_is_whole_ticks_until_the_answer_and_half_a_tick(
     assert report.damaged == report.commands - report.replies
 
 
-def test_a_device_that_never_answers_is_told(clocked: Clocked) -> None:
+def test_a_device_that_never_answers_is_told(clocked):
     clocked.answer_s, clocked.lost_every = 0.002, 1
     with pytest.raises(DeviceError, match="answered none of 50 commands"):
-        measure_link(clocked, 0.1)
+        measure.measure_link(clocked, 0.1)
 
 
 WEIGHT_N = np.array([0.05, 0.7, -0.1])
@@ -236,68 +218,53 @@ class HeavyGrip(Grip):
     def __init__(self) -> None:
         super().__init__()
         self._force = np.zeros(3)
-        self._place, self._speed = np.array(MIDDLE_M), np.zeros(3)
+        self._place, self._speed = np.array(measure.MIDDLE_M), np.zeros(3)
 
     def _read(self) -> DeviceSample:
-        held = WEIGHT_N + SLOPE @ (self._place - MIDDLE_M)
+        held = WEIGHT_N + SLOPE @ (self._place - measure.MIDDLE_M)
         push = self._speed + TICK_S * (self._force - held - 0.5 * self._speed) / 0.25
         # Coulomb friction takes speed away, never turns it round
         size = float(np.linalg.norm(push))
         self._speed = push * max(size - TICK_S * 0.1 / 0.25, 0.0) / max(size, 1e-12)
         self._place = self._place + TICK_S * self._speed
-        self._time += TICK_S
-        counts = np.floor(self._place / 45e-6)
-        return DeviceSample(self._time, 45e-6 * counts, counts.astype(int), 0, homed=True, valid=True)
+        return self._seen(self._place)
 
     def _write(self, force_N: NDArray[np.float64]) -> None:
         self._force = np.array(force_N)
 
 
 @pytest.mark.slow
-def test_the_weight_is_found_behind_friction_and_encoders() -> None:
+def test_the_weight_is_found_behind_friction_and_encoders():
     device = HeavyGrip()
     homed(device)
-    found = weigh_poses(device, no_pause)
+    found = measure.weigh_poses(device, no_pause)
     device.close()
     # friction of 0.1 N is in every force; to and fro it cancels to a tenth of that
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=0.01)
     np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=0.5)
     assert found.residual_N < 0.02
-    assert found.poses == len(POSES_M) == 9
+    assert found.poses == len(measure.POSES_M) == 9
 
 
-def test_a_plane_through_exact_forces_is_the_plane() -> None:
-    places = np.array(POSES_M)
-    found = fitted(places, WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T)
+def test_a_plane_through_exact_forces_is_the_plane():
+    places = np.array(measure.POSES_M)
+    found = measure.fitted(places, WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T)
     np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=1e-12)
     np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=1e-10)
     assert found.residual_N < 1e-12
 
 
-def test_noise_of_the_forces_is_the_standard_error() -> None:
-    places, chance = np.array(POSES_M), np.random.default_rng(1)
-    clean = WEIGHT_N + (places - MIDDLE_M) @ SLOPE.T
-    found = [fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
+def test_noise_of_the_forces_is_the_standard_error():
+    places, chance = np.array(measure.POSES_M), np.random.default_rng(1)
+    clean = WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T
+    found = [measure.fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
     spread = np.std([one.weight_N[1] for one in found])
     # nine poses around the middle: a third of the noise of one; 300 draws know a spread to 4 %
     assert spread == pytest.approx(0.05 / 3.0, rel=0.15)
     assert np.sqrt(np.mean([one.stderr_N**2 for one in found])) == pytest.approx(0.05 / 3.0, rel=0.1)
 
 
-def test_a_kept_weight_is_read_again_and_a_wrong_one_refused(tmp_path: Path) -> None:
-    path = save_calibration(KNOWN, tmp_path / "falcon.toml")
-    assert load_calibration(path) == KNOWN
-    path.write_text("weight_N = [0.0, 0.7]\n")
-    with pytest.raises(DeviceError, match="not 3 numbers"):
-        load_calibration(path)
-    path.write_text("weight_N = [0.0, 70.0, 0.0]\n")
-    with pytest.raises(DeviceError, match="weight_N"):
-        load_calibration(path)
-    with pytest.raises(DeviceError, match="not kept"):
-        save_calibration(replace(KNOWN, weight_N=(0.0, 9.0, 0.0)), path)
-
-
-def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise() -> None:
+def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherwise():
     device = FalconDevice(calibration=KNOWN)
     plan = replace(
         load_scene("hip-resurfacing").guidance,
@@ -305,7 +272,7 @@ def test_a_guided_session_carries_what_was_measured_unless_the_scene_says_otherw
         weight_slope_N_per_m=((0.0,) * 3,) * 3,
     )
     carried = _carried(plan, device, assumed=False)
-    there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - MIDDLE_M)
+    there = WEIGHT_N + SLOPE @ (np.array(plan.entry_m) - measure.MIDDLE_M)
     np.testing.assert_allclose(carried.weight_N, there, atol=1e-12)
     np.testing.assert_allclose(carried.weight_slope_N_per_m, SLOPE)
     stated = replace(plan, weight_N=(0.0, 1.0, 0.0))

@@ -7,13 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tissueid.haptics.falcon.packets import (
-    PACKET_BYTES,
-    PacketParser,
-    Reply,
-    encode_command,
-    encode_into,
-)
+from tissueid.haptics.falcon.packets import PACKET_BYTES, PacketParser, Reply, encode_command, encode_into
 
 LETTERS = "ABCDEFGHIJKLMNOP"
 #: What may stand before the end bracket.
@@ -48,27 +42,26 @@ def drawn_reply(random: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("packet", "encoders"),
-    [(b"<HNGPOKOPFPOPAA>", (-2345, -338, -267)), (b"<BAAAPPPPAAAAAA>", (1, -1, 0))],
+    ("packet", "encoders"), [(b"<HNGPOKOPFPOPAA>", (-2345, -338, -267)), (b"<BAAAPPPPAAAAAA>", (1, -1, 0))]
 )
-def test_published_replies_are_read(packet: bytes, encoders: tuple[int, int, int]) -> None:
+def test_published_replies_are_read(packet, encoders):
     assert PacketParser().feed(packet) == [Reply(encoders, 0, 0)]
 
 
 @pytest.mark.parametrize(
     ("leds", "homing", "letter"), [(0, False, b"A"), (0x02, True, b"D"), (0x0E, True, b"P")]
 )
-def test_published_commands_are_made(leds: int, homing: bool, letter: bytes) -> None:
+def test_published_commands_are_made(leds, homing, letter):
     assert encode_command((0, 0, 0), leds=leds, homing=homing) == b"<AAAAAAAAAAAA" + letter + b"A>"
 
 
-def test_every_motor_value_is_coded_as_by_the_table() -> None:
+def test_every_motor_value_is_coded_as_by_the_table():
     for value in range(-4095, 4096, 7):
         expected = f"<{by_table(value)}{by_table(-value)}{by_table(4095)}AA>".encode("ascii")
         assert encode_command((value, -value, 4095), leds=0, homing=False) == expected
 
 
-def test_every_encoder_value_and_status_is_read_as_by_the_table() -> None:
+def test_every_encoder_value_and_status_is_read_as_by_the_table():
     for value in range(-32768, 32768, 97):
         packet, reply = (
             reply_by_table((value, -1 - value, 32767), 5, 9),
@@ -96,12 +89,12 @@ def test_every_encoder_value_and_status_is_read_as_by_the_table() -> None:
         ((0, 0, 0), 0, "yes"),
     ],
 )
-def test_what_no_command_holds_is_refused(motor: object, leds: int, homing: object) -> None:
+def test_what_no_command_holds_is_refused(motor, leds, homing):
     with pytest.raises(ValueError, match=r"command|integers|LED|homing"):
-        encode_command(motor, leds=leds, homing=homing)  # type: ignore[arg-type]
+        encode_command(motor, leds=leds, homing=homing)
 
 
-def test_numpy_integers_are_integers_and_a_value_no_motor_has_is_sent_as_zero() -> None:
+def test_numpy_integers_are_integers_and_a_value_no_motor_has_is_sent_as_zero():
     motor = np.array([1, -2, 4095])
     plain = encode_command((1, -2, 4095), leds=4, homing=True)
     assert encode_command(motor, leds=np.int64(4), homing=np.bool_(True)) == plain
@@ -145,7 +138,7 @@ def noisy_stream(seed: int, length: int) -> tuple[bytes, list[bytes]]:
 
 
 @pytest.mark.needs_jit
-def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none() -> None:
+def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none():
     stream, inside = noisy_stream(seed=5, length=1_000_000)
     expected = [read_by_table(found) for found in WHOLE.findall(stream)]
     parser = PacketParser()
@@ -159,7 +152,7 @@ def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none() -> None:
     assert PACKET_BYTES * parser.packets + parser.dropped == pytest.approx(len(stream), abs=PACKET_BYTES)
 
 
-def test_pieces_of_any_length_give_the_same_replies() -> None:
+def test_pieces_of_any_length_give_the_same_replies():
     stream, _ = noisy_stream(seed=6, length=20_000)
     whole = PacketParser().feed(stream)
     for pieces in (np.random.default_rng(7).integers(0, 40, 2000), np.ones(20_100, int)):
@@ -172,14 +165,14 @@ def test_pieces_of_any_length_give_the_same_replies() -> None:
 @pytest.mark.parametrize(
     "before", [b"<", b"<<<<", b"<AAAAAAAAAAAAAA", b"<AAAA<A", b">", b"<AAAAAAAAAAAA<", b"\x00<"]
 )
-def test_a_bracket_before_a_packet_does_not_hide_it(before: bytes) -> None:
+def test_a_bracket_before_a_packet_does_not_hide_it(before):
     packet = b"<HNGPOKOPFPOPAA>"
     assert PacketParser().feed(before + packet) == [Reply((-2345, -338, -267), 0, 0)]
 
 
 @pytest.mark.parametrize("position", range(16))
 @pytest.mark.parametrize("damage", ["lost", "doubled", "flipped", "two lost", "cut"])
-def test_in_step_again_within_32_bytes_of_any_damage(position: int, damage: str) -> None:
+def test_in_step_again_within_32_bytes_of_any_damage(position, damage):
     packets = [reply_by_table((100 * k, -k, k), 7, k) for k in range(6)]
     hurt = packets[2]
     changed = {
@@ -199,7 +192,7 @@ def test_in_step_again_within_32_bytes_of_any_damage(position: int, damage: str)
     assert parser.invalid <= 2
 
 
-def test_a_reply_two_bytes_short_never_reads_as_homed() -> None:
+def test_a_reply_two_bytes_short_never_reads_as_homed():
     # the end bracket would stand where the status byte does, and look like all legs homed
     short = reply_by_table((5, 6, 7), 0, 0)[:13] + b">"
     parser = PacketParser()
@@ -212,7 +205,7 @@ def test_a_reply_two_bytes_short_never_reads_as_homed() -> None:
     ("at", "byte"),
     [(1, 0x40), (1, 0x51), (12, 0x61), (13, 0x40), (13, 0xC1), (14, 0x3C), (14, 0x3E), (15, 0x41)],
 )
-def test_bytes_out_of_their_range_are_dropped_and_counted(at: int, byte: int) -> None:
+def test_bytes_out_of_their_range_are_dropped_and_counted(at, byte):
     packet = bytearray(reply_by_table((1, 2, 3), 7, 0))
     packet[at] = byte
     parser = PacketParser()

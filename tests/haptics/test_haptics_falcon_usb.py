@@ -54,7 +54,7 @@ def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> Stub:
     return Stub(library, monkeypatch)
 
 
-def test_opening_purges_then_sets_latency_and_baud_then_purges(stub: Stub) -> None:
+def test_opening_purges_then_sets_latency_and_baud_then_purges(stub):
     usb = LibUsb()
     transport = usb.open()
     assert stub.lines == OPENING
@@ -66,7 +66,7 @@ def test_opening_purges_then_sets_latency_and_baud_then_purges(stub: Stub) -> No
     assert stub.lines[-1] == "exit"
 
 
-def test_falcons_are_found_by_their_numbers_among_other_chips(stub: Stub) -> None:
+def test_falcons_are_found_by_their_numbers_among_other_chips(stub):
     usb = LibUsb()
     assert usb.falcons() == [UsbNode(3, 7)]
     assert usb.falcons()[0].path == "/dev/bus/usb/003/007"
@@ -74,7 +74,7 @@ def test_falcons_are_found_by_their_numbers_among_other_chips(stub: Stub) -> Non
         usb.open(UsbNode(9, 9))
 
 
-def test_upload_follows_the_known_order_of_lines_rates_and_bytes(stub: Stub) -> None:
+def test_upload_follows_the_known_order_of_lines_rates_and_bytes(stub):
     stub.mode("bare")
     usb = LibUsb()
     transport = usb.open()
@@ -92,7 +92,7 @@ def test_upload_follows_the_known_order_of_lines_rates_and_bytes(stub: Stub) -> 
     assert firmware.is_running(transport)
 
 
-def test_status_bytes_are_taken_out_of_every_64() -> None:
+def test_status_bytes_are_taken_out_of_every_64():
     data = bytes(range(200))
     packets = b"".join(b"\x01\x60" + data[at : at + 62] for at in range(0, 200, 62))
     assert without_status(packets) == data
@@ -100,7 +100,7 @@ def test_status_bytes_are_taken_out_of_every_64() -> None:
     assert without_status(b"") == b""
 
 
-def test_device_reads_and_commands_over_usb(stub: Stub) -> None:
+def test_device_reads_and_commands_over_usb(stub):
     device = FalconDevice(calibration=Calibration())
     device.open()
     sample = device.read()
@@ -116,12 +116,11 @@ def test_device_reads_and_commands_over_usb(stub: Stub) -> None:
     assert ended[-3:] == ["release 0", "close", "exit"]
 
 
-def test_compiled_servo_is_given_libusbs_own_transfer(stub: Stub) -> None:
+def test_compiled_servo_is_given_libusbs_own_transfer(stub):
     device = FalconDevice(calibration=Calibration())
     assert device.compiled() is None
     device.open()
     given = device.compiled()
-    assert given is not None
     address, handle, bulk_out, bulk_in, timeout = given.handles[:5].tolist()
     assert (given.kind, bulk_out, bulk_in) == ("tissueid.haptics.falcon.servo_io:USB", 0x02, 0x81)
     assert 0 < timeout <= 5
@@ -137,7 +136,7 @@ def test_compiled_servo_is_given_libusbs_own_transfer(stub: Stub) -> None:
     device.close()
 
 
-def test_no_permission_names_the_node_and_the_udev_line(stub: Stub) -> None:
+def test_no_permission_names_the_node_and_the_udev_line(stub):
     stub.mode("access")
     with pytest.raises(DeviceError) as refused:
         LibUsb().open()
@@ -153,9 +152,7 @@ def test_no_permission_names_the_node_and_the_udev_line(stub: Stub) -> None:
     ("word", "reason", "said"),
     [("busy", "in use by another program", ["open", "close"]), ("none", "power supply", [])],
 )
-def test_a_falcon_in_use_and_one_that_is_missing_say_so(
-    stub: Stub, word: str, reason: str, said: list[str]
-) -> None:
+def test_a_falcon_in_use_and_one_that_is_missing_say_so(stub, word, reason, said):
     stub.mode(word)
     with pytest.raises(DeviceError, match=reason):
         FalconDevice(calibration=Calibration()).open()
@@ -163,11 +160,11 @@ def test_a_falcon_in_use_and_one_that_is_missing_say_so(
     assert [bool(found.note) for found in FalconDevice.detect()] == [True] * (word == "busy")
 
 
-def test_a_falcon_that_can_be_opened_has_no_note(stub: Stub) -> None:
+def test_a_falcon_that_can_be_opened_has_no_note(stub):
     assert [(found.where, found.note) for found in FalconDevice.detect()] == [("/dev/bus/usb/003/007", "")]
 
 
-def test_a_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_library_says_how_to_get_it(monkeypatch, tmp_path):
     monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
     with pytest.raises(DeviceError, match=r"none\.so .*can't be loaded.*apt install libusb-1\.0-0"):
         LibUsb()
@@ -175,13 +172,13 @@ def test_a_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, t
     assert "can't be loaded" in found.note
 
 
-def test_another_library_is_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_library_is_no_libusb(monkeypatch):
     monkeypatch.setenv("TISSUEID_LIBUSB", "libc.so.6")
     with pytest.raises(DeviceError, match="has no libusb_init"):
         LibUsb()
 
 
-def test_unplugging_is_a_lost_transport(stub: Stub) -> None:
+def test_unplugging_is_a_lost_transport(stub):
     transport = LibUsb().open()
     stub.library.stub_unplug()
     for action in (lambda: transport.write(b"x"), lambda: transport.read(0.01), transport.purge):
@@ -189,5 +186,5 @@ def test_unplugging_is_a_lost_transport(stub: Stub) -> None:
             action()
 
 
-def test_a_read_returns_nothing_after_its_time_out(stub: Stub) -> None:
+def test_a_read_returns_nothing_after_its_time_out(stub):
     assert LibUsb().open().read(0.002) == b""

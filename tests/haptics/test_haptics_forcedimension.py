@@ -52,9 +52,7 @@ def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stub]:
     found.number("major").value = 3
 
 
-def test_sdk_is_looked_for_where_its_documentation_puts_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_sdk_is_looked_for_where_its_documentation_puts_it(monkeypatch, tmp_path):
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
     monkeypatch.setattr("tissueid.haptics.forcedimension.device.platform.machine", lambda: "x86_64")
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -68,35 +66,33 @@ def test_sdk_is_looked_for_where_its_documentation_puts_it(
     assert list(candidates()) == ["/mine/libdrd.so"]
 
 
-def test_without_sdk_nothing_is_detected_and_opening_says_where_it_belongs(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_sdk_nothing_is_detected_and_opening_says_where_it_belongs(monkeypatch, tmp_path):
     monkeypatch.setenv(LIBRARY_VARIABLE, str(tmp_path / "none.so"))
     assert ForceDimensionDevice.detect() == []
     with pytest.raises(DeviceError, match=r"not installed.* FDSDK .*TISSUEID_FORCEDIM"):
         ForceDimensionDevice().open()
 
 
-def test_a_library_that_is_something_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_is_something_else_is_refused(monkeypatch):
     monkeypatch.setenv(LIBRARY_VARIABLE, "libc.so.6")
     with pytest.raises(DeviceError, match="has no dhdGetSDKVersion"):
         Sdk()
 
 
-def test_an_old_sdk_is_refused_with_its_version(stub: Stub) -> None:
+def test_an_old_sdk_is_refused_with_its_version(stub):
     stub.number("major").value = 2
     with pytest.raises(DeviceError, match=r"is 2\.17\.5\.1; 3\.16 or newer"):
         Sdk()
 
 
-def test_no_device_is_told_in_the_sdks_words(stub: Stub) -> None:
+def test_no_device_is_told_in_the_sdks_words(stub):
     stub.number("fails").value = 1
     assert ForceDimensionDevice.detect() == []
     with pytest.raises(DeviceError, match="no device found"):
         ForceDimensionDevice().open()
 
 
-def test_axes_are_mapped_once_and_back(stub: Stub) -> None:
+def test_axes_are_mapped_once_and_back(stub):
     # ours: x right, y up, z to the user; theirs: x to the user, y right, z up
     assert pytest.approx(np.eye(3)) == ROTATION @ ROTATION.T
     assert np.linalg.det(ROTATION) == pytest.approx(1.0)
@@ -107,7 +103,7 @@ def test_axes_are_mapped_once_and_back(stub: Stub) -> None:
         assert list(stub.array("force")) == pytest.approx([3.0, 1.0, 2.0])
 
 
-def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub: Stub) -> None:
+def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub):
     (found,) = ForceDimensionDevice.detect()
     assert (found.name, found.note, stub.number("open").value) == ("forcedimension", "", 0)
     with ForceDimensionDevice():
@@ -118,9 +114,7 @@ def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub: Stub) 
     assert list(stub.array("force")) == [0.0, 0.0, 0.0]
 
 
-def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(
-    stub: Stub, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(stub, monkeypatch):
     monkeypatch.setattr("tissueid.haptics.device.TICK_S", 0.0)
     with ForceDimensionDevice(homing_timeout_s=0.05) as device:
         with pytest.raises(DeviceError, match="homing never completed"):
@@ -132,7 +126,7 @@ def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(
         assert device.state is State.ARMED
 
 
-def test_answers_short_of_failure_are_taken_and_a_lost_device_is_an_error(stub: Stub) -> None:
+def test_answers_short_of_failure_are_taken_and_a_lost_device_is_an_error(stub):
     with ForceDimensionDevice() as device:
         for code in (1, 2):
             stub.number("code").value = code
@@ -143,7 +137,7 @@ def test_answers_short_of_failure_are_taken_and_a_lost_device_is_an_error(stub: 
             device.read()
 
 
-def test_buttons_are_those_of_the_wire_and_centre_is_the_dead_mans(stub: Stub) -> None:
+def test_buttons_are_those_of_the_wire_and_centre_is_the_dead_mans(stub):
     # the SDK's number of a button: centre 0, left 1, up 2, right 3
     names = {0: "centre", 1: "minus", 2: "forward", 3: "plus"}
     bits = {name: bit for bit, name in BUTTON_NAMES.items()}
@@ -161,12 +155,11 @@ def test_buttons_are_those_of_the_wire_and_centre_is_the_dead_mans(stub: Stub) -
             stub.number("buttons").value = 0
 
 
-def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub: Stub) -> None:
+def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub):
     device = ForceDimensionDevice()
     assert device.compiled() is None
     with device:
         given = device.compiled()
-        assert given is not None
         assert given.kind == "tissueid.haptics.forcedimension.servo_io:SDK"
         assert given.handles[3] == 5
         assert given.constants.tolist() == [*ROTATION.ravel().tolist(), *ORIGIN_M.tolist()]

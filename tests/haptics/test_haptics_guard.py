@@ -19,19 +19,37 @@ ROUNDING = 1e-14
 LARGEST = replace(FREE, clamp_N=10.0, rms_limit_N=10.0)
 
 
+@pytest.fixture
+def guarded() -> Guarded:
+    """Engaged, with the start-up ramp behind it."""
+    return Guarded().to(machine.ENGAGED)
+
+
+@pytest.fixture
+def held() -> Guarded:
+    """The same, with a dead-man button that is held."""
+    return Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
+
+
+@pytest.fixture
+def starting() -> Guarded:
+    """Armed, and asked for force."""
+    guarded = Guarded().to(machine.ARMED)
+    guarded.tell(machine.ENGAGE)
+    return guarded
+
+
 def lengths(forces: list[np.ndarray]) -> np.ndarray:
     return np.linalg.norm(forces, axis=1)
 
 
 class TestLimits:
-    def test_a_long_force_is_cut_to_the_clamp_and_keeps_its_direction(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_long_force_is_cut_to_the_clamp_and_keeps_its_direction(self, guarded):
         outs = guarded.ticks(20, (30.0, 40.0, 0.0))
         assert outs[-1] == pytest.approx([3.0, 4.0, 0.0], rel=ROUNDING)
         assert guarded.lamps == Lamp.CLIPPED
 
-    def test_a_rising_force_takes_one_slew_a_tick(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_rising_force_takes_one_slew_a_tick(self, guarded):
         outs = guarded.ticks(6, (0.0, 0.0, 2.2))
         assert lengths(outs) == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.2, 2.2], rel=ROUNDING)
 
@@ -45,21 +63,18 @@ class TestLimits:
         ],
     )
     def test_a_force_falls_at_once_and_rises_from_its_share_along_the_new_direction(
-        self, before, wanted, sent
+        self, guarded, before, wanted, sent
     ):
-        guarded = Guarded().to(machine.ENGAGED)
         guarded.ticks(10, before)
         assert guarded.tick(wanted) == pytest.approx(sent, rel=ROUNDING)
 
-    def test_a_force_within_every_limit_is_sent_as_it_is(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_force_within_every_limit_is_sent_as_it_is(self, guarded):
         for force in ((0.1, 0.2, -0.3), (0.2, 0.3, -0.4)):
             assert tuple(guarded.tick(force)) == force
         assert guarded.lamps == Lamp.NONE
 
     @pytest.mark.parametrize("size", [1e-200, 1e160, 1.7e308])
-    def test_a_force_whose_square_no_number_holds_keeps_its_direction(self, size):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_force_whose_square_no_number_holds_keeps_its_direction(self, guarded, size):
         out = guarded.tick((0.6 * size, 0.8 * size, 0.0))
         assert out == pytest.approx(min(size, 0.5) * np.array([0.6, 0.8, 0.0]), rel=ROUNDING)
 
@@ -73,38 +88,33 @@ class TestLimits:
         assert guarded.lamps & Lamp.RMS_LIMITED
         assert guarded.state == State.ENGAGED
 
-    def test_motors_that_are_over_their_limit_all_the_same_are_a_fault(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_motors_that_are_over_their_limit_all_the_same_are_a_fault(self, guarded):
         guarded.memory[machine.MEAN_SQUARE] = 1.3 * 5.0**2
         guarded.tick((0.0, 0.0, 1.0))
         assert guarded.fault == Fault.OVERHEATED
 
 
 class TestStart:
-    def test_the_start_up_ramp_is_linear_over_its_time(self):
-        guarded = Guarded().to(machine.ARMED)
-        guarded.tell(machine.ENGAGE)
-        outs = guarded.ticks(1100, (0.0, 0.0, 1.0))
+    def test_the_start_up_ramp_is_linear_over_its_time(self, starting):
+        outs = starting.ticks(1100, (0.0, 0.0, 1.0))
         expected = np.minimum(TICK * np.arange(1, 1101), 1.0)
         # a thousand additions of a thousandth
         assert np.array(outs)[:, 2] == pytest.approx(expected, abs=1e-12)
 
-    def test_while_the_force_rises_damping_fades(self):
-        guarded = Guarded().to(machine.ARMED)
-        guarded.tell(machine.ENGAGE)
-        guarded.ticks(249, (0.0, 0.0, 1.0))
-        out = guarded.tick((0.0, 0.0, 1.0), velocity=(0.1, 0.0, 0.0))
+    def test_while_the_force_rises_damping_fades(self, starting):
+        starting.ticks(249, (0.0, 0.0, 1.0))
+        out = starting.tick((0.0, 0.0, 1.0), velocity=(0.1, 0.0, 0.0))
         assert out == pytest.approx([-0.75 * FREE.damping_N_s_per_m * 0.1, 0.0, 0.25], abs=1e-12)
 
     @pytest.mark.parametrize(
         ("penetration", "wanted", "engages"),
         [(0.0, 4.0, True), (-1e-3, 4.0, True), (1e-3, 4.0, False), (1e-3, 0.19, True), (np.nan, 4.0, False)],
     )
-    def test_a_device_engages_outside_tissue_or_with_a_small_force_alone(self, penetration, wanted, engages):
-        guarded = Guarded().to(machine.ARMED)
-        guarded.tell(machine.ENGAGE)
-        guarded.ticks(3, (0.0, 0.0, wanted), penetration=penetration)
-        assert (guarded.state == State.ENGAGED) is engages
+    def test_a_device_engages_outside_tissue_or_with_a_small_force_alone(
+        self, starting, penetration, wanted, engages
+    ):
+        starting.ticks(3, (0.0, 0.0, wanted), penetration=penetration)
+        assert (starting.state == State.ENGAGED) is engages
 
     def test_a_device_is_armed_after_fifty_homed_replies_in_a_row(self):
         guarded = Guarded().to(machine.HOMING)
@@ -130,16 +140,14 @@ class TestFault:
         assert sizes == pytest.approx(limits.clamp_N * np.linspace(1.0, 0.0, 21), abs=1e-9)
         assert sizes[-1] == 0.0
 
-    def test_a_fault_does_not_wait_for_a_stall_of_the_loop(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_fault_does_not_wait_for_a_stall_of_the_loop(self, guarded):
         guarded.ticks(30, (0.0, 0.0, 5.0))
         guarded.tick((0.0, 0.0, 5.0), homed=False)
         assert guarded.tick((0.0, 0.0, 5.0), dt=0.1).tolist() == [0.0, 0.0, 0.0]
 
     @pytest.mark.parametrize("axis", range(3))
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-    def test_a_force_of_which_one_component_is_no_number_ramps_the_last_one_to_zero(self, bad, axis):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_force_of_which_one_component_is_no_number_ramps_the_last_one_to_zero(self, guarded, bad, axis):
         guarded.ticks(10, (0.0, 0.0, 2.0))
         force = np.array([0.0, 0.0, 2.0])
         force[axis] = bad
@@ -147,14 +155,12 @@ class TestFault:
         assert out == pytest.approx([0.0, 0.0, 2.0 * 19 / 20], rel=1e-12)
         assert guarded.fault == Fault.NOT_A_NUMBER
 
-    def test_the_first_fault_is_the_one_reported(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_the_first_fault_is_the_one_reported(self, guarded):
         guarded.tick(homed=False)
         guarded.tell(machine.TRANSPORT_LOST)
         assert guarded.fault == Fault.NOT_HOMED
 
-    def test_nothing_leads_out_of_a_fault_but_shutting(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_nothing_leads_out_of_a_fault_but_shutting(self, guarded):
         guarded.tick(homed=False)
         for event in np.arange(machine.SHUT):
             guarded.tell(event)
@@ -163,8 +169,7 @@ class TestFault:
         guarded.tell(machine.SHUT)
         assert guarded.state == State.CLOSED
 
-    def test_silence_of_the_owner_is_damping_then_a_fault(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_silence_of_the_owner_is_damping_then_a_fault(self, guarded):
         guarded.ticks(10, (0.0, 0.0, 2.0))
         guarded.tell(machine.HEARTBEAT_LOST)
         outs = guarded.ticks(20, (0.0, 0.0, 2.0), velocity=(0.1, 0.0, 0.0))
@@ -176,32 +181,28 @@ class TestFault:
 
 
 class TestRelease:
-    def test_letting_go_of_the_button_ramps_down_in_100_ms(self):
-        guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        guarded.ticks(10, (0.0, 0.0, 2.0), buttons=0x04)
-        outs = lengths(guarded.ticks(100, (0.0, 0.0, 2.0), buttons=0x0B))
+    def test_letting_go_of_the_button_ramps_down_in_100_ms(self, held):
+        held.ticks(10, (0.0, 0.0, 2.0), buttons=0x04)
+        outs = lengths(held.ticks(100, (0.0, 0.0, 2.0), buttons=0x0B))
         assert outs == pytest.approx(2.0 * (1.0 - np.arange(1, 101) / 100), abs=1e-12)
-        assert guarded.tick((0.0, 0.0, 2.0), buttons=0).tolist() == [0.0, 0.0, 0.0]
-        assert guarded.state == State.ARMED
-        assert guarded.lamps & Lamp.DEAD_MAN
+        assert held.tick((0.0, 0.0, 2.0), buttons=0).tolist() == [0.0, 0.0, 0.0]
+        assert held.state == State.ARMED
+        assert held.lamps & Lamp.DEAD_MAN
 
-    def test_pressing_it_again_in_tissue_waits_for_a_free_tool(self):
-        guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        guarded.ticks(110, (0.0, 0.0, 2.0), buttons=0, penetration=2e-3)
-        guarded.tick((0.0, 0.0, 2.0), buttons=0x04, penetration=2e-3)
-        assert guarded.state == State.ARMED
-        guarded.tick((0.0, 0.0, 0.0), buttons=0x04, penetration=-1e-3)
-        assert guarded.state == State.ENGAGED
+    def test_pressing_it_again_in_tissue_waits_for_a_free_tool(self, held):
+        held.ticks(110, (0.0, 0.0, 2.0), buttons=0, penetration=2e-3)
+        held.tick((0.0, 0.0, 2.0), buttons=0x04, penetration=2e-3)
+        assert held.state == State.ARMED
+        held.tick((0.0, 0.0, 0.0), buttons=0x04, penetration=-1e-3)
+        assert held.state == State.ENGAGED
 
-    def test_pressing_it_again_during_the_ramp_turns_the_ramp(self):
-        guarded = Guarded(replace(FREE, dead_man=True)).to(machine.ENGAGED)
-        guarded.ticks(50, (0.0, 0.0, 0.4), buttons=0, penetration=1e-3)
-        low, high = (guarded.tick((0.0, 0.0, 0.4), buttons=0x04, penetration=1e-3)[2] for _ in range(2))
+    def test_pressing_it_again_during_the_ramp_turns_the_ramp(self, held):
+        held.ticks(50, (0.0, 0.0, 0.4), buttons=0, penetration=1e-3)
+        low, high = (held.tick((0.0, 0.0, 0.4), buttons=0x04, penetration=1e-3)[2] for _ in range(2))
         assert 0.2 < low < high
-        assert guarded.state == State.ENGAGED
+        assert held.state == State.ENGAGED
 
-    def test_disengaging_ends_in_armed_and_stays_there(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_disengaging_ends_in_armed_and_stays_there(self, guarded):
         guarded.tell(machine.DISENGAGE)
         for _ in range(200):
             out = guarded.tick((0.0, 0.0, 2.0))
@@ -211,8 +212,7 @@ class TestRelease:
 
 class TestStall:
     @pytest.mark.parametrize("dt", [0.1, 0.0051, 0.0, -1.0, np.nan, np.inf])
-    def test_a_stalled_loop_ramps_down_and_resumes(self, dt):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_stalled_loop_ramps_down_and_resumes(self, guarded, dt):
         guarded.ticks(10, (0.0, 0.0, 4.0))
         outs = [guarded.tick((0.0, 0.0, 4.0), dt=dt)]
         assert guarded.lamps & Lamp.STALLED
@@ -223,8 +223,7 @@ class TestStall:
         assert sizes[-1] == pytest.approx(4.0, rel=ROUNDING)
         assert guarded.state == State.ENGAGED
 
-    def test_a_stall_is_not_the_devices_silence(self):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_a_stall_is_not_the_devices_silence(self, guarded):
         guarded.tick(dt=0.3, reply=0)
         guarded.tick()
         assert guarded.state == State.ENGAGED
@@ -268,8 +267,7 @@ class TestStates:
         assert guarded.tick((1.0, 2.0, 3.0), moved=STILL).tolist() == [0.0, 0.0, 0.0]
 
     @pytest.mark.parametrize(("penetration", "may"), [(-1e-3, True), (0.0, True), (1e-6, False)])
-    def test_parameters_may_be_exchanged_where_nothing_is_touched(self, penetration, may):
-        guarded = Guarded().to(machine.ENGAGED)
+    def test_parameters_may_be_exchanged_where_nothing_is_touched(self, guarded, penetration, may):
         guarded.tick(penetration=penetration)
         assert guarded.tell(machine.SWAP) is may
 
@@ -336,8 +334,7 @@ def ticks_to_fault(guarded: Guarded, limit: int = 1000, **seen: object) -> int:
         ({"homed": False}, 1, Fault.NOT_HOMED),
     ],
 )
-def test_a_fault_of_the_device_is_seen_within_its_time(seen, ticks, fault):
-    guarded = Guarded().to(machine.ENGAGED)
+def test_a_fault_of_the_device_is_seen_within_its_time(guarded, seen, ticks, fault):
     assert ticks_to_fault(guarded, **seen) == ticks
     assert guarded.fault == fault
 
@@ -347,8 +344,7 @@ def test_what_a_hand_can_do_is_no_fault(seen):
     assert ticks_to_fault(Guarded().to(machine.ENGAGED), 300, **seen) == -1
 
 
-def test_nine_damaged_packets_and_a_good_one_are_no_fault():
-    guarded = Guarded().to(machine.ENGAGED)
+def test_nine_damaged_packets_and_a_good_one_are_no_fault(guarded):
     for _ in range(20):
         for _ in range(9):
             guarded.tick(reply=REPLY_DAMAGED)
@@ -356,16 +352,14 @@ def test_nine_damaged_packets_and_a_good_one_are_no_fault():
     assert guarded.state == State.ENGAGED
 
 
-def test_a_hand_that_moved_on_during_a_stall_did_not_jump():
-    guarded = Guarded().to(machine.ENGAGED)
+def test_a_hand_that_moved_on_during_a_stall_did_not_jump(guarded):
     guarded.tick(moved=np.array([900, 0, 0], np.int64), dt=5e-3)
     assert guarded.state == State.ENGAGED
     guarded.tick(moved=np.array([1001, 0, 0], np.int64), dt=5e-3)
     assert guarded.fault == Fault.ENCODER_JUMP
 
 
-def test_encoders_that_stand_still_while_the_force_changed_are_frozen():
-    guarded = Guarded().to(machine.ENGAGED)
+def test_encoders_that_stand_still_while_the_force_changed_are_frozen(guarded):
     guarded.tick((0.0, 0.0, 0.5))
     count = 0
     while guarded.memory[machine.PHASE] != machine.YIELDING and count < 1000:
@@ -381,8 +375,7 @@ def test_encoders_that_stand_still_while_the_force_changed_are_frozen():
 
 
 @pytest.mark.parametrize("change", [0.0, 0.15])
-def test_a_resting_hand_under_a_steady_force_is_not_frozen(change):
-    guarded = Guarded().to(machine.ENGAGED)
+def test_a_resting_hand_under_a_steady_force_is_not_frozen(guarded, change):
     guarded.ticks(5, (0.0, 0.0, 1.0), moved=MOVING)
     for k in range(2000):
         guarded.tick((0.0, 0.0, 1.0 - change * k / 2000), moved=STILL)
@@ -410,8 +403,7 @@ def test_firmware_may_be_silent_and_coordinates_may_jump_while_homing(state, see
 
 @pytest.mark.parametrize("reply", [REPLY_NONE, REPLY_DAMAGED])
 @pytest.mark.parametrize("phase", [machine.RISING, machine.RELEASING, machine.RECOVERING, machine.YIELDING])
-def test_a_silent_device_is_without_force_after_20_ms_whatever_went_on(reply, phase):
-    guarded = Guarded().to(machine.ENGAGED)
+def test_a_silent_device_is_without_force_after_20_ms_whatever_went_on(guarded, reply, phase):
     guarded.ticks(5, (0.0, 0.0, 2.0), velocity=(0.3, 0.0, 0.0))
     guarded.memory[machine.PHASE] = phase
     sent = guarded.ticks(99, (0.0, 0.0, 2.0), velocity=(0.3, 0.0, 0.0), reply=reply)
@@ -419,8 +411,7 @@ def test_a_silent_device_is_without_force_after_20_ms_whatever_went_on(reply, ph
     assert (np.array(sent[19:]) == 0.0).all()
 
 
-def test_a_hiccup_of_30_ms_takes_the_force_away_and_gives_it_back():
-    guarded = Guarded().to(machine.ENGAGED)
+def test_a_hiccup_of_30_ms_takes_the_force_away_and_gives_it_back(guarded):
     before = guarded.ticks(5, (0.0, 0.0, 2.0))[-1]
     silent = guarded.ticks(30, (0.0, 0.0, 2.0), reply=REPLY_NONE)
     assert (np.array(silent[19:]) == 0.0).all()
@@ -437,8 +428,7 @@ def test_a_hiccup_of_30_ms_takes_the_force_away_and_gives_it_back():
     np.testing.assert_allclose(after[-1], before)
 
 
-def test_an_encoder_that_jumps_after_a_hiccup_is_a_fault_nevertheless():
-    guarded = Guarded().to(machine.ENGAGED)
+def test_an_encoder_that_jumps_after_a_hiccup_is_a_fault_nevertheless(guarded):
     for _ in range(30):
         guarded.tick(reply=REPLY_NONE)
     guarded.tick(moved=np.array([31 * 200 + 1, 0, 0], np.int64))

@@ -1,4 +1,4 @@
-"""What the guard never does, whatever a device, a law or a clock says."""
+"""Things the guard never does, whatever a device, a law or a clock says."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def address(library: ctypes.CDLL, name: str) -> int:
 
 
 class Loop:
-    """What a tick has in its hands, with the start-up ramp behind it: its reading and its sending."""
+    """Reading and sending of a tick, with the start-up ramp behind it."""
 
     def __init__(self, given: CompiledIO) -> None:
         self.io = compiled_io(given)

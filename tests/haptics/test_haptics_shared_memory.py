@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -27,23 +28,20 @@ from tissueid.rendering.servo_process import _share_hand
 
 @pytest.fixture
 def ring():
-    made = Ring.create(16)
-    yield made
-    made.close()
+    with closing(Ring.create(16)) as made:
+        yield made
 
 
 @pytest.fixture
 def block():
-    made = ParameterBlock.create(5)
-    yield made
-    made.close()
+    with closing(ParameterBlock.create(5)) as made:
+        yield made
 
 
 @pytest.fixture
 def hand():
-    made = SharedHand.create()
-    yield made
-    made.close()
+    with closing(SharedHand.create()) as made:
+        yield made
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,9 @@ from tissueid.haptics import sim as k
 from tissueid.haptics.arm import TIME, Arm
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.registry import open_device
 from tissueid.haptics.replay import ReplayDevice
 from tissueid.haptics.ring import RECORD
-from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, POINTER_ON
+from tissueid.haptics.shared_hand import FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE
 from tissueid.haptics.sim import (
     CENTRE_M,
     SimulatedDevice,
@@ -47,6 +46,19 @@ def session(device: SimulatedDevice, ticks: int) -> np.ndarray:
             pushed = max(0.0, SURFACE[2] - sample.position_m[2])
             device.write_force([0.0, 0.0, 400.0 * pushed], 1e-3)
     return seen
+
+
+def pushed(device: SimulatedDevice, force_N: list[float]) -> None:
+    """A tick under a force."""
+    simulated_command(device.memory, device.parameters, np.array(force_N))
+    simulated_advance(device.memory, device.parameters, 1e-3)
+
+
+def error_m(device: SimulatedDevice) -> np.ndarray:
+    """Difference of a reading from the true position."""
+    place, counts = np.zeros(3), np.zeros(3, np.int64)
+    simulated_sample(device.memory, device.parameters, place, counts)
+    return place - device.true_position_m
 
 
 def pressing() -> Hand:
@@ -87,8 +99,7 @@ def test_a_force_is_felt_after_its_delay_and_not_before_also_in_a_stall(delay_ti
 def test_forces_take_over_from_each_other_within_a_tick():
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, delay_ticks=1.5)
     for force in (1.0, -3.0, 0.0, 0.0, 0.0):
-        simulated_command(device.memory, device.parameters, np.array([force, 0.0, 0.0]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
+        pushed(device, [force, 0.0, 0.0])
     # 1 N from 1.5 to 2.5 ms, -3 N from 2.5 to 3.5 ms, then free flight to 5 ms
     speed = (1.0 - 3.0) / 0.25 * 1e-3
     way = (0.5 * 1.0 * 1.0**2 + 1.0 * 1.0 - 0.5 * 3.0 * 1.0**2) / 0.25 * 1e-6 + speed * 1.5e-3
@@ -99,13 +110,10 @@ def test_forces_take_over_from_each_other_within_a_tick():
 @pytest.mark.needs_jit
 def test_positions_are_rounded_to_counts_without_a_mean_error():
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
     errors = []
     for _ in range(2000):
-        simulated_command(device.memory, device.parameters, np.array([0.01, -0.013, 0.007]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
-        simulated_sample(device.memory, device.parameters, place, counts)
-        errors.append(place - device.true_position_m)
+        pushed(device, [0.01, -0.013, 0.007])
+        errors.append(error_m(device))
     assert np.abs(errors).max() <= 30e-6 * (1.0 + 1e-9)
     # evenly spread over a count of 60 um: sd of the mean of at least some 300 counts passed is 1 um
     assert np.abs(np.mean(errors, axis=0)).max() < 4e-6
@@ -140,23 +148,6 @@ def test_in_real_time_the_arm_moves_with_the_clock():
     assert device.time_s == pytest.approx(0.054, abs=1e-12)
 
 
-def test_the_hand_follows_a_pointer_smoothly_and_gives_it_back():
-    device = SimulatedDevice()
-    device.set_pointer(SURFACE + np.array([0.02, 0.0, -0.01]))
-    path = session(device, 600)
-    steps = np.abs(np.diff(path, axis=0)).max()
-    assert np.abs(path[-1] - SURFACE - [0.02, 0.0, 0.0])[0] < 5e-4
-    assert steps < 1e-3  # 1 m/s
-    device.set_pointer(None)
-    assert device.parameters[POINTER_ON] == 0.0
-
-
-@pytest.mark.parametrize("point", [[0.0, 0.0], [0.0, 0.0, np.nan], "x"])
-def test_a_pointer_that_is_no_point_is_refused(point):
-    with pytest.raises(ValueError, match=r"three finite|could not convert"):
-        SimulatedDevice().set_pointer(point)
-
-
 SAID = {k.FAULT_SILENT: 0, k.FAULT_GONE: -1, k.FAULT_UNHOMED: k.VALID, k.FAULT_FROZEN: k.VALID | k.HOMED}
 
 
@@ -168,21 +159,17 @@ def test_scripted_faults_begin_at_their_time(kind, said):
     answers, seen = [], []
     for _ in range(40):
         answers.append(simulated_sample(device.memory, device.parameters, place, counts))
-        seen.append(counts.copy())
-        simulated_command(device.memory, device.parameters, np.array([5.0, 0.0, 0.0]))
-        simulated_advance(device.memory, device.parameters, 1e-3)
+        seen.append(int(counts[0]))
+        pushed(device, [5.0, 0.0, 0.0])
     assert set(answers[:10]) == {k.VALID | k.HOMED}
     assert set(answers[11:]) == {said}
-    still = len({int(count[0]) for count in seen[12:]}) == 1
-    assert still == (kind != k.FAULT_UNHOMED)
+    assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
 
 
 def test_a_jump_is_one_encoder_off_by_its_size():
     device = SimulatedDevice(hand=FREE)
     device.parameters[[FAULT_KIND, FAULT_AT, FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
-    simulated_sample(device.memory, device.parameters, place, counts)
-    np.testing.assert_allclose(place - device.true_position_m, [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
+    np.testing.assert_allclose(error_m(device), [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
 
 
 def test_a_device_that_is_gone_ends_in_fault():
@@ -206,12 +193,10 @@ def test_impossible_devices_are_refused(wrong):
         SimulatedDevice(**wrong)
 
 
-def test_it_is_found_by_name_without_any_device():
-    device = open_device("sim", limits=GuardLimits.simulated())
-    assert isinstance(device, SimulatedDevice)
+def test_it_is_always_there_and_has_no_motors():
     assert SimulatedDevice.detect()[0].note == ""
-    assert not device.capabilities.hardware
-    assert device.capabilities.delay_ticks == 1.5
+    capabilities = SimulatedDevice(GuardLimits.simulated()).capabilities
+    assert (capabilities.hardware, capabilities.delay_ticks) == (False, 1.5)
 
 
 def motion(count: int = 200) -> np.ndarray:
@@ -228,7 +213,7 @@ def player(monkeypatch: pytest.MonkeyPatch, records: np.ndarray, **options: obje
     """A replay device of records that need no file."""
     log = session_log.SessionLog(head={}, records=records, summary=None)
     monkeypatch.setattr(session_log, "read_session_log", lambda _path: log)
-    return ReplayDevice(log="motion.h5", **options)  # type: ignore[arg-type]
+    return ReplayDevice(log="motion.h5", **options)
 
 
 def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch):

@@ -31,7 +31,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def ending(place: Path, mutant: Mutant, *, compiled: bool) -> subprocess.CompletedProcess[str]:
-    """How the tests end with one fault in the package."""
+    """Run the tests with one fault in the package."""
     file = place / "tissueid" / mutant.file
     whole = file.read_text(encoding="utf-8")
     assert whole.count(mutant.old) == 1, f"{mutant.file} has not once {mutant.old!r}"

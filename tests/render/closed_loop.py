@@ -12,8 +12,9 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+from felt_block import parameters
 
-from tissueid.haptics.arm import Arm, port_energy
+from tissueid.haptics.arm import DAMPING_LOSS, FRICTION_LOSS, MOTOR_WORK, Arm
 from tissueid.haptics.guard import FAULT, STATE
 from tissueid.haptics.hand import PRESETS as HANDS
 from tissueid.haptics.hand import preset
@@ -28,7 +29,7 @@ from tissueid.rendering.options import PRESETS, preset_tissue
 from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
 from tissueid.rendering.precheck import scaling_at
 from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
-from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
+from tissueid.rendering.tissue_block import Tissue
 
 SURFACE = np.array(CENTRE_M)
 INWARD = np.array([0.0, 0.0, -1.0])
@@ -100,7 +101,8 @@ def _look(io: Any, servo: Any, static: Any, factor: float, last: int, touch: Any
     What was dissipated in air pays for nothing: the ledger of a touch begins with its last tick in air.
     """
     depth = servo.info[INFO_DEPTH_MM]
-    energy = port_energy(io.memory)
+    # through the grip into what is rendered, and into damping and friction (doi 10.1002/rob.4620140110)
+    energy = io.memory[DAMPING_LOSS] + io.memory[FRICTION_LOSS] - io.memory[MOTOR_WORK]
     if depth > 0.0 and touch[IN_CONTACT] == 0.0:
         touch[BEGAN_J] = touch[LAST_J]
         touch[ALLOWED_J] = ALLOWANCE_J
@@ -181,18 +183,10 @@ class Setting:
 def drawn_session(
     seed: int, *, near: bool, pool_size: int, controller: bool = False
 ) -> tuple[Setting, np.ndarray]:
-    """Draw a session of a preset tissue and run it.
+    """Draw a session of a preset tissue and run it; ``pool_size``: tissues drawn from each posterior.
 
-    Parameters
-    ----------
-    seed : int
-    near : bool
-        The device's damping is drawn within a tenth above the bound of this very tissue, scale and delay;
-        else it is the preset, and the scale as large as clamp and preset allow.
-    pool_size : int
-        Tissues drawn from each posterior.
-    controller : bool
-        With the passivity controller.
+    ``near``: the device's damping is drawn within a tenth above the bound of this very tissue, scale and
+    delay; else it is the preset, and the scale as large as clamp and preset allow.
     """
     rng = np.random.default_rng([1999, seed])
     name = list(PRESETS)[int(rng.integers(len(PRESETS)))]
@@ -251,13 +245,12 @@ def in_closed_loop(
 ) -> np.ndarray:
     """Figures of one session of a device with a tissue under its hand, shape (FIGURES,)."""
     ring, block = shared_memory()
-    environment = tissue_block(tissue, Plane(point_m=CENTRE_M), force_scale=scale, motion_scale=MOTION_SCALE)
     factor = scale / MOTION_SCALE * 1e3
     quantum = float(device.parameters[QUANTUM])
     tangent = scaling_at(tissue, force=scale, motion=MOTION_SCALE).device_stiffness_N_per_m
-    control = PassivityLimits(on=controller, count_m=quantum, stiffness_N_per_m=tangent).block()
+    control = PassivityLimits(on=controller, count_m=quantum, stiffness_N_per_m=tangent)
     servo = new_servo(device, ring, block)
-    block.write(np.concatenate([environment, control]))
+    block.write(parameters(tissue, surface_z=CENTRE_M[2], scales=(scale, MOTION_SCALE), control=control))
     block.order(COMMAND_ENGAGE)
     figures = np.zeros(FIGURES)
     io = SimulatedIO(device.parameters, device.memory)

@@ -6,23 +6,20 @@ the emulator's clock for each command, so that "within 20 ms" is counted and not
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import Any, Self
 
 import numpy as np
+from felt_block import parameters, preset_check
 
-from tissueid.haptics.device import compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.states import Fault, State
-from tissueid.rendering.options import preset_check, preset_tissue
-from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
-from tissueid.rendering.tissue_block import Plane, tissue_block
+from tissueid.rendering.servo_tick import compiled_tick, servo_here
 
 TICK_S = 1e-3
 LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)
@@ -42,15 +39,7 @@ def pressing(stiffness: float = 500.0) -> Hand:
 
 
 class EmulatedSession:
-    """Driver, emulator and servo; a context manager.
-
-    Attributes
-    ----------
-    records : list of records
-        One a tick: state, fault, force sent, lamps.
-    motors : list of tuple
-        Motor units that had arrived at the emulator after each tick.
-    """
+    """Driver, emulator and servo; of each tick its record, and motor units that had arrived by then."""
 
     def __init__(
         self,
@@ -73,41 +62,33 @@ class EmulatedSession:
         self.motors: list[tuple[int, ...]] = []
 
     def __enter__(self) -> Self:
-        self.link.__enter__()
-        self.device.open()
+        self.opened = ExitStack()
+        self.opened.enter_context(self.link)
+        self.io, self.servo, ring, block = self.opened.enter_context(servo_here(self.device))
+        self.reader = ring.reader()
         self.link.step()
         # the user homes the device while nobody asks
         self.falcon.advance(HOMED_S - self.falcon.time_s)
-        self.ring, self.block = Ring.create(1), ParameterBlock.create(BLOCK_SIZE)
-        self.servo = new_servo(self.device, self.ring, self.block)
-        given = self.device.compiled()
-        assert given is not None
-        self.io = compiled_io(given)
-        environment = tissue_block(
-            preset_tissue(self.tissue),
-            Plane(point_m=(0.0, 0.0, self.surface_z)),
-            force_scale=self.scale.force,
-            motion_scale=self.scale.motion,
-        )
-        self.block.write(np.concatenate([environment, PassivityLimits(on=False).block()]))
-        self.block.order(COMMAND_ENGAGE)
+        block.write(parameters(self.tissue, surface_z=self.surface_z))
+        block.order(COMMAND_ENGAGE)
         self.now_s = 0.0
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.device.close()
-        self.link.close()
-        self.ring.close()
-        self.block.close()
+        self.opened.close()
 
     def tick(self, dt: float = TICK_S) -> Any:
         """One tick of the servo, then the emulator's answer."""
         self.now_s += dt
         compiled_tick(self.io, self.servo, self.now_s, dt, 0.0, 0)
-        self.records.append(self.ring.records[0].copy())
+        self.records.append(self.reader.read_new()[0][0])
         self.link.step()
         self.motors.append(self.falcon.last_motors)
         return self.records[-1]
+
+    def ticks(self, count: int) -> None:
+        for _ in range(count):
+            self.tick()
 
     def run(self, until_s: float) -> None:
         """Tick until the emulator's clock says so, or the clock stands still."""
@@ -120,6 +101,10 @@ class EmulatedSession:
 
     def states(self) -> list[State]:
         return [State(int(record["state"])) for record in self.records]
+
+    def faults(self) -> set[int]:
+        """Every fault that was recorded, NONE included."""
+        return {int(record["fault"]) for record in self.records}
 
     def first(self, fault: Fault) -> int:
         """Tick in which a fault was first recorded; -1 for never."""

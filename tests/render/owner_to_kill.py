@@ -6,29 +6,14 @@ import sys
 import time
 from dataclasses import replace
 
-import numpy as np
+from felt_block import parameters
 
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
-from tissueid.rendering.options import preset_check, preset_tissue
-from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo import ServoPlan, ServoProcess
-from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: A loaded machine starves an emulator for longer than a device would be silent.
 LIMITS = replace(GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5), no_reply_s=1.0)
-
-
-def parameters(tissue: str = "paper-a") -> np.ndarray:
-    """A preset's tissue below the middle of the workspace."""
-    scale = preset_check(tissue).scaling
-    block = tissue_block(
-        preset_tissue(tissue),
-        Plane(point_m=(0.0, 0.0, 0.130)),
-        force_scale=scale.force,
-        motion_scale=scale.motion,
-    )
-    return np.concatenate([block, PassivityLimits(on=False).block()])
 
 
 def plan(port: str) -> ServoPlan:

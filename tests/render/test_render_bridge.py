@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -22,20 +23,19 @@ def with_token(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("token", [b"", b'"token": "8f3a61c3", ', b'"token": null, ', b'"token": 8361, '])
-def test_a_request_without_the_token_is_dropped(token: bytes) -> None:
+def test_a_request_without_the_token_is_dropped(token):
     assert parse_request(b"{" + token + b'"v": 1, "stop": true}', TOKEN) is None
     assert parse_request(with_token(b'{"v": 1, "stop": true}'), TOKEN) == BridgeRequest(stop=True)
 
 
-def test_requests_are_read() -> None:
-    assert parse_request(with_token(b'{"v": 1, "tissue": 1}'), TOKEN) == BridgeRequest(tissue=1)
-    assert parse_request(with_token(b'{"v": 1, "engage": false, "stop": true}'), TOKEN) == BridgeRequest(
-        engage=False, stop=True
-    )
-    plane = b'{"v": 1, "plane": {"point_m": [0, 0, 0.12], "normal": [0, 1, 1]}}'
-    assert parse_request(with_token(plane), TOKEN) == BridgeRequest(
-        plane=Plane((0.0, 0.0, 0.12), (0.0, 1.0, 1.0))
-    )
+def test_requests_are_read():
+    plane = Plane((0.0, 0.0, 0.12), (0.0, 1.0, 1.0))
+    for data, asked in (
+        (b'{"v": 1, "tissue": 1}', BridgeRequest(tissue=1)),
+        (b'{"v": 1, "engage": false, "stop": true}', BridgeRequest(engage=False, stop=True)),
+        (b'{"v": 1, "plane": {"point_m": [0, 0, 0.12], "normal": [0, 1, 1]}}', BridgeRequest(plane=plane)),
+    ):
+        assert parse_request(with_token(data), TOKEN) == asked
 
 
 @pytest.mark.parametrize(
@@ -61,11 +61,11 @@ def test_requests_are_read() -> None:
         b'{"v": 1, "tissue": 1}' + b" " * LARGEST_DATAGRAM,
     ],
 )
-def test_whatever_is_no_request_is_dropped(data: bytes) -> None:
+def test_whatever_is_no_request_is_dropped(data):
     assert parse_request(with_token(data), TOKEN) is None
 
 
-def test_addresses_are_read_and_refused() -> None:
+def test_addresses_are_read_and_refused():
     assert parse_address("5005") == ("127.0.0.1", 5005)
     assert parse_address("lab-pc:5005") == ("lab-pc", 5005)
     for text in ("", "x", "0", "70000", "host:", "5005x"):
@@ -83,7 +83,7 @@ def pair() -> object:
         bridge.close()
 
 
-def test_the_newest_record_goes_out_and_not_too_often(pair: tuple[socket.socket, UdpBridge]) -> None:
+def test_the_newest_record_goes_out_and_not_too_often(pair):
     listener, bridge = pair
     records = records_of(indentation(2.0))
     bridge.send(records[:0])
@@ -91,11 +91,9 @@ def test_the_newest_record_goes_out_and_not_too_often(pair: tuple[socket.socket,
         bridge.send(records[k : k + 1])
     listener.settimeout(0.2)
     seen = []
-    try:
+    with suppress(TimeoutError):
         while True:
             seen.append(json.loads(listener.recv(4096)))
-    except TimeoutError:
-        pass
     # 20 ms of records, one datagram every 4 ms; a tick more where their times are rounded
     assert seen[0]["tick"] == 400
     assert 4 <= len(seen) <= 5
@@ -106,22 +104,21 @@ def test_the_newest_record_goes_out_and_not_too_often(pair: tuple[socket.socket,
     assert max(len(json.dumps(one)) for one in seen) < LARGEST_DATAGRAM
 
 
-def test_requests_are_heard_on_loopback_and_a_flood_is_bounded(pair: tuple[socket.socket, UdpBridge]) -> None:
+def test_requests_are_heard_on_loopback_and_a_flood_is_bounded(pair):
     _, bridge = pair
     assert bridge.listens_on[0] == "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.sendto(b"nonsense", bridge.listens_on)
+        request = json.dumps({"v": 1, "token": bridge.token, "tissue": 0}).encode()
         for _ in range(100):
-            sender.sendto(
-                json.dumps({"v": 1, "token": bridge.token, "tissue": 0}).encode(), bridge.listens_on
-            )
+            sender.sendto(request, bridge.listens_on)
     first = bridge.requests()
     assert len(first) == 31
     assert bridge.dropped == 1
     assert first[0] == BridgeRequest(tissue=0)
 
 
-def test_nobody_listening_is_no_error(pair: tuple[socket.socket, UdpBridge]) -> None:
+def test_nobody_listening_is_no_error(pair):
     listener, bridge = pair
     listener.close()
     records = records_of(indentation(2.0))
@@ -130,7 +127,7 @@ def test_nobody_listening_is_no_error(pair: tuple[socket.socket, UdpBridge]) -> 
     assert np.isfinite(bridge.dropped)
 
 
-def test_a_port_that_is_taken_is_named(pair: tuple[socket.socket, UdpBridge]) -> None:
+def test_a_port_that_is_taken_is_named(pair):
     _, bridge = pair
     with pytest.raises(UsageError, match="choose another port"):
         UdpBridge(("127.0.0.1", bridge.listens_on[1] - 1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,19 +46,19 @@ def softer(share: float) -> np.ndarray:
         ("force at .5 mm, 10 mm / min", 0.5, 10.0 / 60.0),
     ],
 )
-def test_a_functional_is_read_as_it_is_said(text: str, depth: float, speed: float) -> None:
+def test_a_functional_is_read_as_it_is_said(text, depth, speed):
     assert parse_functional(text) == Functional(depth, pytest.approx(speed))
 
 
 @pytest.mark.parametrize(
     "text", ["", "stiffness", "force at 6 mm", "force at 0 mm, 250 mm/min", "force at -1 mm, 2 mm/s"]
 )
-def test_what_is_no_functional_is_refused(text: str) -> None:
+def test_what_is_no_functional_is_refused(text):
     with pytest.raises(UsageError):
         parse_functional(text)
 
 
-def test_the_quantile_is_rendered_by_the_nearest_draw() -> None:
+def test_the_quantile_is_rendered_by_the_nearest_draw():
     shares = np.random.default_rng(4).uniform(0.8, 1.2, 101)
     bundle = bundle_of(PAPER_A, draws=np.array([softer(share) for share in shares]))
     picked = pick_quantile(bundle, 0.5, SIX_MM)
@@ -69,18 +68,18 @@ def test_the_quantile_is_rendered_by_the_nearest_draw() -> None:
     assert np.array_equal(pick_draw(bundle, 7).tissue.theta, softer(shares[7]))
 
 
-def test_a_bundle_without_draws_has_no_quantile() -> None:
+def test_a_bundle_without_draws_has_no_quantile():
     for pick in (lambda b: pick_quantile(b, 0.5, SIX_MM), lambda b: pick_draw(b, 0)):
         with pytest.raises(UsageError, match="no posterior draws"):
             pick(bundle_of(PAPER_A))
 
 
-def test_a_normalised_bundle_can_not_be_felt() -> None:
+def test_a_normalised_bundle_can_not_be_felt():
     with pytest.raises(BundleError, match="normalised"):
         as_tissue(bundle_of(PAPER_A, units={"length": "1", "force": "MPa", "time": "s"}))
 
 
-def test_a_difference_of_seven_percent_is_just_noticeable() -> None:
+def test_a_difference_of_seven_percent_is_just_noticeable():
     stiffer = replace(PAPER_A, theta=softer(1.0 / (1.0 - 0.035)))
     softened = replace(PAPER_A, theta=softer(1.0 / (1.0 + 0.035)))
     one, other, ratio = noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.02)
@@ -92,7 +91,7 @@ def test_a_difference_of_seven_percent_is_just_noticeable() -> None:
     assert faint < 0.1 * ratio
 
 
-def test_a_blind_order_is_balanced_random_and_repeatable() -> None:
+def test_a_blind_order_is_balanced_random_and_repeatable():
     order = draw_order(2, 20, pseudonym="P1", seed=5)
     assert sorted(order.tissues) == [0] * 10 + [1] * 10
     assert order == draw_order(2, 20, pseudonym="P1", seed=5)
@@ -100,20 +99,20 @@ def test_a_blind_order_is_balanced_random_and_repeatable() -> None:
 
 
 @pytest.mark.parametrize(("count", "presentations"), [(1, 4), (2, 5), (2, 0), (2, 202)])
-def test_an_order_that_can_not_be_balanced_is_refused(count: int, presentations: int) -> None:
+def test_an_order_that_can_not_be_balanced_is_refused(count, presentations):
     with pytest.raises(UsageError):
         draw_order(count, presentations, pseudonym="P1")
 
 
 @pytest.mark.parametrize("name", ["Anna", "anna.smith", "P", "17", "P-123456", "P17 "])
-def test_a_pseudonym_that_could_be_a_name_is_refused(name: str) -> None:
+def test_a_pseudonym_that_could_be_a_name_is_refused(name):
     with pytest.raises(UsageError, match="could be a name"):
         check_pseudonym(name)
     assert check_pseudonym("P-17") == "P-17"
     assert check_pseudonym(check_pseudonym(None))
 
 
-def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path: Path) -> None:
+def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path):
     order = draw_order(2, 4, pseudonym="P1", seed=1)
     write_key(tmp_path / "key.json", order, [{"name": "a"}, {"name": "b"}])
     document = json.loads((tmp_path / "key.json").read_text())
@@ -125,14 +124,14 @@ def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path: Path) ->
         write_key(tmp_path / "missing" / "key.json", order, [])
 
 
-def test_a_cone_that_the_bundle_states_is_a_tip_without_a_radius() -> None:
+def test_a_cone_that_the_bundle_states_is_a_tip_without_a_radius():
     plane = parse_surface("plane")
     assert "with which tip" in surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
     cone = replace(PAPER_A, tip_radius_mm=None, tip=TipShape("cone", 30.0))
     assert surface_remarks(cone, plane, None) == []
 
 
-def test_surfaces_are_read_and_refused() -> None:
+def test_surfaces_are_read_and_refused():
     assert parse_surface("plane") == ("plane", ())
     assert parse_surface(" sphere 60 mm") == ("sphere", (60.0,))
     assert parse_surface("box 60 x 50.5 x 40 mm") == ("box", (60.0, 50.5, 40.0))
@@ -142,7 +141,7 @@ def test_surfaces_are_read_and_refused() -> None:
 
 
 @pytest.mark.parametrize("shape", [("plane", ()), ("sphere", (60.0,)), ("box", (60.0, 60.0, 40.0))])
-def test_every_surface_is_touched_at_the_same_height(shape: tuple[str, tuple[float, ...]]) -> None:
+def test_every_surface_is_touched_at_the_same_height(shape):
     device = SimulatedDevice().capabilities
     placed = place_surface(shape, device, depth_mm=8.0, motion_scale=5.0, tool_radius_m=0.01)
     block, memory = placed.numbers(0.01), np.zeros(srf.TOUCH_SIZE)
@@ -154,7 +153,7 @@ def test_every_surface_is_touched_at_the_same_height(shape: tuple[str, tuple[flo
     assert np.array_equal(surface_from(block).numbers(0.01), block)
 
 
-def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked() -> None:
+def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked():
     assert surface_remarks(PAPER_A, ("plane", ()), 2.0) == []
     with pytest.raises(BundleError, match="identified with a tip of 2 mm"):
         surface_remarks(PAPER_A, ("plane", ()), 3.0)
@@ -162,7 +161,7 @@ def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked() 
     assert "does not say" in surface_remarks(unknown, ("plane", ()), None)[0]
 
 
-def test_curvature_is_remarked_then_refused_by_hertz() -> None:
+def test_curvature_is_remarked_then_refused_by_hertz():
     # 1 - sqrt(R / (R + r)) for a tip of 2 mm: 2 % at R = 48.5 mm, 25 % at 2.57 mm
     assert surface_remarks(PAPER_A, ("sphere", (60.0,)), None) == []
     (remark,) = surface_remarks(PAPER_A, ("sphere", (30.0,)), None)
@@ -176,7 +175,7 @@ def test_curvature_is_remarked_then_refused_by_hertz() -> None:
     assert "edges" in edge
 
 
-def test_a_script_knows_its_strokes_switches_and_length() -> None:
+def test_a_script_knows_its_strokes_switches_and_length():
     script = read_script("indent 4 mm at 250 mm/min; retract at 5 mm/s; switch; hold 1 s")
     down, up = 4.5 / (250.0 / 60.0), 4.5 / 5.0
     assert script.switches_s == pytest.approx((REST_S + down + up,))

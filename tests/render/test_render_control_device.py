@@ -17,7 +17,7 @@ PAPER_A = preset_tissue("paper-a")
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("scale", [1.0, 100.0])
-def test_a_hand_on_the_simulated_device_feels_the_tissue_through_the_guard(scale: float) -> None:
+def test_a_hand_on_the_simulated_device_feels_the_tissue_through_the_guard(scale):
     run = render_on_simulated(PAPER_A, stiffness_scale=scale)
     found = run.as_json()
 
@@ -39,7 +39,7 @@ def test_a_hand_on_the_simulated_device_feels_the_tissue_through_the_guard(scale
 
 
 @pytest.mark.needs_jit
-def test_the_admittance_type_bears_what_impedance_rendering_refuses_on_that_device() -> None:
+def test_the_admittance_type_bears_what_impedance_rendering_refuses_on_that_device():
     stiff = admittance.device_settings(
         PAPER_A, admittance.simulated_device(), stiffness_scale=100.0
     ).largest_tangent()
@@ -50,7 +50,7 @@ def test_the_admittance_type_bears_what_impedance_rendering_refuses_on_that_devi
 
 
 @pytest.mark.needs_jit
-def test_a_loop_that_trips_the_guard_says_when_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_that_trips_the_guard_says_when_and_why(monkeypatch):
     # without the carried grip's limits the resting encoders trip the watchdog on stiff tissue
     monkeypatch.setattr(admittance, "carried", lambda limits: limits)
 
@@ -59,12 +59,12 @@ def test_a_loop_that_trips_the_guard_says_when_and_why(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("name", ["falcon", "forcedimension", "emulator"])
-def test_a_device_without_a_force_sensor_is_refused_with_the_reason(name: str) -> None:
+def test_a_device_without_a_force_sensor_is_refused_with_the_reason(name):
     with pytest.raises(DeviceError, match=r"has no force sensor: .* `tissueid render`"):
         require_force_sensor(name)
 
 
-def test_a_device_that_nobody_knows_is_refused_as_everywhere() -> None:
+def test_a_device_that_nobody_knows_is_refused_as_everywhere():
     assert require_force_sensor("sim") == "sim"
     with pytest.raises(UsageError):
         require_force_sensor("nonsense")

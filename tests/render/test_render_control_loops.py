@@ -1,4 +1,4 @@
-"""What the sampled loop does: tracking, hard impacts, the virtual mass, many hands and tissues."""
+"""The sampled loop: tracking, hard impacts, the virtual mass, many hands and tissues."""
 
 from __future__ import annotations
 
@@ -37,9 +37,7 @@ def table_3(variant: str, scale: float = 1.0) -> ControlSettings:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize(("variant", "bar_mm"), [("A", 0.30), ("B", 0.003)])
-def test_sustained_contact_is_tracked_whatever_the_stiffness(
-    variant: str, bar_mm: float, scale: float
-) -> None:
+def test_sustained_contact_is_tracked_whatever_the_stiffness(variant, bar_mm, scale):
     found = measured(simulate(table_3(variant, scale).task("sustained")))
 
     assert found.diverged_s is None
@@ -49,7 +47,7 @@ def test_sustained_contact_is_tracked_whatever_the_stiffness(
 
 
 @pytest.mark.needs_jit
-def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics() -> None:
+def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics():
     settings = replace(
         table_3("B"),
         gains=Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0),
@@ -70,7 +68,7 @@ def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dyna
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize("scale", SCALES)
-def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(variant: str, scale: float) -> None:
+def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(variant, scale):
     run = simulate(replace(table_3(variant, scale).task("free-contact"), seconds=20.0))
     found = measured(run)
 
@@ -88,7 +86,7 @@ def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(varian
 
 
 @pytest.mark.needs_jit
-def test_the_bound_of_the_proof_holds_where_nothing_is_sampled() -> None:
+def test_the_bound_of_the_proof_holds_where_nothing_is_sampled():
     settings = replace(
         table_3("A"), continuous_step_s=5e-6, rate_Hz=2e5, seconds=1.0, gains=Gains(sigma_start=2.0)
     )
@@ -98,7 +96,7 @@ def test_the_bound_of_the_proof_holds_where_nothing_is_sampled() -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
-def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_without(variant: str) -> None:
+def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_without(variant):
     hard = replace(table_3(variant, 100.0).task("impacts"), seconds=25.0, sensor_noise_N=0.05, seed=3)
     hard = replace(hard, start_estimates=hard.estimated_truth())
 
@@ -113,7 +111,7 @@ def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_wi
     assert (kept.estimates <= bounds[1]).all()
 
 
-def test_the_bound_of_the_virtual_mass_has_its_closed_forms() -> None:
+def test_the_bound_of_the_virtual_mass_has_its_closed_forms():
     assert virtual_mass_bound(table_3("A")) == pytest.approx(M_H, rel=1e-9)
     assert virtual_mass_bound(table_3("B")) == pytest.approx(M_D * M_H / (M_D + 2.0 * M_H), rel=1e-9)
     # a wrong estimate moves it in proportion
@@ -133,7 +131,7 @@ def test_the_bound_of_the_virtual_mass_has_its_closed_forms() -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(("variant", "bound_kg"), [("A", M_H), ("B", M_D * M_H / (M_D + 2.0 * M_H))])
-def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant: str, bound_kg: float) -> None:
+def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant, bound_kg):
     # from th = truth: from smaller estimates the same loop may look stable for a while
     settings = table_3(variant)
     settings = replace(settings, start_estimates=settings.estimated_truth(), seconds=6.0)
@@ -147,7 +145,7 @@ def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant: str, b
 
 
 @pytest.mark.parametrize("variant", ["A", "B"])
-def test_far_below_the_bound_a_loop_is_lost_within_some_ticks(variant: str) -> None:
+def test_far_below_the_bound_a_loop_is_lost_within_some_ticks(variant):
     settings = replace(table_3(variant), tool=VirtualTool(0.25), unchecked=True, seconds=0.2)
     settings = replace(settings, start_estimates=settings.estimated_truth(), environment="impedance")
 
@@ -160,7 +158,7 @@ def test_far_below_the_bound_a_loop_is_lost_within_some_ticks(variant: str) -> N
 
 
 @pytest.mark.needs_jit
-def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> None:
+def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue():
     # omega T = sqrt(100 x 111e3 / 2) x 1 ms = 2.36 > 2; 20 sub-steps are taken where none are given
     hard = table_3("B", 100.0).task("sustained")
     coarse = simulate(replace(hard, substeps=1, seconds=3.0))
@@ -173,7 +171,7 @@ def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> Non
 
 
 @pytest.mark.needs_jit
-def test_a_saturated_control_force_never_passes_its_limit() -> None:
+def test_a_saturated_control_force_never_passes_its_limit():
     settings = replace(table_3("B").task("free-contact"), gains=Gains(saturation_N=60.0), seconds=8.0)
     weak = replace(settings, gains=Gains(saturation_N=8.0))
 
@@ -186,7 +184,7 @@ def test_a_saturated_control_force_never_passes_its_limit() -> None:
 
 
 @pytest.mark.needs_jit
-def test_sigma_below_its_floor_chatters() -> None:
+def test_sigma_below_its_floor_chatters():
     settings = replace(table_3("A"), seconds=14.0)
     floor = settings.chatter_floor()
     assert floor == pytest.approx(25.0**2 * 1e-3 / (2.0 * (M_D + M_H) - 0.1), rel=1e-12)
@@ -202,7 +200,7 @@ def test_sigma_below_its_floor_chatters() -> None:
 
 
 @pytest.mark.needs_jit
-def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness() -> None:
+def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness():
     """As the source of the controller has it: admittance renders markedly stiffer contacts."""
     base = replace(table_3("B"), environment="impedance", tool=VirtualTool(2.0, 60.0), seconds=6.0)
 
@@ -218,7 +216,7 @@ def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness() -> Non
 
 
 @pytest.mark.needs_jit
-def test_an_arm_in_the_plane_presses_and_slides() -> None:
+def test_an_arm_in_the_plane_presses_and_slides():
     arm = PlanarArm((0.30, 0.25), (0.20, 0.06, 0.05), (0.35, 0.20))
     settings = ControlSettings(
         PAPER_A,
@@ -252,12 +250,12 @@ def test_an_arm_in_the_plane_presses_and_slides() -> None:
         ({"continuous_step_s": 1e-5, "gains": Gains(saturation_N=5.0)}, "leave the continuous step out"),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_the_way_out(wrong: dict[str, object], words: str) -> None:
+def test_what_makes_no_sense_is_refused_with_the_way_out(wrong, words):
     with pytest.raises(UsageError, match=words):
         replace(table_3("B"), **wrong)
 
 
-def test_gains_that_overshoot_in_one_sample_and_odd_matrices_are_refused() -> None:
+def test_gains_that_overshoot_in_one_sample_and_odd_matrices_are_refused():
     with pytest.raises(UsageError, match="overshoots within one sample"):
         replace(table_3("B"), gains=Gains(damping_N_s_per_m=3000.0)).chatter_floor()
     with pytest.raises(UsageError, match="symmetric"):
@@ -318,7 +316,7 @@ NEAR_MM = 20.0
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize(("hands", "tissues"), [(3, 2), pytest.param(200, 20, marks=pytest.mark.slow)])
-def test_many_hands_on_many_tissues_are_bounded(variant: str, hands: int, tissues: int) -> None:
+def test_many_hands_on_many_tissues_are_bounded(variant, hands, tissues):
     errors = largest_errors_mm(variant, some_operators(hands, seed=1), some_tissues(tissues, seed=2))
 
     print(  # noqa: T201

@@ -21,7 +21,7 @@ from tissueid.rendering.servo import ServoPlan, ServoProcess
 LIMITS = replace(limits_of(Calibration()), no_reply_s=10.0)
 
 
-def test_an_owner_that_dies_during_homing_ends_it_with_zero_force(pipes) -> None:
+def test_an_owner_that_dies_during_homing_ends_it_with_zero_force(pipes):
     with EmulatedLink(EmulatorSettings(homes=False), pty=True) as link:
         options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS}
         threading.Timer(0.5, os.close, [pipes.ours]).start()
@@ -38,20 +38,19 @@ def test_an_owner_that_dies_during_homing_ends_it_with_zero_force(pipes) -> None
 
 
 @pytest.mark.slow
-def test_instructions_of_homing_come_out_of_the_servo_process() -> None:
+def test_instructions_of_homing_come_out_of_the_servo_process():
     told: list[str] = []
     with EmulatedLink(EmulatorSettings(), pty=True) as link:
         plan = ServoPlan("falcon", {"port": link.path, "calibration": Calibration(), "limits": LIMITS})
         with ServoProcess(plan, tell=told.append) as servo:
             servo.beat()
-            assert servo.ready is not None
             assert servo.ready.compiled
     assert told == list(HOMING_STEPS)
 
 
 def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(
     monkeypatch, same_priority, pipes
-) -> None:
+):
     happened: list[str] = []
     home, loop = SimulatedDevice.home, servo_process.compiled_loop
 

@@ -38,7 +38,7 @@ def press(stiffness: float, *, ticks_late: int, count_m: float = 0.0) -> tuple[F
     return positions, forces
 
 
-def test_the_ledger_is_the_exact_sum_of_held_force_times_motion() -> None:
+def test_the_ledger_is_the_exact_sum_of_held_force_times_motion():
     rng = np.random.default_rng(1)
     positions = np.cumsum(1e-4 * rng.standard_normal((200, 3)), axis=0)
     forces = rng.standard_normal((200, 3))
@@ -47,7 +47,7 @@ def test_the_ledger_is_the_exact_sum_of_held_force_times_motion() -> None:
     assert memories[1:, control.TOTAL_J] == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 
-def test_the_ledger_counts_what_the_guard_let_through() -> None:
+def test_the_ledger_counts_what_the_guard_let_through():
     memory = np.zeros(control.CONTROL_MEMORY_SIZE)
     block = PassivityLimits(on=False).block()
     force = np.array([0.0, 0.0, 8.0])
@@ -57,7 +57,7 @@ def test_the_ledger_counts_what_the_guard_let_through() -> None:
     assert memory[control.TOTAL_J] == pytest.approx(5e-3, rel=1e-12)
 
 
-def test_a_late_spring_gives_energy_back_and_is_braked() -> None:
+def test_a_late_spring_gives_energy_back_and_is_braked():
     positions, forces = press(400.0, ticks_late=3)
     _, free = run_law(positions, forces, PassivityLimits(on=False, stiffness_N_per_m=400.0))
     held, braked = run_law(positions, forces, PassivityLimits(stiffness_N_per_m=400.0))
@@ -74,7 +74,7 @@ def test_a_late_spring_gives_energy_back_and_is_braked() -> None:
 
 
 @pytest.mark.parametrize("count_m", [0.0, COUNT_M])
-def test_the_correction_never_jumps_nor_exceeds_its_limit(count_m: float) -> None:
+def test_the_correction_never_jumps_nor_exceeds_its_limit(count_m):
     limits = PassivityLimits(stiffness_N_per_m=3000.0, largest_damping_N_s_per_m=50.0)
     positions, forces = press(3000.0, ticks_late=3, count_m=count_m)
     sent, _ = run_law(positions, forces, limits)
@@ -87,7 +87,7 @@ def test_the_correction_never_jumps_nor_exceeds_its_limit(count_m: float) -> Non
 
 
 @pytest.mark.needs_jit
-def test_a_slow_press_through_rounded_positions_is_left_alone() -> None:
+def test_a_slow_press_through_rounded_positions_is_left_alone():
     # 0.8 mm/s: the rounded ledger is short of energy that no hand ever got
     times = PERIOD_S * np.arange(8000)
     depth = np.round(8e-4 * np.minimum(times, 8.0 - times) / COUNT_M) * COUNT_M
@@ -98,7 +98,7 @@ def test_a_slow_press_through_rounded_positions_is_left_alone() -> None:
     assert (sent == forces).all()
 
 
-def test_out_of_contact_the_ledger_begins_anew() -> None:
+def test_out_of_contact_the_ledger_begins_anew():
     positions, forces = press(400.0, ticks_late=3)
     _, memories = run_law(positions, forces, PassivityLimits(on=False))
     apart = np.flatnonzero(forces[:, 2] == 0.0)
@@ -111,6 +111,6 @@ def test_out_of_contact_the_ledger_begins_anew() -> None:
 @pytest.mark.parametrize(
     "wrong", [{"count_m": -1.0}, {"largest_change_N": 0.6}, {"stiffness_N_per_m": np.inf}]
 )
-def test_limits_that_allow_too_much_are_refused(wrong: dict[str, float]) -> None:
+def test_limits_that_allow_too_much_are_refused(wrong):
     with pytest.raises(ValueError, match=r"must be|is allowed"):
         PassivityLimits(**wrong)

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from felt_block import preset_check
 from rendered_tissues import PAPER_A, TWO_BRANCHES
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import required_damping
-from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
+from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_tissue
 from tissueid.rendering.precheck import Demands, check_before_force, scaling_at
 from tissueid.rendering.tissue_block import Tissue
 

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 from emulated_session import pressing
-from owner_to_kill import parameters, plan
+from felt_block import parameters
+from owner_to_kill import plan
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings
 from tissueid.haptics.states import Fault, State
@@ -84,6 +85,5 @@ def test_an_owner_that_falls_silent_loses_the_force_after_half_a_second():
         assert 0.4 < relaxed < 2.0
         assert ended < 5.0
         assert time.monotonic() - silent < 7.0
-        assert servo.end is not None
         assert (servo.end.reason, servo.end.fault, servo.end.state) == ("fault", Fault.HEARTBEAT, State.FAULT)
         assert "stopped giving signs of life" in servo.end.message

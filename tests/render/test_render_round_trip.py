@@ -1,9 +1,7 @@
-"""What a measuring machine would find at the grip of an emulated Falcon: is it the tissue that was rendered?
+"""Findings of a measuring machine at the grip of an emulated Falcon: is it the tissue that was rendered?
 
-The grip is carried like a test machine's crosshead.  Position and force are the arm's true ones: behind them
-lie encoder counts, the wire, both kinematics, motor units and the delay.  With the scales undone they are a
-recording, and `tissueid fit` must find the relaxation time.
-
+Position and force are the arm's true ones: behind them lie encoder counts, the wire, both kinematics, motor
+units and the delay.  With the scales undone they are a recording, of which `tissueid fit` must find the time.
 A force that comes late is a relaxation that seems longer: 1.5 ticks of delay and half a tick of holding are
 2 ms of 21 ms.  The delay is a number that a session states, so that it is undone as the scales are.
 """

@@ -70,7 +70,6 @@ def test_a_guided_session_has_its_block_and_says_what_is_assumed() -> None:
 
 def test_lengths_are_in_millimetres_from_the_middle_of_the_workspace(tmp_path: Path) -> None:
     scene = load_scene(written(tmp_path, HEAD + GUIDED_BODY))
-    assert scene.guidance is not None
     np.testing.assert_allclose(scene.guidance.entry_m, [0.001, 0.002, 0.127])
     np.testing.assert_allclose(scene.guidance.unit_axis(), [0.0, 0.6, 0.8])
     assert scene.guidance.pull.reach_m == pytest.approx(0.015)
@@ -81,7 +80,6 @@ def test_the_plan_of_a_patient_takes_the_place_of_the_scene_s(tmp_path: Path) ->
     plan = tmp_path / "patient.toml"
     plan.write_text("entry_mm = [5.0, 0.0, 0.0]\naxis = [0.0, 0.0, 2.0]\n", encoding="utf-8")
     scene = load_scene("hip-resurfacing", plan=plan)
-    assert scene.guidance is not None
     np.testing.assert_allclose(scene.guidance.entry_m, [0.005, 0.0, 0.13])
     with pytest.raises(UsageError, match="no guidance"):
         load_scene("meat", plan=plan)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_render_servo_tick import tissue
+from test_render_servo_tick import DEEP_M, tissue
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.hand import Hand
@@ -24,11 +24,7 @@ from tissueid.rendering.servo import ServoEnd, ServoPlan, ServoProcess, receive_
 from tissueid.rendering.servo_spawn import spawn_servo
 
 #: A hand that presses 10 mm deep within half a second of the end of the start-up ramp.
-PRESS = Hand(
-    (0.0, 1.2, 1.5, 60.0),
-    (CENTRE_M, CENTRE_M, (0.0, 0.0, CENTRE_M[2] - 0.010), (0.0, 0.0, CENTRE_M[2] - 0.010)),
-    (1.0, 1.0, 1.0, 1.0),
-)
+PRESS = Hand((0.0, 1.2, 1.5, 60.0), (CENTRE_M, CENTRE_M, DEEP_M, DEEP_M), (1.0,) * 4)
 PLAN = ServoPlan("sim", {"real_time": True, "hand": PRESS})
 #: Long enough for a loaded machine.
 PATIENCE_S = 20.0

@@ -13,24 +13,13 @@ from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_loop, servo_schedule
 from tissueid.rendering.selftest import Figure, SelfTest, TickTimes, run_selftest, time_ticks
 from tissueid.rendering.servo import PeriodStatistics, period_statistics
-from tissueid.rendering.servo_loop import (
-    BINS,
-    CLOCK_SIZE,
-    ENDED_TICKS,
-    compiled_loop,
-    monotonic_ns,
-    new_watch,
-    readable,
-    realtime_loop,
-    sleep_until,
-)
 from tissueid.rendering.servo_tick import MISSED, servo_here
 
 PERIOD_NS = 1_000_000
 
 
 def histogram(errors_us: list[float]) -> np.ndarray:
-    counts = np.zeros(BINS + 1, np.int64)
+    counts = np.zeros(servo_loop.BINS + 1, np.int64)
     for error in errors_us:
         servo_loop._count(counts, round(1e3 * error))
     return counts
@@ -71,43 +60,43 @@ class TestStatistics:
 
 class TestClock:
     def test_sleeping_ends_no_earlier_than_the_deadline(self):
-        room = np.zeros(CLOCK_SIZE, np.int64)
+        room = np.zeros(servo_loop.CLOCK_SIZE, np.int64)
         # the clock that no clock jump reaches
         before = time.monotonic_ns()
-        assert before <= monotonic_ns(room) <= time.monotonic_ns()
-        deadline = monotonic_ns(room) + 3_000_000
-        sleep_until(deadline, room)
-        assert monotonic_ns(room) >= deadline
+        assert before <= servo_loop.monotonic_ns(room) <= time.monotonic_ns()
+        deadline = servo_loop.monotonic_ns(room) + 3_000_000
+        servo_loop.sleep_until(deadline, room)
+        assert servo_loop.monotonic_ns(room) >= deadline
         # a deadline that is past does not wait
-        sleep_until(0, room)
+        servo_loop.sleep_until(0, room)
 
     def test_a_pipe_is_readable_with_bytes_and_at_its_end(self):
-        room = np.zeros(CLOCK_SIZE, np.int64)
+        room = np.zeros(servo_loop.CLOCK_SIZE, np.int64)
         reading, writing = os.pipe()
-        assert not readable(reading, room)
+        assert not servo_loop.readable(reading, room)
         os.write(writing, b"x")
-        assert readable(reading, room)
+        assert servo_loop.readable(reading, room)
         os.read(reading, 1)
-        assert not readable(reading, room)
+        assert not servo_loop.readable(reading, room)
         os.close(writing)
-        assert readable(reading, room)
+        assert servo_loop.readable(reading, room)
         os.close(reading)
-        assert not readable(-1, room)
+        assert not servo_loop.readable(-1, room)
 
 
 @pytest.mark.needs_jit
 class TestDeadlines:
-    @pytest.mark.parametrize("loop", [compiled_loop, realtime_loop])
+    @pytest.mark.parametrize("loop", [servo_loop.compiled_loop, servo_loop.realtime_loop])
     def test_deadlines_that_passed_are_skipped_and_counted(self, loop):
         with servo_here(SimulatedDevice(real_time=True)) as (io, servo, _ring, _block):
             self.passed(loop, io, servo)
 
     def passed(self, loop, io, servo):
-        counts = np.zeros(BINS + 1, np.int64)
+        counts = np.zeros(servo_loop.BINS + 1, np.int64)
         # a microsecond a tick is more than any machine can keep
         period_ns, ticks = 1_000, 300
         begun = time.monotonic_ns()
-        assert loop(io, servo, new_watch(), counts, period_ns, ticks) == ENDED_TICKS
+        assert loop(io, servo, servo_loop.new_watch(), counts, period_ns, ticks) == servo_loop.ENDED_TICKS
         most = (time.monotonic_ns() - begun) // period_ns
         records = servo.records[:ticks]
         elapsed = records["time_s"][-1] - records["time_s"][0]

@@ -47,8 +47,6 @@ def test_two_tissues_share_the_smaller_scale(bundle: Path) -> None:
     soft = plan_session(options(bundle, draw=0))
     stiff = plan_session(options(bundle, draw=2))
     both = plan_session(options(bundle, draw=0, against_draw=2))
-    assert soft.check is not None
-    assert stiff.check is not None
     assert stiff.check.scaling.force < soft.check.scaling.force
     assert [block[FORCE_SCALE] for block in both.blocks] == [stiff.check.scaling.force] * 2
     assert [block[LABEL] for block in both.blocks] == [0.0, 1.0]

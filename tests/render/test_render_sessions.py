@@ -6,28 +6,10 @@ friction), from the beginning of each touch, so that what air dissipated pays fo
 
 from __future__ import annotations
 
+import closed_loop as loop
 import numpy as np
 import pytest
-from closed_loop import (
-    ALLOWANCE_J,
-    DEEPEST_MM,
-    FAULT_AT_END,
-    INWARD,
-    KEPT,
-    KICK_N,
-    LARGEST_N,
-    LEAST_J,
-    LEDGER_J,
-    MARGIN_J,
-    RISE_N,
-    STATE_AT_END,
-    SURFACE,
-    SWING,
-    Setting,
-    drawn_session,
-    in_closed_loop,
-    pool,
-)
+from felt_block import preset_check
 
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.hand import PRESETS as HANDS
@@ -36,7 +18,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import Fault, State
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS, preset_check
+from tissueid.rendering.options import ASSUMED_DEVICE, PRESETS
 from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.tissue_block import Tissue
 
@@ -50,16 +32,16 @@ SLEW_N = 0.5 + 1e-9
 NEAR_EVERY = 5
 
 
-def judged(count: int, *, pool_size: int, controller: bool = False) -> tuple[list[Setting], np.ndarray]:
+def judged(count: int, *, pool_size: int, controller: bool = False) -> tuple[list[loop.Setting], np.ndarray]:
     """Settings and figures of sessions 0 to count - 1."""
     sessions = [
-        drawn_session(seed, near=seed % NEAR_EVERY == 0, pool_size=pool_size, controller=controller)
+        loop.drawn_session(seed, near=seed % NEAR_EVERY == 0, pool_size=pool_size, controller=controller)
         for seed in range(count)
     ]
     return [setting for setting, _ in sessions], np.array([figures for _, figures in sessions])
 
 
-def told(settings: list[Setting], figures: np.ndarray) -> str:
+def told(settings: list[loop.Setting], figures: np.ndarray) -> str:
     """Margins by tissue and hand."""
     head = "tissue    hand        sessions  least energy  share kept  largest rise  swing  largest force"
     lines = [f"{head}  quantised ledger"]
@@ -68,37 +50,42 @@ def told(settings: list[Setting], figures: np.ndarray) -> str:
             rows = figures[[one.tissue == tissue and one.hand == hand for one in settings]]
             if rows.size == 0:
                 continue
-            swing = f"{rows[:, SWING].max():5.0f}" if hand in RESTING else "    -"
+            swing = f"{rows[:, loop.SWING].max():5.0f}" if hand in RESTING else "    -"
             lines.append(
-                f"{tissue:9s} {hand:11s} {len(rows):8d} {1e6 * rows[:, LEAST_J].min():10.3f} uJ "
-                f"{rows[:, KEPT].min():11.3f} {rows[:, RISE_N].max():11.3f} N {swing} "
-                f"{rows[:, LARGEST_N].max():12.2f} N {1e6 * rows[:, LEDGER_J].min():14.1f} uJ"
+                f"{tissue:9s} {hand:11s} {len(rows):8d} {1e6 * rows[:, loop.LEAST_J].min():10.3f} uJ "
+                f"{rows[:, loop.KEPT].min():11.3f} {rows[:, loop.RISE_N].max():11.3f} N {swing} "
+                f"{rows[:, loop.LARGEST_N].max():12.2f} N {1e6 * rows[:, loop.LEDGER_J].min():14.1f} uJ"
             )
     return "\n".join(lines)
+
+
+def must_be_passive_quiet_and_gentle(settings: list[loop.Setting], figures: np.ndarray) -> None:
+    """At the true port, in holds, and in every rise; without a fault."""
+    resting = np.array([setting.hand in RESTING for setting in settings])
+    assert figures[:, loop.MARGIN_J].min() >= 0.0
+    assert figures[resting, loop.SWING].max() <= 1.0
+    assert figures[:, loop.RISE_N].max() <= SLEW_N
+    assert set(figures[:, loop.FAULT_AT_END]) == {float(Fault.NONE)}
 
 
 def test_sessions_are_passive_at_the_true_port_quiet_in_holds_and_rise_gently():
     settings, figures = judged(300, pool_size=3)
     near = np.array([setting.near for setting in settings])
-    resting = np.array([setting.hand in RESTING for setting in settings])
-    assert (figures[:, DEEPEST_MM] > 0.0).all()
-    assert figures[:, MARGIN_J].min() >= 0.0
-    assert figures[resting, SWING].max() <= 1.0
-    assert figures[:, RISE_N].max() <= SLEW_N
-    assert set(figures[:, FAULT_AT_END]) == {float(Fault.NONE)}
-    assert set(figures[:, STATE_AT_END]) == {float(State.ENGAGED)}
+    must_be_passive_quiet_and_gentle(settings, figures)
+    assert (figures[:, loop.DEEPEST_MM] > 0.0).all()
+    assert set(figures[:, loop.STATE_AT_END]) == {float(State.ENGAGED)}
     shares = np.array([setting.share_of_bound for setting in settings])
     assert ((shares[near] >= 0.9) & (shares[near] <= 1.0)).all()
     # every touch that ended had cost the hand something
-    assert figures[:, KEPT].min() > 0.0
+    assert figures[:, loop.KEPT].min() > 0.0
 
 
 def test_the_controller_never_kicks_and_leaves_a_passive_rendering_alone():
     _, figures = judged(40, pool_size=3, controller=True)
     _, without = judged(40, pool_size=3)
-    assert figures[:, KICK_N].max() <= 0.5
-    assert figures[:, MARGIN_J].min() >= 0.0
-    np.testing.assert_allclose(figures[:, LARGEST_N], without[:, LARGEST_N], atol=0.5)
+    assert figures[:, loop.KICK_N].max() <= 0.5
+    assert figures[:, loop.MARGIN_J].min() >= 0.0
+    np.testing.assert_allclose(figures[:, loop.LARGEST_N], without[:, loop.LARGEST_N], atol=0.5)
 
 
 def wall(*, controller: bool) -> np.ndarray:
@@ -111,8 +98,8 @@ def wall(*, controller: bool) -> np.ndarray:
         arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0),
         hand=preset(
             "tap",
-            surface_m=SURFACE,
-            inward=INWARD,
+            surface_m=loop.SURFACE,
+            inward=loop.INWARD,
             depth_m=0.004,
             stiffness_N_per_m=200.0,
             damping_N_s_per_m=0.1,
@@ -120,16 +107,16 @@ def wall(*, controller: bool) -> np.ndarray:
         ),
         delay_ticks=2.0,
     )
-    return in_closed_loop(device, tissue, 0.02, np.full(2300, 1e-3), controller=controller)
+    return loop.in_closed_loop(device, tissue, 0.02, np.full(2300, 1e-3), controller=controller)
 
 
 def test_a_wall_beyond_the_bound_gives_energy_and_is_caught_by_the_same_bars():
     figures = wall(controller=False)
-    assert figures[MARGIN_J] < -1e-3
-    assert figures[KEPT] < 0.0
+    assert figures[loop.MARGIN_J] < -1e-3
+    assert figures[loop.KEPT] < 0.0
     restrained = wall(controller=True)
-    assert 0.0 < restrained[KICK_N] <= 0.5
-    assert restrained[MARGIN_J] > figures[MARGIN_J]
+    assert 0.0 < restrained[loop.KICK_N] <= 0.5
+    assert restrained[loop.MARGIN_J] > figures[loop.MARGIN_J]
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
@@ -137,7 +124,7 @@ def test_presets_fit_the_damping_a_device_is_assumed_to_have(name):
     result = preset_check(name)
     assert result.required_damping_N_s_per_m <= ASSUMED_DEVICE.damping_N_s_per_m == 0.5
     # the pool's bound is the one that the check computes, scaled
-    tissue, needs = pool(name, 3)[0]
+    tissue, needs = loop.pool(name, 3)[0]
     of_pool = check_before_force(tissue, ASSUMED_DEVICE)
     assert needs[1.5] * of_pool.scaling.force == pytest.approx(of_pool.required_damping_N_s_per_m, rel=1e-9)
 
@@ -148,20 +135,16 @@ def test_ten_thousand_sessions_within_the_posteriors(capsys):
     _, braked = judged(1_000, pool_size=40, controller=True)
     near = np.array([setting.near for setting in settings])
     shares = np.array([setting.share_of_bound for setting in settings])
-    resting = np.array([setting.hand in RESTING for setting in settings])
     with capsys.disabled():
         print(f"\n{told(settings, figures)}")  # noqa: T201
-        codes = figures[:, FAULT_AT_END].astype(int)
+        codes = figures[:, loop.FAULT_AT_END].astype(int)
         faults = {Fault(code).name: int((codes == code).sum()) for code in np.unique(codes)}
         print(  # noqa: T201
             f"{near.sum()} sessions with the bound at {100 * shares[near].min():.0f} to "
             f"{100 * shares[near].max():.0f} % of the damping; margin to the bar "
-            f"{1e6 * figures[:, MARGIN_J].min():.3f} uJ of {1e6 * ALLOWANCE_J:.0f} uJ; "
-            f"controller: largest change {braked[:, KICK_N].max():.3f} N a tick; ends: {faults}"
+            f"{1e6 * figures[:, loop.MARGIN_J].min():.3f} uJ of {1e6 * loop.ALLOWANCE_J:.0f} uJ; "
+            f"controller: largest change {braked[:, loop.KICK_N].max():.3f} N a tick; ends: {faults}"
         )
     assert (near & (shares >= 0.9) & (shares <= 1.0)).sum() >= 1_000
-    assert figures[:, MARGIN_J].min() >= 0.0
-    assert figures[:, RISE_N].max() <= SLEW_N
-    assert figures[resting, SWING].max() <= 1.0
-    assert braked[:, KICK_N].max() <= 0.5
-    assert set(figures[:, FAULT_AT_END]) == {float(Fault.NONE)}
+    must_be_passive_quiet_and_gentle(settings, figures)
+    assert braked[:, loop.KICK_N].max() <= 0.5

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Self
 
 import numpy as np
 import pytest
 from fake_device import FakeDevice
+from felt_block import parameters
 
 from tissueid.haptics.device import UNANSWERED
 from tissueid.haptics.guard import GAIN
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.states import Lamp, State
-from tissueid.rendering.options import preset_tissue
-from tissueid.rendering.passivity_control import TOTAL_J, PassivityLimits
-from tissueid.rendering.servo_io import PythonIO
-from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
-from tissueid.rendering.tissue_block import Plane, tissue_block
+from tissueid.rendering.passivity_control import TOTAL_J
+from tissueid.rendering.servo_tick import servo_here, tick
 
 TICK = 1e-3
-SURFACE_M = 0.0
 COUNT_M = 45e-6
 
 
@@ -30,26 +28,27 @@ class Driven:
     def __init__(self, start_m: float = 0.01) -> None:
         self.device = FakeDevice()
         self.device.position[2], self.device.counts[:] = start_m, round(start_m / COUNT_M)
-        self.device.open()
-        self.ring, self.block = Ring.create(4096), ParameterBlock.create(BLOCK_SIZE)
-        self.servo = new_servo(self.device, self.ring, self.block)
-        self.reader = self.ring.reader()
+        self.opened = ExitStack()
+        self.io, self.servo, ring, self.block = self.opened.enter_context(servo_here(self.device))
+        self.reader = ring.reader()
         self.block.order(COMMAND_ENGAGE)
         self.now = 0.0
 
-    def publish(self, force_scale: float = 0.01) -> None:
-        surface = Plane((0.0, 0.0, SURFACE_M))
-        block = tissue_block(
-            preset_tissue("paper-a"), surface, force_scale=force_scale, motion_scale=1.0, label=0
-        )
-        self.block.write(np.concatenate([block, PassivityLimits(on=False).block()]))
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.opened.close()
+
+    def publish(self) -> None:
+        self.block.write(parameters(surface_z=0.0, scales=(0.01, 1.0)))
 
     def tick(self, count: int = 1, dt: float = TICK) -> np.ndarray:
         for _ in range(count):
             self.now += dt
             # encoders of a hand that is alive: a count more or less
             self.device.counts[0] ^= 1
-            tick(PythonIO(self.device), self.servo, self.now, dt, 0.0, 0)
+            tick(self.io, self.servo, self.now, dt, 0.0, 0)
         return self.reader.read_new()[0]
 
     def go(self, to_m: float, ticks: int) -> np.ndarray:
@@ -64,11 +63,8 @@ class Driven:
 
 @pytest.fixture
 def driven() -> Iterator[Driven]:
-    made = Driven()
-    yield made
-    made.device.close()
-    made.ring.close()
-    made.block.close()
+    with Driven() as made:
+        yield made
 
 
 def pressed(driven: Driven) -> None:
@@ -88,14 +84,11 @@ def test_tissue_of_new_parameters_was_never_touched(driven: Driven) -> None:
     driven.publish()
     driven.tick()
     again = driven.go(-0.004, 30)
-    fresh = Driven(start_m=0.0005)
-    fresh.publish()
-    fresh.tick(1200)
-    first = fresh.go(-0.004, 30)
+    with Driven(start_m=0.0005) as fresh:
+        fresh.publish()
+        fresh.tick(1200)
+        first = fresh.go(-0.004, 30)
     np.testing.assert_allclose(again["tissue_force_N"], first["tissue_force_N"], rtol=1e-12)
-    for one in (fresh.ring, fresh.block):
-        one.close()
-    fresh.device.close()
 
 
 def test_a_velocity_is_that_of_the_time_since_the_last_answer(driven: Driven) -> None:
@@ -113,19 +106,16 @@ def test_a_velocity_is_that_of_the_time_since_the_last_answer(driven: Driven) ->
 
 
 def test_a_first_reading_far_away_is_no_motion() -> None:
-    far = Driven(start_m=0.05)
-    # homed before the loop begins
-    for _ in range(60):
-        far.device.read()
-    assert far.device.state is State.ARMED
-    far.publish()
-    records = far.tick(1200)
+    with Driven(start_m=0.05) as far:
+        # homed before the loop begins
+        for _ in range(60):
+            far.device.read()
+        assert far.device.state is State.ARMED
+        far.publish()
+        records = far.tick(1200)
     assert {int(one) for one in records["fault"]} == {0}
     assert far.servo.guard_memory[GAIN] == 1.0
     assert (far.servo.velocity == 0.0).all()
-    for one in (far.ring, far.block):
-        one.close()
-    far.device.close()
 
 
 def test_energy_is_counted_on_what_was_sent_not_on_what_was_wanted(driven: Driven) -> None:
@@ -142,14 +132,10 @@ def test_energy_is_counted_on_what_was_sent_not_on_what_was_wanted(driven: Drive
 def test_a_law_is_given_the_time_that_passed(driven: Driven) -> None:
     forces = []
     for dt in (TICK, 4.0 * TICK):
-        one = Driven()
-        pressed(one)
-        # held: the force relaxes with tau = 21 ms, by the clock and not by the tick
-        held = one.tick(round(0.02 / dt), dt=dt)
-        forces.append(held["tissue_force_N"][-1])
-        for shared in (one.ring, one.block):
-            shared.close()
-        one.device.close()
+        with Driven() as one:
+            pressed(one)
+            # held: the force relaxes with tau = 21 ms, by the clock and not by the tick
+            forces.append(one.tick(round(0.02 / dt), dt=dt)["tissue_force_N"][-1])
     assert forces[1] == pytest.approx(forces[0], rel=1e-6)
     assert driven.now == 0.0
 

@@ -36,7 +36,7 @@ def straight(angle_deg: float, aside_mm: float, *, seconds: float = 4.0, end_mm:
     return session(height, np.column_stack([aside_mm - slope * height, np.zeros_like(height)]))
 
 
-def test_a_straight_way_has_its_angle_and_its_errors() -> None:
+def test_a_straight_way_has_its_angle_and_its_errors():
     found = measured(HEAD, straight(2.0, 1.5))
     assert found.complete
     assert found.angle_deg == pytest.approx(2.0, abs=1e-6)
@@ -50,7 +50,7 @@ def test_a_straight_way_has_its_angle_and_its_errors() -> None:
     assert found.seconds == pytest.approx(60.0 / (80.5 / 4.0), rel=1e-3)
 
 
-def test_the_standard_error_is_the_scatter_of_the_angle() -> None:
+def test_the_standard_error_is_the_scatter_of_the_angle():
     rng = np.random.default_rng(8)
     clean = straight(1.0, 0.0)
     angles, errors = [], []
@@ -65,7 +65,7 @@ def test_the_standard_error_is_the_scatter_of_the_angle() -> None:
     assert np.std(angles) == pytest.approx(np.median(errors) / math.sqrt(2.0), rel=0.2)
 
 
-def test_an_attempt_ends_at_the_deepest_place_where_the_wire_is_not_through() -> None:
+def test_an_attempt_ends_at_the_deepest_place_where_the_wire_is_not_through():
     records = np.concatenate([straight(0.0, 2.0, end_mm=-12.0), straight(0.0, 2.0, end_mm=-12.0)[::-1]])
     records["time_s"] = 5.0 + 1e-3 * np.arange(records.size)
     found = measured(HEAD, records)
@@ -73,14 +73,14 @@ def test_an_attempt_ends_at_the_deepest_place_where_the_wire_is_not_through() ->
     assert found.end_error_mm == pytest.approx(2.0, abs=1e-6)
 
 
-def test_an_attempt_begins_where_the_tip_came_down_last() -> None:
+def test_an_attempt_begins_where_the_tip_came_down_last():
     again = np.concatenate([straight(0.0, 9.0, end_mm=30.0), straight(0.0, 1.0)])
     again["time_s"] = 5.0 + 1e-3 * np.arange(again.size)
     alone = measured(HEAD, straight(0.0, 1.0))
     assert measured(HEAD, again).seconds == pytest.approx(alone.seconds)
 
 
-def test_a_smooth_reach_has_the_jerk_of_its_closed_form() -> None:
+def test_a_smooth_reach_has_the_jerk_of_its_closed_form():
     # the way of least jerk, 10 s^3 - 15 s^4 + 6 s^5, cut where it passes 40 mm and -20 mm
     s = np.linspace(0.0, 1.0, 20_001)
     height = 40.001 - 60.5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
@@ -96,7 +96,7 @@ def test_a_smooth_reach_has_the_jerk_of_its_closed_form() -> None:
     assert measured(HEAD, shaky).path_over_chord > found.path_over_chord
 
 
-def test_forces_are_those_of_the_way() -> None:
+def test_forces_are_those_of_the_way():
     records = straight(0.0, 0.0)
     records["force_N"][:, 0] = 1.0
     records["force_N"][2500] = [0.0, 3.0, 4.0]
@@ -106,7 +106,7 @@ def test_forces_are_those_of_the_way() -> None:
     assert found.mean_force_N == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_session_without_an_attempt_is_refused() -> None:
+def test_a_session_without_an_attempt_is_refused():
     with pytest.raises(ValueError, match="never came"):
         measured(HEAD, straight(0.0, 0.0)[:100])
     with pytest.raises(ValueError, match="never came"):
@@ -115,7 +115,7 @@ def test_a_session_without_an_attempt_is_refused() -> None:
         measured({**HEAD, "environment": "tissue"}, straight(0.0, 0.0))
 
 
-def test_the_law_of_practice_is_found_with_its_error() -> None:
+def test_the_law_of_practice_is_found_with_its_error():
     rng = np.random.default_rng(2)
     number = np.arange(1, 31)
     found = [learning_curve(8.0 * number**-0.4 * np.exp(0.1 * rng.standard_normal(30))) for _ in range(200)]

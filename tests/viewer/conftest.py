@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +30,14 @@ FLAGS = (
 
 @pytest.fixture
 def ring() -> Iterator[Ring]:
-    made = Ring.create()
-    yield made
-    made.close()
+    with closing(Ring.create()) as made:
+        yield made
 
 
 @pytest.fixture
 def hand() -> Iterator[SharedHand]:
-    made = SharedHand.create()
-    yield made
-    made.close()
+    with closing(SharedHand.create()) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 import threading
 import time
@@ -85,6 +86,14 @@ def until(true: Any, patience_s: float = PATIENCE_S) -> None:
 def client(url: str, **options: Any) -> Iterator[ClientConnection]:
     """A client that is no browser; pings are answered by a thread of its own."""
     with connect(url, max_size=None, open_timeout=PATIENCE_S, compression=None, **options) as connection:
+        yield connection
+
+
+@contextmanager
+def greeted(url: str, **options: Any) -> Iterator[ClientConnection]:
+    """A client that has heard its hello."""
+    with client(url, **options) as connection:
+        assert json.loads(connection.recv(PATIENCE_S))["type"] == "hello"
         yield connection
 
 

@@ -45,12 +45,12 @@ class Session:
 
 
 def now(page: Any) -> Any:
-    """What a page holds."""
+    """Contents of a page."""
     return page.evaluate("window.tissueid ? window.tissueid.read() : null")
 
 
 def wait(page: Any, true: Any, meanwhile: Any = lambda: None) -> Any:
-    """What a page holds once that is so; meanwhile something goes on."""
+    """Contents of a page once that is so; meanwhile something goes on."""
     deadline = time.monotonic() + START_S
     while True:
         meanwhile()

@@ -45,7 +45,7 @@ def page(chromium: Any, sessions: Any) -> Iterator[Any]:
 
 
 def is_engaged(page: Any) -> bool:
-    """Whether the session lived until it may show a force."""
+    """True where the session lived until it may show a force."""
     deadline = time.monotonic() + PATIENCE_S
     while page.session.process.poll() is None and time.monotonic() < deadline:
         found = now(page)
@@ -61,9 +61,8 @@ def press(page: Any, pixels: int) -> Any:
     return wait(page, lambda now: now["newest"]["depth_mm"] > 0.3)
 
 
-def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page: Any) -> None:
+def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page):
     before = now(page)
-    assert before is not None
     assert before["newest"]["depth_mm"] < 0.0
     assert before["newest"]["device_N"] == 0.0
     shallow = press(page, 110)
@@ -80,7 +79,7 @@ def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page: Any) -> None:
     assert gone["newest"]["device_N"] == 0.0
 
 
-def test_keys_press_the_tissue_too(page: Any) -> None:
+def test_keys_press_the_tissue_too(page):
     page.locator("#scene").focus()
     page.keyboard.down("ArrowDown")
     wait(page, lambda now: now["newest"]["depth_mm"] > 0.2)
@@ -90,7 +89,7 @@ def test_keys_press_the_tissue_too(page: Any) -> None:
     assert left["newest"]["state"] == State.ENGAGED
 
 
-def test_pause_marks_theme_and_cameras_answer_to_keys(page: Any) -> None:
+def test_pause_marks_theme_and_cameras_answer_to_keys(page):
     page.keyboard.press("p")
     assert page.locator("#pause").get_attribute("aria-pressed") == "true"
     page.keyboard.press("p")
@@ -114,9 +113,7 @@ def test_pause_marks_theme_and_cameras_answer_to_keys(page: Any) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), WIDTHS)
-def test_the_page_fits_its_window_and_a_screen_reader_hears_the_state(
-    page: Any, width: int, height: int
-) -> None:
+def test_the_page_fits_its_window_and_a_screen_reader_hears_the_state(page, width, height):
     page.set_viewport_size({"width": width, "height": height})
     wait(page, lambda now: now["drawn"] > 0)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -156,7 +153,7 @@ def wrong_points(traces: dict[str, Any], log: SessionLog, period_s: float = 0.00
     return wrong
 
 
-def test_traces_and_digits_are_the_servos_records(page: Any) -> None:
+def test_traces_and_digits_are_the_servos_records(page):
     session = page.session
     page.set_viewport_size({"width": 1400, "height": 900})
     press(page, 160)
@@ -192,13 +189,12 @@ def test_traces_and_digits_are_the_servos_records(page: Any) -> None:
     assert read["depth"] == f"{record['depth_mm']:.2f}"
     assert read["now"]["newest"]["tick"] - read["tick"] <= OLDEST_DIGITS_TICKS
     assert read["now"]["dropped"] == 0
-    assert log.summary is not None
     assert log.summary["lost_records"] == 0
     assert log.records["fault"].max() == Fault.NONE
     assert errors == []
 
 
-def test_a_page_finds_a_session_that_was_started_again(chromium: Any) -> None:
+def test_a_page_finds_a_session_that_was_started_again(chromium):
     page = chromium.new_page(viewport={"width": 800, "height": 700})
     with served() as first:
         page.goto(f"http://127.0.0.1:{first.access.port}/")
@@ -220,7 +216,7 @@ def test_a_page_finds_a_session_that_was_started_again(chromium: Any) -> None:
     page.close()
 
 
-def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium: Any) -> None:
+def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium):
     with served() as live:
         page = chromium.new_page(viewport={"width": 800, "height": 700})
         page.goto(f"http://127.0.0.1:{live.access.port}/")
@@ -233,7 +229,7 @@ def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium: Any) -> None:
         page.close()
 
 
-def test_a_dent_that_its_tool_has_left_goes_back_as_the_records_say(chromium: Any) -> None:
+def test_a_dent_that_its_tool_has_left_goes_back_as_the_records_say(chromium):
     with served() as live:
         page = chromium.new_page(viewport={"width": 1000, "height": 800})
         page.goto(f"http://127.0.0.1:{live.access.port}/")

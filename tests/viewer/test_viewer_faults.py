@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_server import Live, client, served, until
+from live_server import Live, greeted, served, until
 from rendered_session import Session
 from session_heads import head_of
 
@@ -48,12 +48,11 @@ class Led:
 
     @property
     def height_m(self) -> float:
-        """Where the hand is led to."""
+        """Place the hand is led to."""
         return float(self.hand.parameters[POINTER + 2])
 
     def press(self) -> None:
-        with client(self.viewer.url.replace("http", "ws") + "ws") as page:
-            page.recv()
+        with greeted(self.viewer.url.replace("http", "ws") + "ws") as page:
             page.send(PRESS)
             until(lambda: self.height_m == 0.1)
             self.meanwhile()
@@ -74,9 +73,7 @@ def led() -> Iterator[Led]:
     made.close()
 
 
-def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
-    led: Led, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(led, capsys):
     shown = telling_stop(led.viewer, None, lambda _record, _summary: None)
 
     def kill() -> None:
@@ -91,14 +88,12 @@ def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
         assert led.height_m == REST_M[2]
         shown(None, None)
 
-    led.meanwhile = kill  # type: ignore[method-assign]
+    led.meanwhile = kill
     led.press()
     assert capsys.readouterr().err.count("goes on unseen") == 1
 
 
-def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(
-    led: Led, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(led, monkeypatch):
     monkeypatch.setattr(serving, "SILENCE_S", 0.5)
     seen = []
 
@@ -112,14 +107,14 @@ def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(
         led.viewer._process.send_signal(signal.SIGCONT)
         until(lambda: led.hand.silent_s() < 0.2)
 
-    led.meanwhile = hang  # type: ignore[method-assign]
+    led.meanwhile = hang
     led.press()
     assert seen == [0.1, REST_M[2]]
-    led.meanwhile = lambda: None  # type: ignore[method-assign]
+    led.meanwhile = lambda: None
     led.press()
 
 
-def test_a_page_that_is_closed_while_it_presses_lets_go(led: Led) -> None:
+def test_a_page_that_is_closed_while_it_presses_lets_go(led):
     led.press()
     until(lambda: led.height_m == REST_M[2])
 
@@ -129,15 +124,14 @@ def pressed() -> Iterator[tuple[Live, Any, SharedHand]]:
     """A hand that a page presses through a server in this process."""
     hand = SharedHand.create()
     pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
-    with served(pointer=pointer) as live, client(live.ws) as page:
-        page.recv()
+    with served(pointer=pointer) as live, greeted(live.ws) as page:
         page.send(PRESS)
         until(lambda: live.stage.leader is not None and hand.parameters[POINTER + 2] == 0.1)
         yield live, page, hand
     hand.close()
 
 
-def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch):
     monkeypatch.setattr(server, "SILENCE_S", 0.2)
     with pressed() as (live, _, hand):
         # its connection stays, and nothing comes
@@ -145,7 +139,7 @@ def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.M
         assert len(live.stage.clients) == 1
 
 
-def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_only_answers_goes_on_pressing(monkeypatch):
     monkeypatch.setattr(server, "SILENCE_S", 3600.0)
     with pressed() as (live, page, hand):
         heard_s = live.stage.leader_heard_s
@@ -156,9 +150,7 @@ def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPat
         assert hand.parameters[POINTER + 2] == 0.1
 
 
-def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(monkeypatch):
     monkeypatch.setattr("tissueid.viewer.serving.REAP_S", 0.3)
     led = Led()
     os.kill(led.viewer._process.pid, signal.SIGSTOP)
@@ -169,7 +161,7 @@ def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(
     assert led.viewer._process.returncode == -signal.SIGKILL
 
 
-def test_a_server_whose_owner_was_killed_ends() -> None:
+def test_a_server_whose_owner_was_killed_ends():
     owner = (
         "import os, signal\n"
         "from tissueid.viewer.serving import ServedViewer, ViewerOptions\n"
@@ -185,14 +177,11 @@ def test_a_server_whose_owner_was_killed_ends() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(
-    tmp_path: Path, how: signal.Signals
-) -> None:
+def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(tmp_path, how):
     log = tmp_path / "out.h5"
     asked = ("--preset", "paper-a", "--device", "sim", "--viewer", "--seconds", "4", "--log", log)
     session = Session(*asked, folder=tmp_path / "said")
-    with client(session.url.replace("http", "ws") + "ws") as page:
-        page.recv()
+    with greeted(session.url.replace("http", "ws") + "ws") as page:
         until(lambda: isinstance(page.recv(PATIENCE_S), bytes))
         os.kill(server_of(session), how)
     deadline = time.monotonic() + PATIENCE_S
@@ -201,7 +190,6 @@ def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(
     assert session.end() == 0, session.said
     assert ("goes on unseen" in session.said) is (how == signal.SIGKILL)
     found = read_session_log(log)
-    assert found.summary is not None
     assert found.summary["lost_records"] == 0
     assert found.records["time_s"][-1] - found.records["time_s"][0] >= 3.9
 

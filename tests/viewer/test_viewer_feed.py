@@ -8,12 +8,17 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from live_server import client, frame_of, record, served, until
+from live_server import frame_of, greeted, record, served, until
 
 from tissueid.haptics.ring import RECORD, Ring
 from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed, Playback
 from tissueid.viewer.frames import Frame, read_frame, samples_of
 from tissueid.viewer.protocols import Play
+
+
+@pytest.fixture
+def feed(ring: Ring) -> LiveFeed:
+    return LiveFeed(ring)
 
 
 def fill(ring: Ring, count: int, first: int = 0) -> None:
@@ -23,13 +28,10 @@ def fill(ring: Ring, count: int, first: int = 0) -> None:
 
 def shown(one: Client) -> Frame:
     """The frame that is to be sent now."""
-    data = one.next_frame()
-    assert data is not None
-    return read_frame(data)
+    return read_frame(one.next_frame())
 
 
-def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_a_client_gets_every_sample_in_order(ring, feed):
     one = Client(feed, "one")
     seen: list[int] = []
     for turn in range(20):
@@ -44,8 +46,7 @@ def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
     assert one.next_frame() is None
 
 
-def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring, feed):
     hung, awake = Client(feed, "hung"), Client(feed, "awake")
     received = sent = 0
     while (data := hung.next_frame()) is not None or sent < MOST_UNANSWERED:
@@ -70,7 +71,7 @@ def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(rin
     assert awake.dropped == 0
 
 
-def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers() -> None:
+def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers():
     ring = Ring.create(capacity=64)
     feed = LiveFeed(ring)
     one = Client(feed, "one")
@@ -83,8 +84,7 @@ def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers() -> None:
     assert feed.between(140, 200)["tick"].tolist() == list(range(140, 200))
 
 
-def test_numbers_stay_right_when_the_kept_samples_go_round(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_numbers_stay_right_when_the_kept_samples_go_round(ring, feed):
     for turn in range(4):
         fill(ring, 3000, 3000 * turn)
         feed.pump()
@@ -93,7 +93,7 @@ def test_numbers_stay_right_when_the_kept_samples_go_round(ring: Ring) -> None:
     assert feed.between(end - MOST_SAMPLES, end)["tick"].tolist() == list(range(end - MOST_SAMPLES, end))
 
 
-def test_an_answer_that_cannot_be_is_refused(ring: Ring) -> None:
+def test_an_answer_that_cannot_be_is_refused(ring):
     one = Client(LiveFeed(ring), "one")
     assert not one.answer(1)
     fill(ring, 5)
@@ -104,8 +104,7 @@ def test_an_answer_that_cannot_be_is_refused(ring: Ring) -> None:
     assert not one.answer(2)
 
 
-def test_the_end_is_said_once(ring: Ring) -> None:
-    feed = LiveFeed(ring)
+def test_the_end_is_said_once(ring, feed):
     one = Client(feed, "one")
     fill(ring, 3)
     feed.end()
@@ -114,12 +113,9 @@ def test_the_end_is_said_once(ring: Ring) -> None:
     assert one.next_frame() is None
 
 
-def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
-    with served() as live, client(live.ws) as hung, ExitStack() as others:
-        hung.recv()
-        opened = [others.enter_context(client(live.ws)) for _ in range(4)]
-        for one in opened:
-            one.recv()
+def test_five_clients_one_of_them_hung_and_the_others_miss_nothing():
+    with served() as live, greeted(live.ws) as hung, ExitStack() as others:
+        opened = [others.enter_context(greeted(live.ws)) for _ in range(4)]
         seen: list[list[int]] = [[] for _ in opened]
         written = 0
         begun = time.monotonic()
@@ -151,8 +147,8 @@ def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
 
 def live_answer(one: object) -> None:
     """Answer all frames that were received on a connection."""
-    one.answered = getattr(one, "answered", 0) + 1  # type: ignore[attr-defined]
-    one.send(json.dumps({"v": 1, "answer": one.answered}))  # type: ignore[attr-defined]
+    one.answered = getattr(one, "answered", 0) + 1
+    one.send(json.dumps({"v": 1, "answer": one.answered}))
 
 
 class TestPlayback:
@@ -161,7 +157,7 @@ class TestPlayback:
         records["tick"], records["time_s"] = np.arange(1000), 50.0 + 1e-3 * np.arange(1000)
         return samples_of(records)
 
-    def test_samples_come_when_they_came(self) -> None:
+    def test_samples_come_when_they_came(self):
         now = [0.0]
         play = Playback(self.samples(), lambda: now[0])
         assert play.published == 1
@@ -171,7 +167,7 @@ class TestPlayback:
         now[0] = 5.0
         assert (play.published, play.ended) == (1000, True)
 
-    def test_it_stands_still_goes_on_and_goes_back(self) -> None:
+    def test_it_stands_still_goes_on_and_goes_back(self):
         now = [0.1]
         play = Playback(self.samples(), lambda: now[0])
         play.play(Play(0.5, paused=True))

@@ -35,7 +35,7 @@ def some_records(count: int, seed: int = 1) -> np.ndarray:
     return records
 
 
-def test_every_field_arrives_with_the_digits_of_the_layout() -> None:
+def test_every_field_arrives_with_the_digits_of_the_layout():
     records = some_records(50)
     frame = read_frame(write_frame(samples_of(records), first=7, now_s=12.5, dropped=3, round_trip_us=9))
     assert (frame.first, frame.now_s, frame.dropped, frame.round_trip_us) == (7, 12.5, 3, 9)
@@ -48,7 +48,7 @@ def test_every_field_arrives_with_the_digits_of_the_layout() -> None:
         assert (frame.samples[name] == records[name]).all(), name
 
 
-def test_a_page_can_read_a_sample_by_the_layout_alone() -> None:
+def test_a_page_can_read_a_sample_by_the_layout_alone():
     records = some_records(3)
     data = write_frame(samples_of(records), first=0, now_s=0.0)
     columns = {name: (read, offset) for name, read, offset in layout()}
@@ -61,7 +61,7 @@ def test_a_page_can_read_a_sample_by_the_layout_alone() -> None:
     assert columns["force_N.2"][1] - columns["force_N.0"][1] == 2 * 4
 
 
-def test_records_of_another_layout_keep_what_they_have() -> None:
+def test_records_of_another_layout_keep_what_they_have():
     old = np.zeros(4, np.dtype([("time_s", "<f8"), ("depth_mm", "<f8")]))
     old["depth_mm"] = 2.5
     samples = samples_of(old)
@@ -72,16 +72,14 @@ def test_records_of_another_layout_keep_what_they_have() -> None:
 @pytest.mark.parametrize(
     ("cut", "version", "why"), [*((cut, 1, "frame") for cut in (0, 5, 31, 33, -1)), (None, 9, "version 1")]
 )
-def test_a_frame_that_is_not_whole_or_of_another_version_is_refused(
-    cut: int | None, version: int, why: str
-) -> None:
+def test_a_frame_that_is_not_whole_or_of_another_version_is_refused(cut, version, why):
     data = bytearray(write_frame(samples_of(some_records(2)), first=0, now_s=0.0))
     data[2] = version
     with pytest.raises(ValueError, match=why):
         read_frame(bytes(data[:cut]))
 
 
-def test_the_hello_says_what_is_drawn_and_which_lamp_is_which() -> None:
+def test_the_hello_says_what_is_drawn_and_which_lamp_is_which():
     words = json.loads(json.dumps(hello(head_of(), pointer=True), allow_nan=False))
     assert {one["kind"] for one in words["scene"]["objects"]} == {"workspace", "tool", "surface"}
     surface = next(one for one in words["scene"]["objects"] if one["kind"] == "surface")
@@ -98,7 +96,7 @@ def test_the_hello_says_what_is_drawn_and_which_lamp_is_which() -> None:
     assert all(trace["field"] in named and trace.get("over", "time_s") in named for trace in traces)
 
 
-def test_the_tool_is_drawn_as_the_tip_that_was_stated() -> None:
+def test_the_tool_is_drawn_as_the_tip_that_was_stated():
     head = head_of()
     head["tissues"][0]["tip"] = {"shape": "cone", "half_angle_deg": 30.0}
     drawn = [
@@ -108,15 +106,15 @@ def test_the_tool_is_drawn_as_the_tip_that_was_stated() -> None:
     assert [(one["shape"], one["half_angle_deg"]) for one in drawn] == [("sphere", None), ("cone", 30.0)]
 
 
-def test_a_blind_session_tells_no_tissue_and_no_band() -> None:
+def test_a_blind_session_tells_no_tissue_and_no_band():
     words = hello(head_of(blind=True))
     assert words["session"]["title"] == "blind comparison"
     assert words["band"] is None
 
 
 @pytest.mark.parametrize("kind", ["hyperboloid", "cone"])
-def test_the_drawn_funnel_is_the_one_that_is_felt(kind: str) -> None:
-    funnel = Funnel(kind=kind)  # type: ignore[arg-type]
+def test_the_drawn_funnel_is_the_one_that_is_felt(kind):
+    funnel = Funnel(kind=kind)
     plan = Guidance((0.01, 0.0, 0.12), (0.0, 0.6, 0.8), funnel=funnel)
     axis, drawn, bone = guided_objects(guidance_block(plan).tolist())
     json.dumps([axis, drawn, bone])
@@ -129,12 +127,12 @@ def test_the_drawn_funnel_is_the_one_that_is_felt(kind: str) -> None:
     assert bone["radius_m"] == plan.bone.radius_m
 
 
-def test_where_there_is_no_bone_none_is_drawn() -> None:
+def test_where_there_is_no_bone_none_is_drawn():
     plan = Guidance((0.0, 0.0, 0.13), bone=Bone(radius_m=0.0))
     assert [one["kind"] for one in guided_objects(guidance_block(plan))] == ["axis", "funnel"]
 
 
-def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue() -> None:
+def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue():
     scene = load_scene("hip-resurfacing")
     head = plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene)).head
     words = hello(head, pointer=True)
@@ -148,7 +146,7 @@ def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue() 
     np.testing.assert_allclose(tool["axis"], scene.guidance.unit_axis())
 
 
-def test_a_tissue_of_a_scene_has_its_title_and_all_lamps() -> None:
+def test_a_tissue_of_a_scene_has_its_title_and_all_lamps():
     scene = load_scene("orbital-floor")
     asked = RenderOptions(device="sim", seconds=1.0, scene=scene, **{"surface": "plane", **scene.tissue})
     words = hello(plan_session(asked).head)

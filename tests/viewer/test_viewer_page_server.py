@@ -75,7 +75,7 @@ def origin(server: PageServer) -> str:
     return f"http://127.0.0.1:{server.access.port}"
 
 
-def test_the_address_that_is_printed_shows_the_page(served: PageServer) -> None:
+def test_the_address_that_is_printed_shows_the_page(served):
     assert served.url.startswith("http://127.0.0.1:")
     status, text, headers = request(served, "GET", served.url.removeprefix(origin(served)))
     assert (status, text) == (200, "<p>the page</p>")
@@ -94,9 +94,7 @@ def test_the_address_that_is_printed_shows_the_page(served: PageServer) -> None:
         ("GET", "/?token={token}", {"Host": "evil.example"}, "foreign Host"),
     ],
 )
-def test_strangers_are_refused_before_anything_is_done(
-    served: PageServer, method: str, path: str, headers: dict[str, str], why: str
-) -> None:
+def test_strangers_are_refused_before_anything_is_done(served, method, path, headers, why):
     before = len(SHOWN.words)
     path = path.format(token=served.access.token)
     status, text, _ = request(served, method, path, b'{"key": "exclude"}', **headers)
@@ -116,15 +114,13 @@ def test_strangers_are_refused_before_anything_is_done(
         (b" " * (LARGEST_DECISION + 1), 413, "too long: shorten the reason"),
     ],
 )
-def test_a_decision_is_answered_in_one_sentence(
-    served: PageServer, body: bytes, status: int, said: str
-) -> None:
+def test_a_decision_is_answered_in_one_sentence(served, body, status, said):
     path = f"/decide?token={served.access.token}"
     found, text, _ = request(served, "POST", path, body, Origin=origin(served))
     assert (found, json.loads(text)) == (status, {"said": said})
 
 
-def test_a_page_that_cant_be_made_says_why(served: PageServer) -> None:
+def test_a_page_that_cant_be_made_says_why(served):
     SHOWN.broken = True
     status, text, _ = request(served, "GET", f"/?token={served.access.token}")
     SHOWN.broken = False
@@ -132,9 +128,7 @@ def test_a_page_that_cant_be_made_says_why(served: PageServer) -> None:
     assert "line 3" in text
 
 
-def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(
-    served: PageServer,
-) -> None:
+def test_a_second_one_takes_a_free_port_and_a_wanted_one_that_is_taken_is_refused(served):
     with PageServer(Asked()) as other:
         assert other.access.port != served.access.port
     with pytest.raises(UsageError, match="--viewer-port"):

@@ -11,6 +11,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,7 @@ from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, indentation, records_of, summary_of
 
 from tissueid.errors import BundleError, UsageError
-from tissueid.haptics.ring import RECORD, Ring
-from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.ring import RECORD
 from tissueid.model.channels import loading_force
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.plan import plan_session
@@ -51,7 +51,7 @@ def ws(viewer: ServedViewer) -> str:
     )
 
 
-def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it(ring: Ring, hand: SharedHand) -> None:
+def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it(ring, hand):
     reading = ring.read_only()
     with ServedViewer(ViewerOptions(port=None)) as viewer:
         viewer.show_live(
@@ -78,7 +78,7 @@ def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it(ring: Ring, 
     viewer.close()
 
 
-def test_a_process_plays_a_log(tmp_path: Path) -> None:
+def test_a_process_plays_a_log(tmp_path):
     path = recorded(tmp_path)
     log = check_log(path)
     with ServedViewer(ViewerOptions()) as viewer:
@@ -109,7 +109,7 @@ def exported(log: SessionLog, path: Path) -> Path:
     return path
 
 
-def test_a_recording_is_laid_beside_a_log_from_contact_on(tmp_path: Path) -> None:
+def test_a_recording_is_laid_beside_a_log_from_contact_on(tmp_path):
     log = check_log(recorded(tmp_path))
     beside = recording_beside(log, exported(log, tmp_path / "log.csv"))
     shown = np.interp(log.records["time_s"], beside["time_s"], beside["force_N"])
@@ -127,7 +127,7 @@ def test_a_recording_is_laid_beside_a_log_from_contact_on(tmp_path: Path) -> Non
         recording_beside(log, air)
 
 
-def test_the_process_hears_its_owner_line_by_line(ring: Ring, hand: SharedHand) -> None:
+def test_the_process_hears_its_owner_line_by_line(ring, hand):
     ours, theirs = socket.socketpair()
     listening = socket.create_server((LOOPBACK, 0))
     port = listening.getsockname()[1]
@@ -155,7 +155,7 @@ def test_the_process_hears_its_owner_line_by_line(ring: Ring, hand: SharedHand) 
     theirs.close()
 
 
-def test_the_process_loads_no_compiler() -> None:
+def test_the_process_loads_no_compiler():
     program = (
         "import sys, tissueid.viewer.server_process, tissueid.viewer.server, tissueid.haptics.ring\n"
         "import tissueid.haptics.shared_hand\n"
@@ -165,7 +165,7 @@ def test_the_process_loads_no_compiler() -> None:
     assert ended.stdout == "set()\n"
 
 
-def test_an_owner_that_never_said_a_word_serves_nothing() -> None:
+def test_an_owner_that_never_said_a_word_serves_nothing():
     ours, theirs = socket.socketpair()
     ours.close()
     listening = socket.create_server((LOOPBACK, 0))
@@ -179,7 +179,7 @@ def test_an_owner_that_never_said_a_word_serves_nothing() -> None:
     listening.close()
 
 
-def test_a_port_that_is_taken_is_refused_where_it_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_is_taken_is_refused_where_it_was_asked_for(monkeypatch):
     taken = socket.create_server((LOOPBACK, 0))
     port = taken.getsockname()[1]
     with pytest.raises(UsageError, match="--viewer-port"):
@@ -192,7 +192,7 @@ def test_a_port_that_is_taken_is_refused_where_it_was_asked_for(monkeypatch: pyt
         ServedViewer(ViewerOptions("no.such.host.invalid"))
 
 
-def test_the_address_of_another_machine_carries_its_token() -> None:
+def test_the_address_of_another_machine_carries_its_token():
     with ServedViewer(ViewerOptions("0.0.0.0")) as viewer:
         token = viewer.access.token
         assert token is not None
@@ -200,16 +200,14 @@ def test_the_address_of_another_machine_carries_its_token() -> None:
         assert "0.0.0.0" not in viewer.url
 
 
-def test_files_that_are_no_certificate_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_certificate_are_refused(tmp_path):
     for name in ("c.pem", "k.pem"):
         (tmp_path / name).write_text("nothing of the kind", encoding="ascii")
     with pytest.raises(UsageError, match="can't be used"):
         ViewerOptions(certificate=tmp_path / "c.pem", key=tmp_path / "k.pem")
 
 
-def test_a_session_elsewhere_is_opened_once_it_answers(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_session_elsewhere_is_opened_once_it_answers(monkeypatch, tmp_path):
     from tissueid.viewer import server
 
     (tmp_path / "index.html").write_text("a page", encoding="ascii")
@@ -229,7 +227,7 @@ def test_a_session_elsewhere_is_opened_once_it_answers(
 
 
 class TestShowing:
-    def test_the_band_is_the_quantiles_of_the_draws_at_both_speeds(self) -> None:
+    def test_the_band_is_the_quantiles_of_the_draws_at_both_speeds(self):
         shares = np.linspace(0.8, 1.2, 201)
         draws = np.array([np.append(share * PAPER_A.theta[:4], PAPER_A.theta[4]) for share in shares])
         band = band_of(PAPER_A, draws)
@@ -246,7 +244,7 @@ class TestShowing:
         assert without["draws"] == 0
         assert all("low_N" not in curve for curve in without["curves"])
 
-    def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path: Path) -> None:
+    def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path, ring, hand):
         draws = np.array([PAPER_A.theta, 1.1 * PAPER_A.theta])
         write_bundle(bundle_of(PAPER_A, draws=draws), tmp_path / "bundle.h5")
         options = RenderOptions(bundle=tmp_path / "bundle.h5", device="sim", led=True)
@@ -260,9 +258,8 @@ class TestShowing:
 
         for given in (options, replace(options, script="indent 1 mm at 500 mm/min")):
             plan = plan_session(given)
-            servo = Servo(led=plan.led)
-            show_session(Watched(), plan, servo, given.bundle)  # type: ignore[arg-type]
-            servo.close()
+            servo = SimpleNamespace(ring=ring, hand=hand if plan.led else None)
+            show_session(Watched(), plan, servo, given.bundle)
         (led, led_count, places), (scripted, scripted_count, _) = shown
         assert (led["session"]["pointer"], led_count) == (True, 2)
         assert (scripted["session"]["pointer"], scripted_count) == (False, 1)
@@ -275,22 +272,9 @@ class TestShowing:
         low, high = places["workspace_m"][2]
         assert low < places["rest_m"][2] < high
 
-    def test_an_empty_log_is_refused(self, tmp_path: Path) -> None:
+    def test_an_empty_log_is_refused(self, tmp_path):
         recorder = Recorder(tmp_path / "out.h5", head_of())
         recorder.append(np.zeros(1, RECORD))
         path = recorder.finish(summary_of(records_of(np.zeros(2))))
         with pytest.raises(BundleError, match="nothing to see"):
             check_log(path)
-
-
-class Servo:
-    """The memories of a servo without its process."""
-
-    def __init__(self, *, led: bool) -> None:
-        self.ring = Ring.create()
-        self.hand = SharedHand.create() if led else None
-
-    def close(self) -> None:
-        self.ring.close()
-        if self.hand is not None:
-            self.hand.close()

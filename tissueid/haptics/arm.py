@@ -74,16 +74,6 @@ def new_arm(position_m: FloatArray) -> FloatArray:
 
 
 @tick_kernel
-def port_energy(memory: FloatArray) -> float:
-    """Energy [J] that went through the grip into what is rendered, and into damping and friction.
-
-    Counted on the true position, without the kinetic energy: a rendering is passive where this is never
-    negative, whatever the hand does (Colgate & Schenkel, doi 10.1002/rob.4620140110).
-    """
-    return float(memory[DAMPING_LOSS] + memory[FRICTION_LOSS] - memory[MOTOR_WORK])
-
-
-@tick_kernel
 def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> float:
     """Coordinate of the script at a time on the stretch that begins with ``knot``."""
     at = layout.FIRST_KNOT + layout.KNOT_COLUMNS * knot

@@ -236,10 +236,7 @@ class HapticDevice(ABC):
 
     @final
     def sample(self) -> DeviceSample:
-        """Read the device without its watchdogs, for a loop that has its own.
-
-        Raises DeviceError: the device is closed or gone; the guard is then in FAULT.
-        """
+        """Read the device without its watchdogs, for a loop with its own; DeviceError, and FAULT, if lost."""
         self._must_be_open()
         try:
             return self._read()
@@ -336,11 +333,7 @@ MOST_A_READING_S = 0.1
 def wait_with_zero_force(
     device: HapticDevice, reached: Callable[[], bool], timeout_s: float, why_not: Callable[[], str]
 ) -> None:
-    """Read and send zero force until something is reached.
-
-    Raises DeviceError: after the time-out, of which one reading takes ``MOST_A_READING_S`` at most, on a
-    fault, or when the device is lost; and what ``device.while_waiting`` raises.
-    """
+    """Read and send zero force until something is reached; DeviceError late, on a fault, or lost."""
     waited_s, before = 0.0, time.monotonic()
     zero = np.zeros(3)
     while not reached():

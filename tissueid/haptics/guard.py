@@ -63,15 +63,10 @@ GUARD_SIZE = 33
 
 # numbers that compiled functions are called with are floats: numba would compile a function anew for every
 # integer constant it is called with
-CLOSED, OPEN, FIRMWARE = float(State.CLOSED), float(State.OPEN), float(State.FIRMWARE)
-HOMING, ARMED, ENGAGED, FAULTED = (
-    float(State.HOMING),
-    float(State.ARMED),
-    float(State.ENGAGED),
-    float(State.FAULT),
-)
-_HEARTBEAT, _PARENT_DIED = float(Fault.HEARTBEAT), float(Fault.PARENT_DIED)
-_TRANSPORT = float(Fault.TRANSPORT)
+CLOSED, OPEN, FIRMWARE, HOMING, ARMED, ENGAGED, FAULTED = (float(state) for state in State)
+_HEARTBEAT, _PARENT_DIED, _TRANSPORT = (
+    float(Fault.HEARTBEAT), float(Fault.PARENT_DIED), float(Fault.TRANSPORT),
+)  # fmt: skip
 
 #: Phases of GAIN: up to 1; down, then ARMED; down, then up again; down, then damping, then FAULT.
 RISING, RELEASING, RECOVERING, YIELDING = 0.0, 1.0, 2.0, 3.0
@@ -222,7 +217,7 @@ LATE_COMMANDS, LATE_FOR_S, FORGOTTEN_PER_S = 3, 0.02, 4.0
 LONGEST_STALL_S = 1.0
 
 _NO_REPLY, _BAD_PACKETS = float(Fault.NO_REPLY), float(Fault.BAD_PACKETS)
-_TRANSPORT, _FROZEN, _APART = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN), float(Fault.LEGS_APART)
+_FROZEN, _APART = float(Fault.ENCODER_FROZEN), float(Fault.LEGS_APART)
 _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
 
 

@@ -199,10 +199,7 @@ def _speed(value: str, per: str, line: str) -> float:
 
 
 def parse_script(text: str) -> tuple[Stroke, ...]:
-    """Read strokes, separated by semicolons; a retract without a depth leaves the tissue.
-
-    Raises UsageError: naming the part that is no stroke, or leads nowhere.
-    """
+    """Read strokes between semicolons; a retract without a depth leaves the tissue; else UsageError."""
     strokes: list[Stroke] = []
     depth = -SCRIPT_CLEARANCE_MM
     for part in text.split(";"):
@@ -238,12 +235,7 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
 
 
 def scripted_hand(
-    text: str,
-    *,
-    motion_scale: float,
-    surface_m: FloatArray,
-    inward: FloatArray,
-    rest_s: float = REST_S,
+    text: str, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray, rest_s: float = REST_S
 ) -> Hand:
     """Machine that carries the grip through a script, ``motion_scale`` times the depth in the tissue."""
     time, depth = rest_s, -SCRIPT_CLEARANCE_MM

@@ -9,35 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Indices into :meth:`GuardLimits.block`, in the order of the fields.
-(
-    CLAMP_N,
-    SLEW_N,
-    RMS_LIMIT_N,
-    RMS_WINDOW_S,
-    RAMP_S,
-    RECOVERY_S,
-    FAULT_RAMP_S,
-    DAMPING,
-    DAMPING_S,
-    ENGAGE_BELOW_N,
-    HOMED_NEEDED,
-    OVERSPEED,
-    JUMP_COUNTS,
-    JUMP_S,
-    NO_REPLY_S,
-    BAD_PACKETS,
-    FROZEN_S,
-    FROZEN_CHANGE_N,
-    HEARTBEAT_S,
-    STALL_S,
-    DEAD_MAN,
-    DEAD_MAN_BUTTONS,
-    DEAD_MAN_S,
-    MOTOR_CLAMP,
-    PAUSE_S,
-    PAUSE_RAMP_S,
-    DELAY_TICKS,
-) = range(27)
+CLAMP_N, SLEW_N, RMS_LIMIT_N, RMS_WINDOW_S, RAMP_S, RECOVERY_S, FAULT_RAMP_S, DAMPING, DAMPING_S = range(9)
+ENGAGE_BELOW_N, HOMED_NEEDED, OVERSPEED, JUMP_COUNTS, JUMP_S, NO_REPLY_S, BAD_PACKETS = range(9, 16)
+FROZEN_S, FROZEN_CHANGE_N, HEARTBEAT_S, STALL_S, DEAD_MAN, DEAD_MAN_BUTTONS, DEAD_MAN_S = range(16, 23)
+MOTOR_CLAMP, PAUSE_S, PAUSE_RAMP_S, DELAY_TICKS = range(23, 27)
 
 #: A fault takes the force away within this time [s]; no limit may be slower.
 LONGEST_FAULT_RAMP_S = 0.020

@@ -28,6 +28,7 @@ Law = Callable[[float, FloatArray, FloatArray], FloatArray]
 #: Waits until a time of the device's clock; a device in virtual time needs none.
 Pace = Callable[[float], None]
 
+#: Tick of the servo [s].
 TICK_S = 0.001
 #: How long a device may take from "force is wanted" to force [s].
 ENGAGE_S = 5.0
@@ -78,22 +79,24 @@ def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_
     return Motion(np.array(times), np.array(positions), np.array(forces))
 
 
+def no_force(_time_s: float, _position: FloatArray, _velocity: FloatArray) -> FloatArray:
+    """The law of free air."""
+    return np.zeros(3)
+
+
 def engage(device: HapticDevice, pace: Pace = wait_for) -> None:
     """Ask for force and wait through the start-up ramp; DeviceError if the guard does not engage."""
-    zero = np.zeros(3)
     device.engage()
     waited = 0.0
     while device.state is not State.ENGAGED and waited < ENGAGE_S:
-        record(device, lambda _t, _p, _v: zero, 0.0, pace)
+        record(device, no_force, 0.0, pace)
         waited += TICK_S
     if device.state is not State.ENGAGED:
         msg = f"{device.name}: no force within {ENGAGE_S:g} s: is it homed, and the dead-man button held?"
         raise DeviceError(msg)
-    record(device, lambda _t, _p, _v: zero, RAMP_S, pace)
+    record(device, no_force, RAMP_S, pace)
 
 
-#: Tick of the servo [s].
-TICK_S = 0.001
 #: After this time an answer is lost, not late [s].
 PATIENCE_S = 0.05
 #: Share of the answers that make the delay: the slowest are stalls of this machine, which the guard sees to.
@@ -119,10 +122,7 @@ class LinkReport:
 
 
 def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
-    """Send zero force to an open device and wait for the answer, over and over.
-
-    Raises DeviceError: the device is lost, or answers nothing at all.
-    """
+    """Send zero force and wait for the answer, over and over; DeviceError where none comes, or it is lost."""
     zero = np.zeros(3)
     trips: list[float] = []
     commands = damaged = 0
@@ -241,7 +241,7 @@ def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None], pace: 
     """
     empty = _held(device, pace)
     device.disengage()
-    record(device, lambda _t, _p, _v: np.zeros(3), PERIOD_S, pace)
+    record(device, no_force, PERIOD_S, pace)
     hang()
     loaded = _held(device, pace)
     device.disengage()
@@ -254,9 +254,8 @@ def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None], pace: 
             f"{np.mean(loaded):.2f} N with it; does it hang freely on the grip?"
         )
         raise DeviceError(msg)
-    return Weighing(
-        float(np.mean(empty)), float(np.mean(loaded)), weight, difference / weight, error / weight
-    )
+    held = float(np.mean(empty)), float(np.mean(loaded))
+    return Weighing(*held, weight, difference / weight, error / weight)
 
 
 def _held(device: HapticDevice, pace: Pace) -> FloatArray:
@@ -271,7 +270,14 @@ def _held(device: HapticDevice, pace: Pace) -> FloatArray:
             raise
         msg = f"{device.limits.clamp_N:.2f} N, all that the guard allows, did not lift the grip: {LIGHTER}"
         raise DeviceError(msg) from error
-    _check_clamp(device, motion)
+    clamp = device.limits.clamp_N
+    clipped = np.mean(np.linalg.norm(motion.force_N, axis=1) > NEARLY * clamp)
+    if clipped > MOST_CLIPPED:
+        msg = (
+            f"the grip needs the whole {clamp:.2f} N that the guard allows, {100 * clipped:.0f} % of the "
+            f"time: {LIGHTER}"
+        )
+        raise DeviceError(msg)
     means = []
     for period in range(SETTLING, SETTLING + PERIODS):
         begin = APPROACH_S + period * PERIOD_S
@@ -282,24 +288,8 @@ def _held(device: HapticDevice, pace: Pace) -> FloatArray:
     return np.array(means)
 
 
-def _check_clamp(device: HapticDevice, motion: Motion) -> None:
-    """Refuse a mass that the guard's clamp does not hold."""
-    clamp = device.limits.clamp_N
-    clipped = np.mean(np.linalg.norm(motion.force_N, axis=1) > NEARLY * clamp)
-    if clipped > MOST_CLIPPED:
-        msg = (
-            f"the grip needs the whole {clamp:.2f} N that the guard allows, {100 * clipped:.0f} % of the "
-            f"time: {LIGHTER}"
-        )
-        raise DeviceError(msg)
-
-
 def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
-    """Hold the grip at every pose.
-
-    ``device``: homed; its dead-man button off, since no hand may hold the grip.  Raises DeviceError: on a
-    fault, or when the device is lost.
-    """
+    """Hold the free grip of a homed device, no dead-man button, at every pose; DeviceError on a fault."""
     engage(device, pace)
     diagonal = np.full(3, 3.0**-0.5)
     holder = _Holder(device.read().position_m, POSE_APPROACH_S, POSE_PERIOD_S, diagonal, np.ones(3))
@@ -395,12 +385,9 @@ def estimate_arm(motion: Motion, delay_s: float) -> ArmEstimate:
         raise DeviceError(msg)
     mass, damping, friction, _ = np.linalg.lstsq(rows, right, rcond=None)[0]
     # the windows of one jump share errors: leave each jump out in turn
+    of_jump = np.repeat(np.arange(JUMPS), [force.size for _, force in balances])
     without = [
-        np.linalg.lstsq(
-            np.concatenate([left for k, (left, _) in enumerate(balances) if k != jump]),
-            np.concatenate([force for k, (_, force) in enumerate(balances) if k != jump]),
-            rcond=None,
-        )[0][1]
+        np.linalg.lstsq(rows[of_jump != jump], right[of_jump != jump], rcond=None)[0][1]
         for jump in range(JUMPS)
     ]
     stderr = math.sqrt((JUMPS - 1) * float(np.var(without)))

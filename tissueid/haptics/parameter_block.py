@@ -1,9 +1,8 @@
 """The way down to the servo: parameters and a heartbeat, never forces.
 
 The owner writes the copy that is not in use, then publishes its version; the servo copies it when no tissue
-is touched, and says which it took.  The next is written only then, so that no copy is read while it is
-written. Layout, int64 words: magic, size, version published, version taken, heartbeat, command; 2 x ``size``
-float64.
+is touched, and says which it took: only then the next is written, so that no copy is read meanwhile. Layout,
+int64 words: magic, size, version published, version taken, heartbeat, command; 2 x ``size`` float64.
 """
 
 from __future__ import annotations
@@ -18,12 +17,11 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.foreign import load_acquire, store_release
-from tissueid.haptics.ring import read_ordered, shared_memory, write_ordered
+from tissueid.haptics.ring import HEAD_BYTES, counted, read_ordered, shared_memory, write_ordered
 
-HEAD_WORDS = 8
 #: "tissparm" as a little-endian integer.
 MAGIC = int.from_bytes(b"tissparm", "little")
-_MAGIC_AT, _SIZE_AT, _PUBLISHED_AT, _TAKEN_AT, _BEAT_AT, _COMMAND_AT = range(6)
+_PUBLISHED_AT, _TAKEN_AT, _BEAT_AT, _COMMAND_AT = range(2, 6)
 
 #: What the owner wants: no force; force; the end.
 COMMAND_DISENGAGE, COMMAND_ENGAGE, COMMAND_STOP = 0, 1, 2
@@ -69,32 +67,20 @@ class ParameterBlock:
     @classmethod
     def create(cls, size: int) -> ParameterBlock:
         """A new block for ``size`` parameters; DeviceError where the system has no such memory."""
-        descriptor = shared_memory("parameters", 8 * (HEAD_WORDS + 2 * size))
-        block = cls._mapped(descriptor, size)
-        block.head[_SIZE_AT] = size
-        block.head[_MAGIC_AT] = MAGIC
+        block = cls._mapped(shared_memory("parameters", HEAD_BYTES + 16 * size), size)
+        block.head[:2] = MAGIC, size
         return block
 
     @classmethod
     def attach(cls, descriptor: int) -> ParameterBlock:
         """The block behind an inherited descriptor; DeviceError where it is none."""
-        total = os.fstat(descriptor).st_size
-        if total >= 8 * HEAD_WORDS:
-            head = np.frombuffer(os.pread(descriptor, 8 * HEAD_WORDS, 0), np.int64)
-            size = int(head[_SIZE_AT])
-            if head[_MAGIC_AT] == MAGIC and total == 8 * (HEAD_WORDS + 2 * size):
-                return cls._mapped(descriptor, size)
-        msg = f"descriptor {descriptor} is no parameter block of a servo"
-        raise DeviceError(msg)
+        return cls._mapped(descriptor, counted(descriptor, MAGIC, 16, "parameter block"))
 
     @classmethod
     def _mapped(cls, descriptor: int, size: int) -> ParameterBlock:
-        memory = mmap.mmap(descriptor, 8 * (HEAD_WORDS + 2 * size))
-        return cls(
-            descriptor,
-            np.frombuffer(memory, np.int64, HEAD_WORDS),
-            np.frombuffer(memory, np.float64, 2 * size, 8 * HEAD_WORDS).reshape(2, size),
-        )
+        memory = mmap.mmap(descriptor, HEAD_BYTES + 16 * size)
+        values = np.frombuffer(memory, np.float64, 2 * size, HEAD_BYTES).reshape(2, size)
+        return cls(descriptor, np.frombuffer(memory, np.int64, HEAD_BYTES // 8), values)
 
     @property
     def published(self) -> int:
@@ -107,11 +93,7 @@ class ParameterBlock:
         return read_ordered(self.head, _TAKEN_AT)
 
     def write(self, parameters: FloatArray) -> int:
-        """Publish parameters (size,), which the servo takes when nothing is touched; their version.
-
-        Raises ValueError: another size, or a number that is not finite; DeviceError: the last are not taken
-        yet.
-        """
+        """Publish finite parameters (size,); their version, or DeviceError while the last are not taken."""
         if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
             msg = f"parameters must be {self.values.shape[1]} finite numbers"
             raise ValueError(msg)

@@ -1,8 +1,4 @@
-"""Devices and force laws by name: a lazy table, and what other distributions add.
-
-A device named by the user is never replaced by another one; ``auto`` takes the first hardware that can be
-opened, else the simulated device, and says which and why.
-"""
+"""Devices and force laws by name: a lazy table, and what other distributions add."""
 
 from __future__ import annotations
 
@@ -181,8 +177,3 @@ def check_present(name: str, port: object = None) -> None:
         raise DeviceError(msg)
     if all(one.note for one in found):
         raise DeviceError("; ".join(f"{name} at {one.where}: {one.note}" for one in found))
-
-
-def open_device(name: str = AUTO, **options: Any) -> HapticDevice:
-    """Make the device that a name stands for; it is opened with ``with`` or ``open()``."""
-    return device_class(choose_device(name).name)(**options)

@@ -1,7 +1,6 @@
 """A device that moves as a recorded session did: ``tissueid render --replay LOG``.
 
-At a time of the log it is where the log says, between two records on their line, outside them at rest; no
-force changes the motion: the hand of the log felt its own force, not the one rendered now.  SI units.
+Between two records it is on their line, outside them at rest; no force changes the motion.  SI units.
 """
 
 from __future__ import annotations
@@ -21,10 +20,7 @@ from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, 
 
 
 class ReplayDevice(HapticDevice):
-    """The motion of a log, in real time or one period a force written.
-
-    Raises BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
-    """
+    """The motion of a log, in real time or one period a force written; DeviceError where it holds none."""
 
     name = "replay"
 

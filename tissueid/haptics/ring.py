@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
 
+#: Head of a shared memory: its magic number, the number of things in it, and words of their own.
+HEAD_BYTES = 64
+
 
 def shared_memory(name: str, size: int) -> int:
-    """Descriptor of new memory, all zero, which another process gets only where it is handed over.
-
-    Raises DeviceError: the system has no such memory.
-    """
+    """Descriptor of new memory, all zero, for whom it is handed to; DeviceError on systems without any."""
     try:
         descriptor = os.memfd_create(f"tissueid-{name}", 0)
         os.ftruncate(descriptor, size)
@@ -33,6 +33,17 @@ def shared_memory(name: str, size: int) -> int:
         raise DeviceError(msg) from error
     os.set_inheritable(descriptor, False)
     return descriptor
+
+
+def counted(descriptor: int, magic: int, bytes_each: int, what: str) -> int:
+    """Number of things in a memory whose head says what it is and how many; DeviceError where it is none."""
+    size = os.fstat(descriptor).st_size
+    if size >= HEAD_BYTES:
+        said, count = np.frombuffer(os.pread(descriptor, HEAD_BYTES, 0), np.int64)[:2].tolist()
+        if said == magic and size == HEAD_BYTES + count * bytes_each:
+            return int(count)
+    msg = f"descriptor {descriptor} is no {what} of a servo"
+    raise DeviceError(msg)
 
 
 _KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
@@ -87,10 +98,9 @@ RECORD = np.dtype(
 )
 #: 65 s at 1 kHz: far more than any reader may sleep.
 CAPACITY = 65_536
-HEAD_BYTES = 64
 #: "tissring" as a little-endian integer.
 MAGIC = int.from_bytes(b"tissring", "little")
-_MAGIC_AT, _CAPACITY_AT, PUBLISHED_AT = 0, 1, 2
+PUBLISHED_AT = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +116,13 @@ class Ring:
         """A new ring in anonymous memory; DeviceError where the system has no such memory."""
         descriptor = shared_memory("records", HEAD_BYTES + capacity * RECORD.itemsize)
         ring = cls._mapped(descriptor, capacity)
-        ring.head[_CAPACITY_AT] = capacity
-        ring.head[_MAGIC_AT] = MAGIC
+        ring.head[:2] = MAGIC, capacity
         return ring
 
     @classmethod
     def attach(cls, descriptor: int) -> Ring:
         """The ring behind a descriptor, read-only where that is; DeviceError if it is none."""
-        size = os.fstat(descriptor).st_size
-        if size >= HEAD_BYTES:
-            head = np.frombuffer(os.pread(descriptor, HEAD_BYTES, 0), np.int64)
-            capacity = int(head[_CAPACITY_AT])
-            if head[_MAGIC_AT] == MAGIC and size == HEAD_BYTES + capacity * RECORD.itemsize:
-                return cls._mapped(descriptor, capacity)
-        msg = f"descriptor {descriptor} is no ring of a servo"
-        raise DeviceError(msg)
+        return cls._mapped(descriptor, counted(descriptor, MAGIC, RECORD.itemsize, "ring"))
 
     @classmethod
     def _mapped(cls, descriptor: int, capacity: int) -> Ring:

@@ -1,10 +1,8 @@
 """A device that is computed: an arm in a hand, behind encoders that round and a wire that delays.
 
 Equal settings and forces give equal samples, bit for bit.  In virtual time no clock is read: each
-``write_force`` lets one period pass.  A force is felt ``delay_ticks`` periods after its tick, until the next
-one arrives.  It has one mass in all directions, no gravity and no stops; position is rounded along x, y and
-z, not at the legs, and no bytes are exchanged (the emulator has both).  SI units; frame: x right, y up, z to
-the user.
+``write_force`` lets one period pass.  One mass in all directions, no gravity, no stops; positions are rounded
+along x, y and z, not at the legs, and no bytes are exchanged (the emulator has both).  SI units.
 """
 
 from __future__ import annotations
@@ -16,21 +14,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics import shared_hand as layout
-from tissueid.haptics.arm import (
-    ARM_MEMORY,
-    HAND_FORCE,
-    POINTED,
-    POSITION,
-    TIME,
-    Arm,
-    arm_step,
-    new_arm,
-)
+from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import (
     PRESSED,
@@ -256,25 +244,6 @@ class SimulatedDevice(HapticDevice):
     def sensed_force_N(self) -> FloatArray:
         """Force of the hand on the grip now [N], shape (3,): an ideal sensor, which a Falcon has not."""
         return self.memory[HAND_FORCE : HAND_FORCE + 3].copy()
-
-    def set_pointer(self, position_m: ArrayLike | None) -> None:
-        """Let the hand follow a point (3,) [m], or, with None, its script again.
-
-        Raises ValueError: not three finite numbers.
-        """
-        if position_m is None:
-            self.parameters[layout.POINTER_ON] = 0.0
-            return
-        point = np.asarray(position_m, dtype=np.float64)
-        if point.shape != (3,) or not np.isfinite(point).all():
-            msg = f"a pointer needs three finite coordinates, not {position_m!r}"
-            raise ValueError(msg)
-        if self.parameters[layout.POINTER_ON] == 0.0:
-            # from where the hand is, not from where its script began
-            self.memory[POINTED : POINTED + 3] = self.memory[POSITION : POSITION + 3]
-        self.parameters[layout.POINTER : layout.POINTER + 3] = point
-        self.parameters[layout.POINTER_ON] = 1.0
-        self.parameters[layout.RIGID] = 0.0
 
     def share(self, hand: SharedHand) -> None:
         """Work on parameters in shared memory from now on, so that another process can lead the hand."""

@@ -98,10 +98,7 @@ def _plane(found: _Plane) -> Plane | None:
 
 
 class UdpBridge:
-    """Sockets of a bridge: positions go to a port, parameters are heard on the next one, on loopback.
-
-    Raises UsageError: the port to listen on is taken, or there is no such host.
-    """
+    """Sockets of a bridge: out to a port, in on the next one, on loopback; UsageError where it is taken."""
 
     def __init__(self, send_to: tuple[str, int], token: str | None = None) -> None:
         self.token = token or secrets.token_hex(TOKEN_BYTES)

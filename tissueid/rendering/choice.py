@@ -115,10 +115,7 @@ def pick_specimen(bundle: Bundle, seed: str) -> Picked:
 
 
 def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
-    """The posterior draw whose functional is nearest to its quantile over all draws.
-
-    Raises UsageError: no quantile, or a depth beyond what was identified: there the draws say nothing.
-    """
+    """The draw whose functional is nearest to its quantile; UsageError beyond the identified depth."""
     if not 0.0 <= quantile <= 1.0:
         msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
         raise UsageError(msg)

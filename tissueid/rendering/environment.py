@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
@@ -72,11 +70,6 @@ SPEED_FILTER_S = 0.05
 DEPTH_MARGIN = 0.01
 SPEED_MARGIN = 0.05
 M_TO_MM = 1000.0
-
-
-def new_memory() -> FloatArray:
-    """Memory of a tissue at rest, shape (MEMORY_SIZE,)."""
-    return np.zeros(MEMORY_SIZE)
 
 
 @tick_kernel

@@ -52,10 +52,7 @@ def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tup
 
 @tick_part
 def funnel_touch(funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int) -> float:
-    """Penetration [m] of a point into the wall; the unit normal (r, z) toward the free side is written.
-
-    Inside the funnel it is negative, there to first order in the gap.
-    """
+    """Penetration [m] into the wall, to first order inside; the unit normal (r, z) out of it is written."""
     if int(funnel[at + KIND]) == CONE:
         return _from_cone(funnel, at, r, z, normal, first)
     return _from_hyperboloid(funnel, at, r, z, normal, first)
@@ -168,10 +165,7 @@ def guidance_step(
     said: FloatArray,
     first: int,
 ) -> None:
-    """Write the force [N] on a tool tip at ``position`` [m], at the end of a step, and ``said``.
-
-    The memory is all zero before the first step.
-    """
+    """Write the force [N] on a tip at ``position`` [m] after a step, and ``said``; memory begins at zero."""
     z = 0.0
     for i in range(3):
         z += (position[i] - block[at + ORIGIN + i]) * block[at + AXIS + i]

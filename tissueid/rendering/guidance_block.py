@@ -6,7 +6,7 @@ velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and drilled bone a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance import CONE, HYPERBOLOID, hyperboloid_constants
 from tissueid.rendering.precheck import DAMPING_SHARE, Demands
+from tissueid.rendering.tissue_block import free_air_block
 
 Vector = tuple[float, float, float]
 
@@ -134,6 +135,7 @@ class Guidance:
         out[gd.AXIS : gd.AXIS + 3] = self.unit_axis()
         out[gd.FUNNEL : gd.CONTACT] = self.funnel.numbers()
         funnel, pull, bone = self.funnel, self.pull, self.bone
+        # fields of pull and bone stand in the block's order
         pack_impact(
             # the law steps in millimetres
             funnel.stiffness_N_per_m_n * M_TO_MM**-funnel.exponent,
@@ -145,32 +147,17 @@ class Guidance:
             filter_s=pull.filter_s,
             hysteresis_mm=0.2,
         )
-        out[gd.PULL : gd.WEIGHT] = (
-            pull.far_N_per_m,
-            pull.near_N_per_m,
-            pull.reach_m,
-            pull.tau_s,
-            pull.filter_s,
-            float(pull.conservative),
-        )
+        out[gd.PULL : gd.WEIGHT] = astuple(pull)
         out[gd.WEIGHT : gd.WEIGHT_SLOPE] = self.weight_N
         out[gd.WEIGHT_SLOPE : gd.BONE] = np.ravel(self.weight_slope_N_per_m)
-        out[gd.BONE :] = (
-            bone.radius_m,
-            bone.stiffness_N_per_m,
-            bone.hole_radius_m,
-            bone.resistance_N_s_per_m,
-            bone.drill_depth_m,
-        )
+        out[gd.BONE :] = astuple(bone)
         return out
 
 
 def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
     """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,)."""
-    block = np.zeros(env.ENVIRONMENT_SIZE)
-    block[env.VERSION] = env.BLOCK_VERSION
+    block = free_air_block(label=label)
     block[env.KIND] = env.GUIDANCE
-    block[env.LABEL] = label
     # nothing is scaled: forces and motion are the device's own
     block[env.FORCE_SCALE] = block[env.MOTION_SCALE] = 1.0
     block[env.GUIDED : env.GUIDED + gd.GUIDANCE_SIZE] = plan.numbers()
@@ -232,13 +219,8 @@ def needed_damping(plan: Guidance, demands: Demands) -> float:
     """Device damping [N s/m] that renders a plan passively: of pull and wall, and of the bone."""
 
     def bound(slope: float, stiffness: float, tau: float) -> float:
-        return damping_bound(
-            slope,
-            np.array([stiffness]),
-            np.array([tau]),
-            period_s=demands.period_s,
-            delay_ticks=demands.delay_ticks,
-        )
+        timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
+        return damping_bound(slope, np.array([stiffness]), np.array([tau]), **timing)
 
     pull, funnel, bone = plan.pull, plan.funnel, plan.bone
     filter_s = max(pull.filter_s, SHORTEST_FILTER_S)

@@ -16,7 +16,7 @@ from tissueid.haptics.hand import Hand
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import DEFAULT_DELAY_TICKS
 from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
-from tissueid.rendering.precheck import Demands, Precheck, check_before_force
+from tissueid.rendering.precheck import Demands
 from tissueid.rendering.scene import Scene
 from tissueid.rendering.tissue_block import Tissue
 
@@ -101,8 +101,3 @@ def preset_tissue(name: str) -> Tissue:
         msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
         raise UsageError(msg)
     return PRESETS[name]()
-
-
-def preset_check(name: str) -> Precheck:
-    """Scale and numbers of a preset on the device that is assumed where nothing was measured."""
-    return check_before_force(preset_tissue(name), ASSUMED_DEVICE)

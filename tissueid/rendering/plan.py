@@ -1,15 +1,11 @@
-"""Everything that is decided before any force: which tissue, device, scale, surface, order, log.
-
-What can't be rendered (damaged bundle, missing device, unstable scale, another tip) is refused while nothing
-moves yet; there are sessions without a tissue: an installed force law, a planned axis.
-"""
+"""Everything that is decided before any force: which tissue, device, scale, surface, order, log."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +15,7 @@ from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
-from tissueid.haptics.registry import check_present, choose_device, device_class, environment_law
+from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
 from tissueid.haptics.sim import carried
 from tissueid.rendering.choice import (
     Functional,
@@ -73,47 +69,51 @@ REST_M = 0.005
 SIMULATED = "sim"
 
 
+class _Asked(NamedTuple):
+    """The user's wishes, the device and why it was taken; it is made, not opened."""
+
+    options: RenderOptions
+    choice: Choice
+    device: HapticDevice
+
+
 def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
     name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
         _must_be_alone(options)
-        choice, device = _device(options, name)
-        _must_fit(options, choice, None)
-        return (guided_session if guided else law_session)(options, choice, device)
+        asked = _asked(options, name)
+        _must_fit(asked, None)
+        return (guided_session if guided else law_session)(asked)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
-    choice, device = _device(options, name)
-    script = _script(options, choice, picked[0])
-    _must_fit(options, choice, script)
+    asked = _asked(options, name)
+    script = _script(asked, picked[0])
+    _must_fit(asked, script)
     shape = parse_surface(options.surface)
     remarks = [one for each in picked for one in surface_remarks(each.tissue, shape, options.tip_radius_mm)]
-    check, surface, radius_m = _scaled(options, picked, device, shape)
+    check, surface, radius_m = _scaled(asked, picked, shape)
     if replayed is not None:
         surface, radius_m = replayed
     check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
-    given = dict(options.device_options)
-    if options.replay is not None:
-        given["log"] = options.replay
+    given = _given(options)
+    touch_m, inward = _touch_point(surface, radius_m), _inward(surface)
     carried_along = script or options.program
     if carried_along is not None:
         given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
         given["hand"] = carried_along.hand(
-            motion_scale=check.scaling.motion,
-            surface_m=_touch_point(surface, radius_m),
-            inward=_inward(surface),
+            motion_scale=check.scaling.motion, surface_m=touch_m, inward=inward
         )
-    led = options.led and script is None and choice[0] == SIMULATED
+    led = options.led and script is None and asked.choice.name == SIMULATED
     if led:
-        given |= _waiting_at(_touch_point(surface, radius_m) - REST_M * _inward(surface))
+        given |= _waiting_at(touch_m - REST_M * inward)
+    of_scene = () if options.scene is None else options.scene.lines()
     return _planned(
-        options,
-        choice,
-        device,
+        asked,
         (surface.numbers(radius_m), hashes),
         device_options=given,
         blocks=blocks,
@@ -123,25 +123,16 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         script=script,
         seconds=_seconds(options, script),
         virtual=options.virtual,
-        lines=(
-            choice[1],
-            *(() if options.scene is None else options.scene.lines()),
-            *_lines(options, picked, check, functional),
-        ),
+        lines=(asked.choice.why, *of_scene, *_lines(options, picked, check, functional)),
         led=led,
     )
 
 
-def _planned(
-    options: RenderOptions,
-    choice: tuple[str, str],
-    device: HapticDevice,
-    of_log: tuple[FloatArray, tuple[str | None, ...]],
-    **decided: Any,
-) -> SessionPlan:
+def _planned(asked: _Asked, of_log: tuple[FloatArray, tuple[str | None, ...]], **decided: Any) -> SessionPlan:
     """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
+    options, choice, device = asked
     scene = None if options.scene is None else options.scene.name
-    plan = SessionPlan(choice[0], choice[1], device.capabilities, scene=scene, **decided)
+    plan = SessionPlan(choice.name, choice.why, device.capabilities, scene=scene, **decided)
     return replace(plan, head=session_head(plan, *of_log))
 
 
@@ -206,14 +197,16 @@ def _digest(path: Path | None) -> str | None:
     return None if path is None else sha256_of(path)
 
 
-def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticDevice]:
-    """The device and why it was taken; made, not opened."""
-    found = choose_device(name)
-    given = dict(options.device_options)
-    if options.replay is not None:
-        given["log"] = options.replay
+def _given(options: RenderOptions) -> dict[str, Any]:
+    """Arguments of the device's class."""
+    return {**options.device_options, **({} if options.replay is None else {"log": options.replay})}
+
+
+def _asked(options: RenderOptions, name: str) -> _Asked:
+    """The options with their device."""
+    found, given = choose_device(name), _given(options)
     check_present(found.name, given.get("port"))
-    return (found.name, found.why), device_class(found.name)(**given)
+    return _Asked(options, found, device_class(found.name)(**given))
 
 
 def _seconds(options: RenderOptions, script: Script | None) -> float | None:
@@ -225,11 +218,12 @@ def _seconds(options: RenderOptions, script: Script | None) -> float | None:
     return script.duration_s
 
 
-def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
+def _script(asked: _Asked, first: Picked) -> Script | None:
     """Script of the user; a simulated grip that nobody moves shows three quarters of the depth, repeated."""
+    options = asked.options
     if options.script is not None:
         return read_script(options.script)
-    if choice[0] != SIMULATED or options.bridge or options.led or options.program is not None:
+    if asked.choice.name != SIMULATED or options.bridge or options.led or options.program is not None:
         return None
     depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
     push = f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
@@ -260,11 +254,12 @@ def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, flo
     return options, (surface_from(numbers), float(numbers[TOOL_RADIUS]))
 
 
-def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | None) -> None:
+def _must_fit(asked: _Asked, script: Script | None) -> None:
     """Options that belong to a simulated device."""
-    simulated = choice[0] == SIMULATED
+    options, name = asked.options, asked.choice.name
+    simulated = name == SIMULATED
     if script is not None and not simulated:
-        msg = f"--script moves a simulated grip, and the device is {choice[0]}; add --device sim"
+        msg = f"--script moves a simulated grip, and the device is {name}; add --device sim"
         raise UsageError(msg)
     led_by_nobody = script is None and options.program is None
     if options.virtual and (not simulated or led_by_nobody):
@@ -276,37 +271,23 @@ def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | 
 
 
 def _scaled(
-    options: RenderOptions, picked: tuple[Picked, ...], device: HapticDevice, shape: tuple[str, Any]
+    asked: _Asked, picked: tuple[Picked, ...], shape: tuple[str, Any]
 ) -> tuple[Precheck, Surface, float]:
     """One scale for all tissues: the smallest that any of them needs; the surface at that scale."""
-    capabilities = device.capabilities
+    options, capabilities = asked.options, asked.device.capabilities
+    scales = {"force_scale": options.force_scale, "motion_scale": options.motion_scale}
+    demands = demands_of(capabilities)
     checks = []
     for each in picked:
-        motion = options.motion_scale
-        demands = demands_of(capabilities)
-        first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
-        scale = first.scaling.motion
+        scale = check_before_force(each.tissue, demands, **scales).scaling.motion
         radius_m = (each.tissue.tip_radius_mm or options.tip_radius_mm or 0.0) * MM * scale
+        depth_mm = each.tissue.model.depth_mm
         surface = place_surface(
-            shape,
-            capabilities,
-            depth_mm=each.tissue.model.depth_mm,
-            motion_scale=scale,
-            tool_radius_m=radius_m,
+            shape, capabilities, depth_mm=depth_mm, motion_scale=scale, tool_radius_m=radius_m
         )
         travel_m = travel_behind(surface, capabilities, tool_radius_m=radius_m)
-        checks.append(
-            (
-                check_before_force(
-                    each.tissue,
-                    replace(demands, travel_m=travel_m),
-                    force_scale=options.force_scale,
-                    motion_scale=motion,
-                ),
-                surface,
-                radius_m,
-            )
-        )
+        check = check_before_force(each.tissue, replace(demands, travel_m=travel_m), **scales)
+        checks.append((check, surface, radius_m))
     return min(checks, key=lambda one: one[0].scaling.force)
 
 
@@ -331,27 +312,15 @@ def _blocks(
 ) -> tuple[FloatArray, ...]:
     """A block for each presentation: the tissues themselves, or the blind order of them."""
     control = PassivityLimits(
-        on=options.control,
-        count_m=DEFAULT_COUNT_M,
-        stiffness_N_per_m=check.scaling.device_stiffness_N_per_m,
+        on=options.control, count_m=DEFAULT_COUNT_M, stiffness_N_per_m=check.scaling.device_stiffness_N_per_m
     ).block()
     presented = range(len(picked)) if order is None else order.tissues
-    return tuple(
-        np.concatenate(
-            [
-                tissue_block(
-                    picked[tissue].tissue,
-                    surface,
-                    force_scale=check.scaling.force,
-                    motion_scale=check.scaling.motion,
-                    tool_radius_m=radius_m,
-                    label=label,
-                ),
-                control,
-            ]
-        )
-        for label, tissue in enumerate(presented, 0 if order is None else 1)
-    )
+    scales = {"force_scale": check.scaling.force, "motion_scale": check.scaling.motion}
+    blocks = []
+    for label, tissue in enumerate(presented, 0 if order is None else 1):
+        felt = tissue_block(picked[tissue].tissue, surface, **scales, tool_radius_m=radius_m, label=label)
+        blocks.append(np.concatenate([felt, control]))
+    return tuple(blocks)
 
 
 def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
@@ -417,30 +386,31 @@ def _must_be_alone(options: RenderOptions) -> None:
 BEGIN_M = 0.03
 
 
-def law_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+def law_session(asked: _Asked) -> SessionPlan:
     """A session with an installed force law: no tissue, no scale, no precheck."""
+    options = asked.options
     block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
     line = f"law        {options.environment}: nothing is known of its stability"
-    return _without_tissue(options, choice, device, block, (line,), environment=options.environment)
+    return _without_tissue(asked, block, (line,), environment=options.environment)
 
 
-def guided_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+def guided_session(asked: _Asked) -> SessionPlan:
     """A session with guidance along a planned axis; DeviceError where none that could be felt is stable.
 
     The passivity controller only watches: what the pull stored before the hand engaged would count as
     energy that was made.
     """
-    scene = options.scene
+    options, scene = asked.options, asked.options.scene
     assert scene is not None  # noqa: S101 -- asked by the caller
     assert scene.guidance is not None  # noqa: S101 -- asked by the caller
-    plan = _carried(scene.guidance, device, assumed="weight" in scene.assumed)
-    guidance, check = check_guidance(plan, demands_of(device.capabilities))
+    plan = _carried(scene.guidance, asked.device, assumed="weight" in scene.assumed)
+    guidance, check = check_guidance(plan, demands_of(asked.device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
-    given = dict(options.device_options)
+    given = _given(options)
     if options.led:
         given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
-    return _without_tissue(options, choice, device, block, lines, device_options=given, guided=True)
+    return _without_tissue(asked, block, lines, device_options=given, guided=True)
 
 
 def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
@@ -470,22 +440,14 @@ def _told_of(guidance: Guidance) -> tuple[str, ...]:
     )
 
 
-def _without_tissue(
-    options: RenderOptions,
-    choice: tuple[str, str],
-    device: HapticDevice,
-    block: FloatArray,
-    lines: tuple[str, ...],
-    **decided: Any,
-) -> SessionPlan:
+def _without_tissue(asked: _Asked, block: FloatArray, lines: tuple[str, ...], **decided: Any) -> SessionPlan:
+    options = asked.options
     return _planned(
-        options,
-        choice,
-        device,
+        asked,
         (np.zeros(SURFACE_SIZE), (None,)),
         blocks=(block,),
         seconds=options.seconds,
-        lines=(choice[1], *lines),
+        lines=(asked.choice.why, *lines),
         led=options.led,
         pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
         **{"device_options": dict(options.device_options), **decided},

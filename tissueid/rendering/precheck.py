@@ -1,8 +1,4 @@
-"""Before any force: whether this device can render this tissue, at which scale, and what will be felt.
-
-The tissue is scaled by the guard's own clamp; the damping it then needs over all frequencies, with the
-device's delay (:mod:`tissueid.model.passivity`), is held against the damping the device has.
-"""
+"""Before any force: whether this device can render this tissue, at which scale, and what will be felt."""
 
 from __future__ import annotations
 
@@ -10,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device import Capabilities
 from tissueid.model.channels import loading_force
@@ -140,10 +137,14 @@ class Precheck:
         }
 
 
+def _fastest_force(tissue: Tissue, depth_mm: FloatArray) -> FloatArray:
+    """Force at depths that are reached at the fastest identified speed [N of tissue]."""
+    return loading_force(tissue.model, tissue.theta, depth_mm, speed_mm_s=tissue.speeds_mm_s[1])
+
+
 def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
     """The numbers of a scale s_F, s_x that is given."""
-    depth = np.array([tissue.model.depth_mm])
-    peak = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    peak = _fastest_force(tissue, np.array([tissue.model.depth_mm]))
     tangent = largest_tangent(tissue.model, tissue.theta) * N_PER_MM_TO_N_PER_M
     return Scaling(
         force=force,
@@ -154,37 +155,24 @@ def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
 
 
 def check_before_force(
-    tissue: Tissue,
-    demands: Demands,
-    *,
-    force_scale: float | None = None,
-    motion_scale: float | None = None,
+    tissue: Tissue, demands: Demands, *, force_scale: float | None = None, motion_scale: float | None = None
 ) -> Precheck:
-    """Choose a scale of a rendering and lower it until it is stable, or check the one that was asked for.
-
-    Raises UsageError: a scale is outside what can be meant; DeviceError: the device can't render this
-    tissue stably, at the scale asked for, or at any that could be felt.
-    """
+    """The largest scale that is stable, or the one asked for; DeviceError where none is felt stably."""
     motion = DEFAULT_MOTION_SCALE if motion_scale is None else motion_scale
     _must_lie("--motion-scale", motion, MOTION_RANGE)
     if force_scale is not None:
         _must_lie("--force-scale", force_scale, SCALE_RANGE)
+    model, theta, fastest = tissue.model, tissue.theta, tissue.speeds_mm_s[1]
     try:
-        wanted = (
-            scaling_for(
-                tissue.model,
-                tissue.theta,
-                clamp_N=demands.clamp_N,
-                fastest_mm_s=tissue.speeds_mm_s[1],
-                motion=motion,
-            )
-            if force_scale is None
-            else scaling_at(tissue, force=force_scale, motion=motion)
-        )
+        if force_scale is None:
+            wanted = scaling_for(model, theta, clamp_N=demands.clamp_N, fastest_mm_s=fastest, motion=motion)
+        else:
+            wanted = scaling_at(tissue, force=force_scale, motion=motion)
     except ValueError as error:
         msg = f"no force scale: {error}; give --force-scale"
         raise DeviceError(msg) from error
-    need = _need(tissue, wanted, demands)
+    timing = {"period_s": demands.period_s, "delay_ticks": demands.delay_ticks}
+    need = required_damping(model, theta, wanted, **timing)
     scaling = _affordable(tissue, wanted, need, demands, asked=force_scale is not None)
     result = Precheck(
         scaling=scaling,
@@ -201,16 +189,6 @@ def _must_lie(name: str, value: float, allowed: tuple[float, float]) -> None:
     if not allowed[0] <= value <= allowed[1]:
         msg = f"{name} is {value:g}, must lie within {allowed[0]:g} and {allowed[1]:g}"
         raise UsageError(msg)
-
-
-def _need(tissue: Tissue, scaling: Scaling, demands: Demands) -> float:
-    return required_damping(
-        tissue.model,
-        tissue.theta,
-        scaling,
-        period_s=demands.period_s,
-        delay_ticks=demands.delay_ticks,
-    )
 
 
 def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, *, asked: bool) -> Scaling:
@@ -243,8 +221,7 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
 
 def _clipped_share(tissue: Tissue, scaling: Scaling, clamp_N: float) -> float:
     """Share of the identified depth at which the force at the fastest speed is over the clamp."""
-    depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
-    force = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    force = _fastest_force(tissue, np.linspace(0.0, tissue.model.depth_mm, GRID))
     return float(np.mean(force * scaling.force > clamp_N))
 
 
@@ -280,5 +257,4 @@ def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
 def _largest_viscous_force(tissue: Tissue) -> float:
     """Largest branch force at the fastest identified speed [N of tissue]."""
     depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
-    total = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
-    return float((total - tissue.model.static_force(tissue.theta, depth)).max())
+    return float((_fastest_force(tissue, depth) - tissue.model.static_force(tissue.theta, depth)).max())

@@ -23,10 +23,7 @@ PART_SUFFIX = ".part"
 
 
 class Recorder:
-    """Writes one log: records to ``<log>.part``, which becomes ``<log>`` (HDF5) at the end.
-
-    Raises UsageError: the file exists, or can't be written there.
-    """
+    """Writes ``<log>.part``, which becomes ``<log>`` (HDF5) at the end; UsageError where it may not."""
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
         self.path = path

@@ -51,10 +51,7 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(given: str, *, plan: Path | None = None) -> Scene:
-    """A scene by its name or its file's path, with a patient's plan of axis and entry in place of its own.
-
-    Raises UsageError: there is none, or it says what can't be.
-    """
+    """A scene by name or path, with a patient's plan of axis and entry instead of its own; or UsageError."""
     if given in scene_names():
         text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
             encoding="utf-8"

@@ -24,12 +24,7 @@ import numpy as np
 from tissueid import errors
 from tissueid.arrays import IntArray
 from tissueid.errors import DeviceError
-from tissueid.haptics.parameter_block import (
-    COMMAND_DISENGAGE,
-    COMMAND_ENGAGE,
-    COMMAND_STOP,
-    ParameterBlock,
-)
+from tissueid.haptics.parameter_block import COMMAND_DISENGAGE, COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.states import FAULT_WORDS, Fault, State

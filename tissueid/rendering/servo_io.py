@@ -1,8 +1,4 @@
-"""Access of the servo to a device: one reading and one command a tick, compiled for the devices it knows.
-
-The type of the tuple decides what is built into the loop; a plug-in with methods in Python
-(:class:`PythonIO`) runs uncompiled.
-"""
+"""Access of the servo to a device: one reading and one command a tick, compiled for the devices it knows."""
 
 from __future__ import annotations
 

@@ -15,14 +15,7 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.foreign import libc_function
-from tissueid.haptics.guard import (
-    ENGAGED,
-    FAULTED,
-    HEARTBEAT_LOST,
-    PARENT_DIED,
-    STATE,
-    transition,
-)
+from tissueid.haptics.guard import ENGAGED, FAULTED, HEARTBEAT_LOST, PARENT_DIED, STATE, transition
 from tissueid.haptics.limits import HEARTBEAT_S
 from tissueid.haptics.parameter_block import COMMAND_STOP, beats
 from tissueid.haptics.parameter_block import command as ordered

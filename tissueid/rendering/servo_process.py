@@ -28,14 +28,7 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
-from tissueid.rendering.servo import (
-    REASONS,
-    ServoEnd,
-    ServoPlan,
-    period_statistics,
-    receive_plan,
-    send_line,
-)
+from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statistics, receive_plan, send_line
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
@@ -145,11 +138,7 @@ def run_plan(
             device.home()
             schedule = make_punctual(locked=locked)
             send_line(
-                report,
-                event="ready",
-                compiled=compiled,
-                scheduling=schedule.name,
-                remedies=schedule.remedies,
+                report, event="ready", compiled=compiled, scheduling=schedule.name, remedies=schedule.remedies
             )
             signals.in_loop = True
             reason = loop(io, servo, watch, histogram, plan.period_ns, plan.ticks)

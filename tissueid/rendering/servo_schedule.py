@@ -30,10 +30,7 @@ class Schedule:
 
 
 def settled(*, collect: bool = False) -> bool:
-    """Clear up and lock the memory of this process before a device is homed, 0.1 s; True where it is locked.
-
-    ``collect``: keep Python's garbage collection: a loop in Python makes garbage, a compiled one none.
-    """
+    """Clear up and lock memory before homing, 0.1 s; True if locked; ``collect``: keep collecting garbage."""
     gc.collect()
     if not collect:
         gc.disable()

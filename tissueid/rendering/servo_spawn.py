@@ -1,8 +1,4 @@
-"""The entry of the servo's process, which imports nothing slow: it loads while its owner decides.
-
-A process without a plan has no device and waits: nothing can move before the plan passed its checks and was
-sent.
-"""
+"""The entry of the servo's process, which imports nothing slow: it loads while its owner decides."""
 
 from __future__ import annotations
 

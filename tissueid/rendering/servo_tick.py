@@ -39,21 +39,8 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, tak
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import PUBLISHED_AT, Ring
 from tissueid.haptics.states import Lamp
-from tissueid.rendering.environment import (
-    ENVIRONMENT_SIZE,
-    INFO_DEPTH_MM,
-    INFO_FLAGS,
-    INFO_LABEL,
-    INFO_PENETRATION_M,
-    INFO_SIZE,
-    INFO_SPEED_MM_S,
-    INFO_SURFACE_MM,
-    INFO_TISSUE_FORCE_N,
-    KIND,
-    MEMORY_SIZE,
-    environment_step,
-    put_at_rest,
-)
+from tissueid.rendering import environment as env
+from tissueid.rendering.environment import environment_step, put_at_rest
 from tissueid.rendering.passivity_control import (
     ACTIVE,
     CONTROL_MEMORY_SIZE,
@@ -65,7 +52,7 @@ from tissueid.rendering.passivity_control import (
 from tissueid.rendering.servo_io import PythonIO, command, sense
 
 #: Parameters of one version: the environment's, then the passivity controller's.
-BLOCK_SIZE = ENVIRONMENT_SIZE + CONTROL_SIZE
+BLOCK_SIZE = env.ENVIRONMENT_SIZE + CONTROL_SIZE
 
 #: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, the tissue
 #: outside its identified range, ticks with tissue touched, ticks in which the clamp bit.
@@ -126,8 +113,8 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     return Servo(
         guard_memory=device.guard_memory,
         limits=device.limits.block(),
-        environment=np.zeros(ENVIRONMENT_SIZE),
-        environment_memory=np.zeros(MEMORY_SIZE),
+        environment=np.zeros(env.ENVIRONMENT_SIZE),
+        environment_memory=np.zeros(env.MEMORY_SIZE),
         control=np.zeros(CONTROL_SIZE),
         control_memory=np.zeros(CONTROL_MEMORY_SIZE),
         position=np.zeros(3),
@@ -135,7 +122,7 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
         velocity=np.zeros(3),
         force=np.zeros(3),
         out=np.zeros(3),
-        info=np.zeros(INFO_SIZE),
+        info=np.zeros(env.INFO_SIZE),
         since_valid=np.zeros(1),
         counts=np.zeros(3, np.int64),
         last_counts=np.zeros(3, np.int64),
@@ -161,13 +148,13 @@ class ServoHere(NamedTuple):
 
 @contextlib.contextmanager
 def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
-    """Open a device that the compiled loop knows and put a servo on it; all is closed afterwards."""
+    """Open a device and put a servo on it; all is closed afterwards."""
     ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
     try:
         with device:
             given = device.compiled()
-            assert given is not None  # noqa: S101 -- asked of the simulated device alone
-            yield ServoHere(compiled_io(given), new_servo(device, ring, block), ring, block)
+            io = PythonIO(device) if given is None else compiled_io(given)
+            yield ServoHere(io, new_servo(device, ring, block), ring, block)
     finally:
         ring.close()
         block.close()
@@ -213,10 +200,10 @@ def _exchange(
 ) -> int:
     """Take new parameters over, with tissue at rest; returns their version."""
     version = take(block_head, block_values, staged)
-    for i in range(ENVIRONMENT_SIZE):
+    for i in range(env.ENVIRONMENT_SIZE):
         environment[i] = staged[i]
     for i in range(CONTROL_SIZE):
-        control[i] = staged[ENVIRONMENT_SIZE + i]
+        control[i] = staged[env.ENVIRONMENT_SIZE + i]
     put_at_rest(environment_memory)
     return int(version)
 
@@ -266,11 +253,11 @@ def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no
 @tick_part
 def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray, counters: IntArray) -> int:
     """Lamps of guard, environment and controller, counted."""
-    lamps = int(guard_memory[LAMPS]) | int(info[INFO_FLAGS])
+    lamps = int(guard_memory[LAMPS]) | int(info[env.INFO_FLAGS])
     if control_memory[ACTIVE] != 0.0:
         lamps |= _PASSIVITY
     counters[OUTSIDE] += 1 if lamps & _OUTSIDE else 0
-    counters[TOUCHED] += 1 if info[INFO_DEPTH_MM] > 0.0 else 0
+    counters[TOUCHED] += 1 if info[env.INFO_DEPTH_MM] > 0.0 else 0
     counters[CLIPPED] += 1 if lamps & _CLIPPED else 0
     return lamps
 
@@ -288,10 +275,10 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
         record["position_m"][i] = servo.position[i]
         record["force_N"][i] = servo.out[i]
         record["counts"][i] = min(max(servo.counts[i], -COUNT_LIMIT), COUNT_LIMIT)
-    record["depth_mm"] = servo.info[INFO_DEPTH_MM]
-    record["tissue_force_N"] = servo.info[INFO_TISSUE_FORCE_N]
-    record["speed_mm_per_s"] = servo.info[INFO_SPEED_MM_S]
-    record["surface_mm"] = servo.info[INFO_SURFACE_MM]
+    record["depth_mm"] = servo.info[env.INFO_DEPTH_MM]
+    record["tissue_force_N"] = servo.info[env.INFO_TISSUE_FORCE_N]
+    record["speed_mm_per_s"] = servo.info[env.INFO_SPEED_MM_S]
+    record["surface_mm"] = servo.info[env.INFO_SURFACE_MM]
     record["energy_J"] = servo.control_memory[TOTAL_J]
     record["lamps"] = lamps
     record["state"] = int(servo.guard_memory[STATE])
@@ -300,7 +287,7 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
     record["late_s"] = late_s
     record["version"] = counters[VERSION]
     record["missed"] = min(counters[MISSED], MISSED_LIMIT)
-    record["label"] = int(servo.info[INFO_LABEL])
+    record["label"] = int(servo.info[env.INFO_LABEL])
     counters[TICKS] = count + 1
     publish(servo.ring_head, count + 1)
 
@@ -337,15 +324,22 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
         )  # fmt: skip
     step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
     environment_step(
-        int(environment[KIND]), environment, servo.environment_memory, position, velocity, step, force, info
+        int(environment[env.KIND]),
+        environment,
+        servo.environment_memory,
+        position,
+        velocity,
+        step,
+        force,
+        info,
     )
     if apply_law(io, position, velocity, step, force):
         # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
-        info[INFO_PENETRATION_M] = np.nan
+        info[env.INFO_PENETRATION_M] = np.nan
     passivity_step(servo.control_memory, servo.control, position, force, dt)
     observe(
         memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
-        info[INFO_PENETRATION_M], dt,
+        info[env.INFO_PENETRATION_M], dt,
     )  # fmt: skip
     observe_wire(memory, limits, words[UNANSWERED], dt)
     send(io, memory, limits, force, dt, servo.out)

@@ -1,8 +1,4 @@
-"""One session from its plan to its summary: servo, records, switches, and zero force at the end.
-
-The owner's loop hands on what is new in the ring, gives a sign of life and exchanges the tissue; it touches
-no force.
-"""
+"""One session from its plan to its summary: servo, records, switches, and zero force at the end."""
 
 from __future__ import annotations
 

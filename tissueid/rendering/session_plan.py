@@ -125,11 +125,7 @@ class Script:
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """The machine that carries the simulated grip through the strokes."""
         return scripted_hand(
-            self.strokes_text,
-            motion_scale=motion_scale,
-            surface_m=surface_m,
-            inward=inward,
-            rest_s=REST_S,
+            self.strokes_text, motion_scale=motion_scale, surface_m=surface_m, inward=inward, rest_s=REST_S
         )
 
 

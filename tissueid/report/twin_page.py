@@ -92,13 +92,12 @@ def _figure(twin: Twin) -> Figure:
     """Law and grips against the time from contact."""
     traces: list[Mapping[str, Any]] = []
     for one, ink in zip(twin.curves, ("model", "ok", "aside"), strict=False):
-        time, force = one.from_contact()
-        every = max(1, time.size // POINTS)
-        shown = np.round(time[::every], 5).tolist()
+        every = max(1, one.time_s.size // POINTS)
+        shown = np.round(one.time_s[::every], 5).tolist()
         if not traces:
             law = np.round(one.law_N[::every], 5).tolist()
             traces.append({"x": shown, "y": law, "name": "law of the bundle", "line": {"ink": "data"}})
-        felt = np.round(force[::every], 5).tolist()
+        felt = np.round(one.force_N[::every], 5).tolist()
         traces.append({"x": shown, "y": felt, "name": one.device, "line": {"ink": ink, "dash": "dot"}})
     of = twin.found.specimen
     caption = f"Force of the law of {of} and at the grips of its devices over the time from contact."

@@ -1,8 +1,6 @@
 """Sessions of a twin: an emulated Falcon with its counts and delay, and the simulated device.
 
-Both run in virtual time, a millisecond a tick, through the servo, the guard and the drivers that a real
-device has.  What a machine at the grip would record is the arm's true position and force, with the scales
-undone.
+What a machine at the grip would record is the arm's true position and force, with the scales undone.
 """
 
 from __future__ import annotations
@@ -15,21 +13,19 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device import compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
-from tissueid.haptics.ring import Ring
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import carried
-from tissueid.haptics.states import Fault, State
+from tissueid.haptics.states import State
 from tissueid.ingest import read_trials
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
+from tissueid.rendering.servo_tick import compiled_tick, servo_here
 from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
@@ -77,43 +73,28 @@ def _block(tissue: Tissue, surface: FloatArray, force_scale: float, motion: floa
 
 
 def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
-    """The program on an emulated Falcon: encoder counts, wire, kinematics, motor units and delay.
-
-    Raises DeviceError: a fault ended the session.
-    """
+    """The program on an emulated Falcon: counts, wire, kinematics, motors, delay; DeviceError on a fault."""
     surface = np.array(SURFACE_M)
     hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
     link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
-    rows: list[tuple[float, float, float]] = []
-    with link:
-        falcon = link.falcon
-        # a machine holds still: encoders that do not move are then in good health
-        device = FalconDevice(carried(LIMITS), port=link.descriptor(), calibration=Calibration())
-        device.open()
-        ring, block = Ring.create(1), ParameterBlock.create(BLOCK_SIZE)
-        try:
+    falcon, now, rows = link.falcon, 0.0, []
+    # a machine holds still: encoders that do not move are then in good health
+    device = FalconDevice(carried(LIMITS), port=link.descriptor(), calibration=Calibration())
+    with link, servo_here(device) as (io, servo, _ring, block):
+        link.step()
+        falcon.advance(HOMED_S - falcon.time_s)
+        block.write(_block(tissue, surface, force_scale, motion))
+        block.order(COMMAND_ENGAGE)
+        start = falcon.time_s
+        while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
+            now += TICK_S
+            compiled_tick(io, servo, now, TICK_S, 0.0, 0)
             link.step()
-            falcon.advance(HOMED_S - falcon.time_s)
-            servo, given = new_servo(device, ring, block), device.compiled()
-            assert given is not None  # noqa: S101 -- a Falcon is compiled
-            io, now = compiled_io(given), 0.0
-            block.write(_block(tissue, surface, force_scale, motion))
-            block.order(COMMAND_ENGAGE)
-            start = falcon.time_s
-            while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
-                now += TICK_S
-                compiled_tick(io, servo, now, TICK_S, 0.0, 0)
-                link.step()
-                depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
-                rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
-            record = ring.records[0]
-            if State(int(record["state"])) is not State.ENGAGED:
-                msg = f"the emulated session ended in {Fault(int(record['fault'])).name.lower()}"
-                raise DeviceError(msg)
-        finally:
-            device.close()
-            ring.close()
-            block.close()
+            depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
+            rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
+        if device.state is not State.ENGAGED:
+            msg = f"the emulated session ended in {device.fault.name.lower()}"
+            raise DeviceError(msg)
     time, depth, force = np.array(rows).T
     return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
 
@@ -142,10 +123,7 @@ def planned(bundle: Path, asked: Setup) -> SessionPlan:
 
 
 def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Felt:
-    """A test machine's recording at the grip of a real device, scales undone.
-
-    Its delay and counts are taken to be a Falcon's.  Raises UsageError: there is no contact in it.
-    """
+    """A recording at a real Falcon's grip, scales undone; UsageError where there is no contact in it."""
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
     if segmentation.contact is None:
         msg = f"{trial.name}: no contact is found in it; name what the test machine recorded at the grip"
@@ -155,10 +133,7 @@ def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Fel
 
 
 def simulated(plan: SessionPlan, folder: Path) -> Felt:
-    """The program on the simulated device, through the session that ``render`` runs.
-
-    ``plan``: of :func:`planned`; ``folder``: for the session's log, ``felt.h5``.
-    """
+    """A plan of :func:`planned` on the simulated device, as ``render`` runs it; its log is ``felt.h5``."""
     with TemporaryDirectory(dir=folder) as made:
         log = Path(made) / "felt.h5"
         Session(plan, recorder=Recorder(log, plan.head)).run()

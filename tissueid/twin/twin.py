@@ -44,16 +44,27 @@ DRAWS = 1_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """Recording at one grip, beside the bundle's law."""
+    """Recording at one grip, with the stated delay undone, beside the bundle's law: arrays (n,)."""
 
     device: str
-    felt: Felt
-    law_N: FloatArray  # force of the bundle's law at the felt times with the delay undone
+    time_s: FloatArray  # from the crossing of the surface
+    force_N: FloatArray
+    law_N: FloatArray
 
-    def from_contact(self) -> tuple[FloatArray, FloatArray]:
-        """Time from the crossing of the surface [s], and force [N], the stated delay undone."""
-        time, depth, force = self.felt.undone()
-        return time - float(np.interp(0.0, *_rising(depth, time))), force
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        """True in contact."""
+        return self.time_s >= 0.0
+
+    @property
+    def off_N(self) -> FloatArray:
+        """Force less the law, in contact."""
+        return (self.force_N - self.law_N)[self.touching]
+
+    @property
+    def nrmsd(self) -> float:
+        """Root mean square of that over the range of the law."""
+        return float(np.sqrt(np.mean(self.off_N**2)) / np.ptp(self.law_N[self.touching]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +98,8 @@ def run_twin(
     devices, curves = [], []
     for k, one in enumerate(felt):
         progress(f"fit of the {one.device}", 2 + k, steps)
-        device, law = _device(bundle, program, one, folder, scale.force)
-        devices.append(device)
-        curves.append(Curve(one.device, one, law))
+        curves.append(_against_law(bundle, one))
+        devices.append(_device(bundle, program, one, curves[-1], folder, scale.force))
     progress("a speed that was not seen", steps - 1, steps)
     other = _unseen_program(bundle)
     again = emulated_falcon(tissue, other, force_scale=scale.force, motion=scale.motion)
@@ -116,66 +126,37 @@ def _unseen_program(bundle: Bundle) -> Program:
     return program_of_script(read_script(text))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Compared:
-    """A grip's recording in contact, with the stated delay undone, beside the bundle's law."""
-
-    time: FloatArray
-    force: FloatArray
-    law: FloatArray
-    met: float
-
-    @property
-    def touching(self) -> NDArray[np.bool_]:
-        return self.time >= self.met
-
-    @property
-    def off(self) -> FloatArray:
-        """Force less the law, in contact [N]."""
-        return self.force[self.touching] - self.law[self.touching]
-
-    @property
-    def nrmsd(self) -> float:
-        """Root mean square of that over the range of the law."""
-        return float(np.sqrt(np.mean(self.off**2)) / np.ptp(self.law[self.touching]))
-
-
-def _against_law(bundle: Bundle, felt: Felt) -> _Compared:
+def _against_law(bundle: Bundle, felt: Felt) -> Curve:
     time, depth, force = felt.undone()
     law = bundle.contact_model().force(bundle.theta, ContactPath(time, np.maximum(depth, 0.0)))
-    return _Compared(time, force, law, float(np.interp(0.0, *_rising(depth, time))))
+    # the crossing of the surface, from depths up to a little behind contact
+    first = int(np.argmax(depth > 0.0))
+    rising = slice(max(first - 1, 0), first + 1)
+    return Curve(felt.device, time - float(np.interp(0.0, depth[rising], time[rising])), force, law)
 
 
 def _device(
-    bundle: Bundle, program: Program, felt: Felt, folder: Path, force_scale: float
-) -> tuple[document.Device, FloatArray]:
-    """Findings at one grip, and the force of the law at the felt times."""
-    compared = _against_law(bundle, felt)
-    touching, force, law = compared.touching, compared.force, compared.law
+    bundle: Bundle, program: Program, felt: Felt, curve: Curve, folder: Path, force_scale: float
+) -> document.Device:
+    """Findings at one grip."""
+    touching = curve.touching
     recorded = None
     if program.recorded is not None:
         # in the program's time: both cross the surface together
-        at = compared.time - compared.met + program.contact_s
+        at = curve.time_s + program.contact_s
         there = touching & (at <= program.recorded[-1, 0])
         meant = np.interp(at[there], program.recorded[:, 0], program.recorded[:, 1])
-        recorded = float(np.sqrt(np.mean((force[there] - meant) ** 2)) / np.ptp(meant))
+        recorded = float(np.sqrt(np.mean((curve.force_N[there] - meant) ** 2)) / np.ptp(meant))
     fit = _refit(bundle, program, felt, folder / f"{felt.device.replace(' ', '-')}.csv")
-    least = LIMITS[0].share * np.maximum(np.abs(law[touching]) * force_scale, LEAST_FORCE_N)
-    found = document.Device(
+    least = LIMITS[0].share * np.maximum(np.abs(curve.law_N[touching]) * force_scale, LEAST_FORCE_N)
+    return document.Device(
         device=felt.device,
-        nrmsd_model=compared.nrmsd,
+        nrmsd_model=curve.nrmsd,
         nrmsd_recording=recorded,
         fit_nrmsd=None if fit is None else fit.nrmsd.range,
-        noticeable=float(np.max(np.abs(compared.off) * force_scale / least)),
+        noticeable=float(np.max(np.abs(curve.off_N) * force_scale / least)),
         rows=() if fit is None else tuple(_rows(bundle, fit)),
     )
-    return found, law
-
-
-def _rising(depth: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Depth and time up to a little behind contact."""
-    first = int(np.argmax(depth > 0.0))
-    return depth[max(first - 1, 0) : first + 1], time[max(first - 1, 0) : first + 1]
 
 
 def _machine(felt: Felt, program: Program) -> Calibration:
@@ -248,9 +229,8 @@ def twin_drawing(twin: Twin) -> str:
     """Force at the grips and of the law against time, as an SVG."""
     curves: list[tuple[str, FloatArray, FloatArray, str]] = []
     for one, colour in zip(twin.curves, ("#d55e00", "#009e73", "#cc79a7"), strict=False):
-        time, force = one.from_contact()
         if not curves:
-            curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
-        curves.append((one.device, time, force, colour))
+            curves.append(("law of the bundle", one.time_s, one.law_N, "#56b4e9"))
+        curves.append((one.device, one.time_s, one.force_N, colour))
     words = f"Force of {twin.found.specimen} and of its twins"
     return drawing(curves, across="time from contact [s]", up="[N]", words=words)

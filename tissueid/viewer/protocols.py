@@ -13,12 +13,11 @@ There is no message that changes a tissue, a scale, a force or a file.
 from __future__ import annotations
 
 import asyncio
-import json
-import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import h11
+import msgspec
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
@@ -110,7 +109,6 @@ class SparingWebSocket(WebSocketsSansIOProtocol):
             self.loop.call_later(LINGER_S, self.transport.close)
 
 
-VERSION = 1
 #: The longest of them takes half of this [bytes].
 LARGEST_MESSAGE = 256
 #: A pointer lies within this of the device's origin along each axis [m].
@@ -134,12 +132,23 @@ class Pointer:
     position_m: tuple[float, float, float] | None
 
 
-@dataclass(frozen=True, slots=True)
-class Play:
+class Play(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Place in a log [s from its begin], or None to stay, and if it stands still."""
 
-    at_s: float | None
-    paused: bool
+    at_s: Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_LOG_S)] | None = None
+    paused: bool = False
+
+
+Coordinate = Annotated[float, msgspec.Meta(ge=-REACH_M, le=REACH_M)]
+
+
+class _Words(msgspec.Struct, forbid_unknown_fields=True):
+    """Members of a message, of which it has one beside its version."""
+
+    v: Literal[1]
+    answer: Annotated[int, msgspec.Meta(ge=0, lt=MOST_FRAMES)] | msgspec.UnsetType = msgspec.UNSET
+    pointer: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType | None = msgspec.UNSET
+    play: Play | msgspec.UnsetType = msgspec.UNSET
 
 
 Message = Answer | Pointer | Play
@@ -150,40 +159,13 @@ def parse_message(text: str) -> Message | None:
     if len(text) > LARGEST_MESSAGE:
         return None
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
+        found = msgspec.json.decode(text, type=_Words)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or len(found) != 2:
+    if [found.answer, found.pointer, found.play].count(msgspec.UNSET) != 2:
         return None
-    version = found.pop("v", None)
-    if type(version) is not int or version != VERSION:
-        return None
-    kind, value = found.popitem()
-    if kind == "answer":
-        return Answer(value) if type(value) is int and 0 <= value < MOST_FRAMES else None
-    if kind == "pointer":
-        return _pointer(value)
-    return _play(value) if kind == "play" else None
-
-
-def _pointer(value: object) -> Pointer | None:
-    if value is None:
-        return Pointer(None)
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    if not all(type(one) in {int, float} and abs(one) <= REACH_M for one in value):
-        return None
-    return Pointer((float(value[0]), float(value[1]), float(value[2])))
-
-
-def _play(value: object) -> Play | None:
-    if not isinstance(value, dict) or not value.keys() <= {"at_s", "paused"}:
-        return None
-    at_s, paused = value.get("at_s"), value.get("paused", False)
-    if type(paused) is not bool:
-        return None
-    if at_s is None:
-        return Play(None, paused)
-    if type(at_s) not in {int, float} or not (math.isfinite(at_s) and 0.0 <= at_s <= LONGEST_LOG_S):
-        return None
-    return Play(float(at_s), paused)
+    if found.answer is not msgspec.UNSET:
+        return Answer(found.answer)
+    if found.pointer is not msgspec.UNSET:
+        return Pointer(found.pointer)
+    return None if found.play is msgspec.UNSET else found.play

@@ -1,8 +1,4 @@
-"""Who may see a session: this machine by default; another one with a secret that the terminal shows.
-
-The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
-this machine (DNS rebinding) is none.  The ``Origin`` of a websocket must be the page's own.
-"""
+"""Who may see a session: this machine by default; another one with a secret that the terminal shows."""
 
 from __future__ import annotations
 

@@ -65,10 +65,7 @@ class ViewerOptions:
 
 
 class ServedViewer:
-    """A running server, before and while there is a session.
-
-    Raises UsageError: the address is none of this machine, or its port is taken.
-    """
+    """A running server, before and while there is a session; UsageError: no such address, or a taken port."""
 
     def __init__(self, options: ViewerOptions) -> None:
         listening = listening_socket(options)
@@ -139,10 +136,7 @@ class ServedViewer:
         return self._process.poll() is None
 
     def tend(self) -> bool:
-        """Look after the server; True once, where it died, after what it led was let go.
-
-        One that hangs keeps no hand either: it may lead again when it goes on.
-        """
+        """Look after the server; True once, where it died; one that died or hangs keeps no hand."""
         if self._lost:
             return False
         if self.runs:

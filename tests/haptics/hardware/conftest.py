@@ -33,7 +33,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session")
 def readings(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
-    """What was read and answered; written to the report when the session ends, also after a failure."""
+    """Readings and answers; written to the report when the session ends, also after a failure."""
     found: dict[str, Any] = {
         "tissueid": __version__,
         "platform": platform.platform(),
@@ -109,7 +109,7 @@ def ask(falcon: FalconDevice) -> Callable[..., str]:
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     """Note in the report which checks passed."""
     outcome = yield
-    result = outcome.get_result()  # type: ignore[attr-defined]
+    result = outcome.get_result()
     found = getattr(item, "funcargs", {}).get("readings")
     if result.when == "call" and found is not None:
         found["passed"][item.name] = result.outcome

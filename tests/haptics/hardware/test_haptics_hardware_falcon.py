@@ -1,4 +1,4 @@
-"""What only a real Falcon can settle, in the order of docs/hardware-checklist.md."""
+"""Things only a real Falcon can settle, in the order of docs/hardware-checklist.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def rest(falcon: FalconDevice, seconds: float) -> np.ndarray:
     return np.asarray(motion.position_m.mean(axis=0))
 
 
-def test_1_link_answers_at_nearly_1_kHz(falcon: FalconDevice, readings: Readings) -> None:
+def test_1_link_answers_at_nearly_1_kHz(falcon, readings):
     report = measure_link(falcon, 5.0)
     readings["link"] = asdict(report)
     # the chip passes on what it has each millisecond; an emulator is faster
@@ -38,7 +38,7 @@ def test_1_link_answers_at_nearly_1_kHz(falcon: FalconDevice, readings: Readings
     assert report.replies >= 0.99 * report.commands
 
 
-def test_2_lights_have_their_colours(falcon: FalconDevice, readings: Readings, ask: Ask) -> None:
+def test_2_lights_have_their_colours(falcon, readings, ask):
     answers = {}
     for colour, bit in COLOURS.items():
         falcon._opened().write(encode_command((0, 0, 0), leds=bit, homing=True))
@@ -47,16 +47,14 @@ def test_2_lights_have_their_colours(falcon: FalconDevice, readings: Readings, a
     assert answers == {colour: colour for colour in COLOURS}
 
 
-def test_3_homing_comes_to_its_end(homed: FalconDevice, readings: Readings) -> None:
+def test_3_homing_comes_to_its_end(homed, readings):
     sample = homed.read()
     readings["homed"] = {"counts": sample.counts.tolist(), "position_m": sample.position_m.tolist()}
     assert homed.state is State.ARMED
     assert sample.position_m[2] > 0.170
 
 
-def test_4_stops_are_where_the_zero_angle_puts_them(
-    homed: FalconDevice, readings: Readings, ask: Ask
-) -> None:
+def test_4_stops_are_where_the_zero_angle_puts_them(homed, readings, ask):
     ask("Pull the grip all the way out, straight, hold it there, and press Enter.")
     out = rest(homed, 0.3)
     readings["pulled_out"] = {"position_m": out.tolist(), "counts": homed.read().counts.tolist()}
@@ -69,7 +67,7 @@ def test_4_stops_are_where_the_zero_angle_puts_them(
 
 
 @pytest.mark.parametrize("where", AXES)
-def test_5_axes_follow_the_hand(where: str, homed: FalconDevice, readings: Readings, ask: Ask) -> None:
+def test_5_axes_follow_the_hand(where, homed, readings, ask):
     ask("Hold the grip in the middle of its reach, and press Enter.")
     before = rest(homed, 0.2)
     ask(f"Move the grip about 3 cm {where}, hold it there, and press Enter.")
@@ -80,7 +78,7 @@ def test_5_axes_follow_the_hand(where: str, homed: FalconDevice, readings: Readi
     assert sign * moved[axis] == pytest.approx(0.03, abs=0.015)
 
 
-def test_6_buttons_are_the_named_ones(homed: FalconDevice, readings: Readings, ask: Ask) -> None:
+def test_6_buttons_are_the_named_ones(homed, readings, ask):
     found = {}
     for name in BUTTON_NAMES.values():
         ask(
@@ -93,7 +91,7 @@ def test_6_buttons_are_the_named_ones(homed: FalconDevice, readings: Readings, a
 
 
 @pytest.mark.parametrize("where", AXES)
-def test_7_force_pushes_where_it_says(where: str, homed: FalconDevice, readings: Readings, ask: Ask) -> None:
+def test_7_force_pushes_where_it_says(where, homed, readings, ask):
     axis, sign = AXES[where]
     push = np.zeros(3)
     push[axis] = sign * PUSH_N
@@ -113,9 +111,7 @@ def test_7_force_pushes_where_it_says(where: str, homed: FalconDevice, readings:
     assert sign * moved[axis] > 0.003
 
 
-def test_8_releasing_the_button_takes_the_force_away(
-    homed: FalconDevice, readings: Readings, ask: Ask
-) -> None:
+def test_8_releasing_the_button_takes_the_force_away(homed, readings, ask):
     ask("Hold the grip with the centre button held; release the button when it pushes. Press Enter.")
     engage(homed)
     motion = record(homed, lambda _t, _p, _v: np.array([0.0, 0.0, PUSH_N]), 4.0)
@@ -125,7 +121,7 @@ def test_8_releasing_the_button_takes_the_force_away(
     assert np.abs(motion.force_N[-1]).max() == 0.0
 
 
-def test_9_force_when_packets_stop_is_noted(homed: FalconDevice, readings: Readings, ask: Ask) -> None:
+def test_9_force_when_packets_stop_is_noted(homed, readings, ask):
     ask("Hold the grip firmly with the centre button held: it pushes, then packets stop for 0.5 s. Enter.")
     engage(homed)
     record(homed, lambda _t, _p, _v: np.array([0.0, 0.0, PUSH_N]), 0.5)

@@ -1,8 +1,4 @@
-"""Measurements of a user's own Falcon, in one small file of the user's configuration directory.
-
-What the file leaves out has the values of :class:`Calibration`.  They are from the literature or assumed, no
-unit has confirmed them, and the clamp is small until a force was weighed.
-"""
+"""Measurements of a user's own Falcon, in one small file of the user's configuration directory."""
 
 from __future__ import annotations
 
@@ -96,11 +92,7 @@ def calibration_path() -> Path:
 
 
 def load_calibration(path: Path | None = None) -> Calibration:
-    """The calibration of this user, or the assumptions where there is no file.
-
-    Raises DeviceError: a file that can't be read or is wrong: it is never replaced by the assumptions, since
-    forces depend on it.
-    """
+    """The user's calibration, or the assumptions without a file; DeviceError: a wrong one is not replaced."""
     path = calibration_path() if path is None else path
     try:
         text = path.read_text(encoding="utf-8")
@@ -121,10 +113,7 @@ def load_calibration(path: Path | None = None) -> Calibration:
 
 
 def save_calibration(calibration: Calibration, path: Path | None = None) -> Path:
-    """Write the file whole or not at all; where it is.
-
-    Raises DeviceError: it can't be written, or holds what :func:`load_calibration` would refuse.
-    """
+    """Write the file whole or not at all; its path, or DeviceError for what would not be loaded again."""
     import tomlkit
 
     from tissueid.store.files import write_file

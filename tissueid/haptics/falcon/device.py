@@ -162,10 +162,7 @@ class FalconDevice(HapticDevice):
         )
 
     def home(self) -> None:
-        """Wait with zero force for the user to home the device, then to pull the grip out.
-
-        Raises DeviceError: after the time-out, or when the device is lost.
-        """
+        """Wait with zero force until the user homed it and pulled the grip out; DeviceError late or lost."""
         self.tell(HOMING_STEPS[0])
         await_homed(self, self._homing_timeout_s, self._not_homed)
         self.tell(HOMING_STEPS[1])
@@ -306,11 +303,7 @@ class FalconDevice(HapticDevice):
 
 
 def limits_of(calibration: Calibration, *, hands_off: bool = False) -> GuardLimits:
-    """Limits of the guard that a calibration allows.
-
-    ``hands_off``: for measurements of the free grip: no dead-man button, and a grip that lies at its stop is
-    given :data:`AT_STOP_S` to leave it, though it looks like a frozen encoder.
-    """
+    """Limits that a calibration allows; ``hands_off``: for a free grip, which may rest at its stop."""
     clamp = calibration.clamp_N
     limits = GuardLimits(
         clamp_N=clamp,

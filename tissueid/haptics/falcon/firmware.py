@@ -127,10 +127,7 @@ def is_running(transport: Transport) -> bool:
 
 
 def upload(transport: Transport, content: bytes, progress: Progress | None = None) -> None:
-    """One try to load firmware; ``progress(message, bytes done, bytes in all)`` is told.
-
-    Raises UploadError: no answer, or an echo that differs; the device must be opened anew; TransportLost.
-    """
+    """One try to load firmware, told as message, bytes done and in all; UploadError: open the device anew."""
     _say_hello(transport)
     _get_ready(transport)
     for start in range(0, len(content), CHUNK):

@@ -431,10 +431,7 @@ def jacobian(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) ->
 
 
 def torque(position_m: ArrayLike, force_N: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
-    """Arm torques (3,) [N m] that push the hand with a force (3,) [N]: ``tau = (dp/dtheta)^T F``.
-
-    Raises WorkspaceError: outside the workspace, and where a leg is stretched.
-    """
+    """Torques (3,) [N m] that push the hand with a force (3,) [N], ``(dp/dtheta)^T F``; or WorkspaceError."""
     position = _vector(position_m, "a position")
     force = _vector(force_N, "a force")
     out = np.empty(3)

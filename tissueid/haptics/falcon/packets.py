@@ -165,11 +165,7 @@ class Reply(NamedTuple):
 
 
 def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int, homing: bool) -> bytes:
-    """One command packet of motors 1, 2 and 3, within +-4095, the LED bits and homing mode.
-
-    Raises ValueError: anything else than three integers in range, other LED bits, or a homing that is no
-    boolean.
-    """
+    """A command packet of three motors within +-4095, LED bits and homing mode; ValueError for others."""
     try:
         motor = [operator.index(value) for value in motor_units]
         bits = operator.index(leds)

@@ -157,12 +157,7 @@ def _unanswered(flags: IntArray, answers: int) -> int:
 
 @tick_kernel
 def _alone(since: IntArray, last: IntArray, counts: IntArray) -> bool:
-    """True where one leg has gone on and on while the others stood still.
-
-    Three encoders for three directions contradict each other in this alone: a hand that leads the grip along
-    the curve of one leg, to a quarter of a millimetre, for a centimetre, is a faulty encoder.  A jump is not
-    this fault's.
-    """
+    """True where one leg has gone on and on while the others stood still, as no hand leads it; no jump."""
     most, others, step = 0, 0, 0
     for i in range(3):
         moved = abs(counts[i] - since[i])

@@ -1,8 +1,4 @@
-"""Bytes to and from a Falcon: over a file descriptor, or over USB by libusb-1.0 and the FTDI chip's requests.
-
-Modem lines and the latency timer belong to the FTDI chip; a pseudo-terminal or a socket has none, and then
-:attr:`FileTransport.modem` is None.
-"""
+"""Bytes to and from a Falcon: over a file descriptor, or over USB by libusb and the FTDI chip's requests."""
 
 from __future__ import annotations
 
@@ -24,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import DeviceError
+from tissueid.haptics.foreign import declared
 
 try:
     import fcntl
@@ -218,6 +215,8 @@ UDEV_FILE = "/etc/udev/rules.d/70-falcon.rules"
 LIBRARY_VARIABLE = "TISSUEID_LIBUSB"
 LIBRARY_NAMES = ("libusb-1.0.so.0", "libusb-1.0.so", "libusb-1.0.dylib")
 
+#: ``struct libusb_device_descriptor``, and where vendor and product stand in it.
+DESCRIPTOR_BYTES, VENDOR_AT = 18, 8
 INTERFACE, BULK_IN, BULK_OUT = 0, 0x81, 0x02
 #: Packets of the chip hold 64 bytes, two of them modem status.
 USB_PACKET_BYTES, STATUS_BYTES = 64, 2
@@ -262,18 +261,6 @@ NOT_FOUND = (
     "no Falcon is plugged in (USB 0403:cb48): check its power supply and cable, or go on without one, with "
     "the device sim"
 )
-
-
-class _Descriptor(ctypes.Structure):
-    """``struct libusb_device_descriptor``."""
-
-    _fields_ = (
-        ("bLength", c_ubyte), ("bDescriptorType", c_ubyte), ("bcdUSB", c_uint16),
-        ("bDeviceClass", c_ubyte), ("bDeviceSubClass", c_ubyte), ("bDeviceProtocol", c_ubyte),
-        ("bMaxPacketSize0", c_ubyte), ("idVendor", c_uint16), ("idProduct", c_uint16),
-        ("bcdDevice", c_uint16), ("iManufacturer", c_ubyte), ("iProduct", c_ubyte),
-        ("iSerialNumber", c_ubyte), ("bNumConfigurations", c_ubyte),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -361,10 +348,10 @@ class LibUsb:
             self.library.libusb_free_device_list(devices, 1)
 
     def _is_falcon(self, device: c_void_p) -> bool:
-        descriptor = _Descriptor()
-        if self.library.libusb_get_device_descriptor(device, byref(descriptor)) != 0:
+        descriptor = ctypes.create_string_buffer(DESCRIPTOR_BYTES)
+        if self.library.libusb_get_device_descriptor(device, descriptor) != 0:
             return False
-        return (descriptor.idVendor, descriptor.idProduct) == (VENDOR, PRODUCT)
+        return struct.unpack_from("HH", descriptor, VENDOR_AT) == (VENDOR, PRODUCT)
 
     def _node(self, device: c_void_p) -> UsbNode:
         return UsbNode(
@@ -510,21 +497,10 @@ def _load() -> Any:
             library = ctypes.CDLL(name)
         except OSError:
             continue
-        return _declared(library, name)
+        return declared(library, _PROTOTYPES, f"{name} is no libusb 1.0 of use")
     where = f"{named} ({LIBRARY_VARIABLE})" if named else "libusb-1.0"
     msg = f"{where} can't be loaded, and a Falcon needs it; on Debian: apt install libusb-1.0-0"
     raise DeviceError(msg)
-
-
-def _declared(library: Any, name: str) -> Any:
-    for function, (result, arguments) in _PROTOTYPES.items():
-        try:
-            symbol = getattr(library, function)
-        except AttributeError as error:
-            msg = f"{name} is no libusb 1.0 of use: it has no {function}"
-            raise DeviceError(msg) from error
-        symbol.restype, symbol.argtypes = result, arguments
-    return library
 
 
 #: A way for bytes to a Falcon.

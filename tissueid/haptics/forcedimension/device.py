@@ -32,6 +32,7 @@ from tissueid.haptics.device import (
     HapticDevice,
     await_homed,
 )
+from tissueid.haptics.foreign import declared
 from tissueid.haptics.limits import GuardLimits
 
 LIBRARY_VARIABLE = "TISSUEID_FORCEDIM"
@@ -65,20 +66,11 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 
 
 class Sdk:
-    """The loaded SDK with one open device.
-
-    Raises DeviceError: none is found, it lacks a function, or is older than :data:`OLDEST`.
-    """
+    """The loaded SDK with one open device; DeviceError where there is none of :data:`OLDEST` or newer."""
 
     def __init__(self) -> None:
-        self.path, self.library = _load()
-        for function, (result, arguments) in _PROTOTYPES.items():
-            try:
-                symbol = getattr(self.library, function)
-            except AttributeError as error:
-                msg = f"{self.path} is no Force Dimension SDK of use: it has no {function}"
-                raise DeviceError(msg) from error
-            symbol.restype, symbol.argtypes = result, arguments
+        self.path, library = _load()
+        self.library = declared(library, _PROTOTYPES, f"{self.path} is no Force Dimension SDK of use")
         if self.version()[:2] < OLDEST:
             msg = (
                 f"the Force Dimension SDK at {self.path} is {'.'.join(map(str, self.version()))}; "

@@ -1,8 +1,4 @@
-"""Admittance rendering on a device: the controller of variant B behind the device's own guard.
-
-The virtual tool is led by the measured force of the hand, along the axis into the tissue; no device of Novint
-or Force Dimension measures it, the simulated one does.
-"""
+"""Admittance rendering on a device: the controller of variant B behind the device's own guard."""
 
 from __future__ import annotations
 
@@ -18,8 +14,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import choose_device, device_class
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
-from tissueid.model.kernels import STATE_SIZE
-from tissueid.rendering.control.law import adapt, command
+from tissueid.rendering.control.law import adapt, command, new_controller
 from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, VirtualTool
 from tissueid.rendering.control.simulation import loop_block, tissue_law
 from tissueid.rendering.options import ASSUMED_DEVICE
@@ -32,10 +27,7 @@ PERIOD_S = 1e-3
 #: Virtual mass [kg] and gains that a 0.25 kg arm behind 1.5 ticks bears; assumed.
 VIRTUAL_MASS_KG = 1.0
 DEVICE_GAINS = Gains(
-    reference_rate_per_s=30.0,
-    damping_N_s_per_m=15.0,
-    disturbance_bound_N=0.3,
-    adaptation=(0.01, 1.0, 10.0),
+    reference_rate_per_s=30.0, damping_N_s_per_m=15.0, disturbance_bound_N=0.3, adaptation=(0.01, 1.0, 10.0)
 )
 #: Way of the simulated hand's target [s and m from the surface]: in the air, pressed with 4 N at most, back.
 WAY = ((0.0, -0.010), (1.0, -0.010), (2.5, 0.012), (4.0, 0.012), (5.5, -0.010))
@@ -129,11 +121,8 @@ def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
     """Read, command, guard, write, once a tick; the columns of :class:`DeviceRun`."""
     ticks = round(settings.seconds / PERIOD_S)
     block = loop_block(settings, period_s=PERIOD_S, substeps=settings.tool_substeps())
-    gains, bounds = settings.adaptation_gains(), settings.estimate_bounds()
-    law, state, estimates = tissue_law(settings), np.zeros(STATE_SIZE), 0.5 * settings.estimated_truth()
-    tool = (np.zeros(1), np.zeros(1), np.zeros(1))
-    wanted = (np.zeros(1), np.zeros(1), np.zeros(1))
-    robust, u, Y = np.zeros(1), np.zeros(1), np.zeros((1, estimates.size))
+    gains, bounds, law = settings.adaptation_gains(), settings.estimate_bounds(), tissue_law(settings)
+    controller = new_controller(1, 0.5 * settings.estimated_truth())
     velocity, last = np.zeros(3), np.zeros(3)
     rows = np.zeros((ticks, 7))
     touched = 0.0
@@ -142,20 +131,19 @@ def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
         if tick == 0:
             device.engage()
             last[:] = sample.position_m
-            tool[0][0] = INWARD @ (sample.position_m - CENTRE_M)
+            controller.xe[0] = INWARD @ (sample.position_m - CENTRE_M)
         velocity_step(velocity, sample.position_m, last, PERIOD_S)
         x = np.array([INWARD @ (sample.position_m - CENTRE_M)])
         v = np.array([INWARD @ velocity])
         sensed = np.array([INWARD @ device.sensed_force_N])
-        before, was = touched, tool[0][0]
-        touched = command(
-            block, law, state, tick * PERIOD_S, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
-        )
-        adapt(block, Y, wanted[2], gains, bounds, PERIOD_S, estimates)
+        before, was = touched, controller.xe[0]
+        touched = command(block, law, controller, tick * PERIOD_S, (x, v), sensed, touched)
+        adapt(block, controller.Y, controller.rho, gains, bounds, PERIOD_S, controller.estimates)
         true = INWARD @ (device.true_position_m - CENTRE_M)
-        sent = device.write_force(u[0] * INWARD, PERIOD_S)
+        wanted = controller.u[0]
+        sent = device.write_force(wanted * INWARD, PERIOD_S)
         if device.state is State.FAULT:
             msg = f"the guard took the force away after {tick * PERIOD_S:.3f} s: {FAULT_WORDS[device.fault]}"
             raise DeviceError(msg)
-        rows[tick] = tick * PERIOD_S, true, was, sensed[0], u[0], INWARD @ sent, before
+        rows[tick] = tick * PERIOD_S, true, was, sensed[0], wanted, INWARD @ sent, before
     return rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -104,16 +104,12 @@ def _row(name: str, value: float | str | None, unit: str, kind: str, source: str
 def _mechanics(who: str, found: Mechanics, table: Mechanics) -> list[dict[str, Any]]:
     """Three rows of a body of one axis: from the paper's table as it was read, or stated."""
     names = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
-    own = all(map(np.array_equal, _parts(found), _parts(table)))
+    own = all(map(np.array_equal, found.parts(), table.parts()))
     kind, source = ("reading", TABLE_3) if own else ("stated", STATED)
     return [
         _row(f"{who} {name}", float(part[0, 0]), unit, kind, source)
-        for (name, unit), part in zip(names.items(), _parts(found), strict=True)
+        for (name, unit), part in zip(names.items(), found.parts(), strict=True)
     ]
-
-
-def _parts(one: Mechanics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return one.mass_kg, one.damping_N_s_per_m, one.stiffness_N_per_m
 
 
 def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
@@ -127,17 +123,17 @@ def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
 
     push = settings.push or settings.task("sustained").push
     assert push is not None  # noqa: S101 -- a task has one
-    usual = (push.offset_N[0], push.amplitude_N[0], push.frequency_Hz[0]) in TASKS.values()
-    said = f"{push.offset_N[0]:g} + {push.amplitude_N[0]:g} sin(2 pi {push.frequency_Hz[0]:g} t)"
+    (offset,), (amplitude,), (frequency,) = astuple(push)
+    usual = (offset, amplitude, frequency) in TASKS.values()
+    said = f"{offset:g} + {amplitude:g} sin(2 pi {frequency:g} t)"
+    hand = ("assumed", ASSUMED) if usual else ("stated", STATED)
     floor = "derived" if gains.sigma_floor is None else "stated"
     return [
         *_mechanics("operator", settings.operator, TABLE_3_OPERATOR),
         *_mechanics("device", settings.device, TABLE_3_DEVICE),
         chosen("virtual mass", settings.tool.mass_kg, default.tool.mass_kg, "kg"),
         chosen("virtual damping", settings.tool.damping_N_s_per_m, 0.0, "N s/m"),
-        _row(
-            "push of the hand F*", said, "N", "assumed" if usual else "stated", ASSUMED if usual else STATED
-        ),
+        _row("push of the hand F*", said, "N", *hand),
         chosen("Lambda", gains.reference_rate_per_s, plain.reference_rate_per_s, "1/s"),
         chosen("K_r", gains.damping_N_s_per_m, plain.damping_N_s_per_m, "N s/m"),
         chosen("delta", settings.disturbance_bound_N(), default.disturbance_bound_N(), "N"),
@@ -158,25 +154,18 @@ def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
 
 def _run(name: str, run: ControlRun) -> dict[str, Any]:
     settings = run.settings
-    bounds = settings.estimate_bounds()
     # arms and several axes are for Python: the command's loops have one axis
-    estimates = zip(("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m"), range(3), strict=True)
-    truth = settings.estimated_truth()
+    low, high = settings.estimate_bounds()
+    columns = np.stack([run.estimates[0], run.estimates[-1], settings.estimated_truth(), low, high], axis=1)
+    names = ("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m")
     return {
         "name": name,
         "adapts": settings.gains.adaptation_sign != 0,
         "stiffness_scale": settings.stiffness_scale,
         "measures": asdict(measured(run)),
         "estimates": [
-            {
-                "name": label,
-                "start": float(run.estimates[0, k]),
-                "end": float(run.estimates[-1, k]),
-                "true": float(truth[k]),
-                "low": float(bounds[0, k]),
-                "high": float(bounds[1, k]),
-            }
-            for label, k in estimates
+            {"name": label, **dict(zip(("start", "end", "true", "low", "high"), row, strict=True))}
+            for label, row in zip(names, columns.tolist(), strict=True)
         ],
     }
 

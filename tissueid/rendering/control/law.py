@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-from tissueid.model.kernels import tissue_step_in
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 
 #: Axes that a loop may have.
 MOST_AXES = 3
@@ -45,6 +47,30 @@ class LoopBlock(NamedTuple):
     substeps: int
     rise_s: float
     arm: FloatArray  # lengths of two links, 0 without an arm; where the work begins, from its base
+
+
+class Controller(NamedTuple):
+    """Arrays that a controller remembers and writes; shape (n,) where nothing else is said."""
+
+    #: Position, velocity and acceleration of the virtual tool.
+    xe: FloatArray
+    ve: FloatArray
+    ae: FloatArray
+    #: Reference velocity and acceleration, and rho.
+    vr: FloatArray
+    ar: FloatArray
+    rho: FloatArray
+    robust: FloatArray
+    u: FloatArray  # control force
+    Y: FloatArray  # (n, p), regressor
+    estimates: FloatArray  # (p,)
+    state: FloatArray  # of the tissue, (STATE_SIZE,)
+
+
+def new_controller(axes: int, estimates: FloatArray) -> Controller:
+    """A controller at rest at the surface of a tissue at rest, with its first estimates."""
+    vectors = [np.zeros(axes) for _ in range(8)]
+    return Controller._make([*vectors, np.zeros((axes, estimates.size)), estimates, np.zeros(STATE_SIZE)])
 
 
 #: A number each, in this order, after the vectors.
@@ -126,11 +152,7 @@ def _arm_columns(
 def regress(
     arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
 ) -> None:
-    """Write the regressor, shape (n, p), of velocity ``v`` and reference ``vr``, ``ar``.
-
-    p is 3 n (n + 1) / 2, and 3 more with an arm; the device's own velocity and acceleration as reference
-    give the force that it needs.
-    """
+    """Write the regressor of ``v``, ``vr`` and ``ar``, (n, 3 n (n + 1) / 2), 3 more with an arm."""
     n, size = Y.shape
     for i in range(n):
         for k in range(size):
@@ -277,29 +299,21 @@ def tool_acceleration(
 
 
 @tick_kernel
-def advance_tool(
-    block: LoopBlock,
-    law: FloatArray,
-    state: FloatArray,
-    tool: tuple[FloatArray, FloatArray, FloatArray],
-    hand: FloatArray,
-    touched: float,
-) -> float:
+def advance_tool(block: LoopBlock, law: FloatArray, c: Controller, hand: FloatArray, touched: float) -> float:
     """Move the virtual tool over one period under a held force of the hand; tissue's force at its end [N].
 
     Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
     The tissue is stepped along, unless the device itself touches it: then its force is held as well.
     """
-    x, v, a = tool
     steps = block.substeps
     h = block.period_s / steps
     for _ in range(steps):
-        tool_acceleration(block, v, hand, touched, a)
-        for i in range(x.size):
-            v[i] += h * a[i]
-            x[i] += h * v[i]
+        tool_acceleration(block, c.ve, hand, touched, c.ae)
+        for i in range(c.xe.size):
+            c.ve[i] += h * c.ae[i]
+            c.xe[i] += h * c.ve[i]
         if not block.touched_by_device:
-            touched = environment_force(block, law, state, x, h)
+            touched = environment_force(block, law, c.state, c.xe, h)
     return touched
 
 
@@ -432,30 +446,25 @@ def lyapunov(
 def command(
     block: LoopBlock,
     law: FloatArray,
-    state: FloatArray,
+    c: Controller,
     time: float,
     device: tuple[FloatArray, FloatArray],
     hand: FloatArray,
     touched: float,
-    tool: tuple[FloatArray, FloatArray, FloatArray],
-    wanted: tuple[FloatArray, FloatArray, FloatArray],
-    robust: FloatArray,
-    estimates: FloatArray,
-    Y: FloatArray,
-    u: FloatArray,
 ) -> float:
-    """Step the virtual tool through the coming period; the force [N] held through it is written to ``u``.
+    """Step the virtual tool through the coming period; the force [N] held through it is written to ``c.u``.
 
-    Held until the next tick, the command aims at where the tool will be then. ``tool`` and ``state`` are
-    updated, ``wanted``, ``robust`` and ``Y`` written; returns the tissue's force at the end [N].
+    Held until the next tick, the command aims at where the tool will be then; returns the tissue's force at
+    the end [N].
     """
+    x, v = device
     if block.touched_by_device:
-        touched = environment_force(block, law, state, device[0], block.period_s)
-    touched = advance_tool(block, law, state, tool, hand, touched)
-    tool_acceleration(block, tool[1], hand, touched, tool[2])
-    reference(block, device, tool, wanted)
-    robust_term(block, wanted[2], sigma_at(block, time), robust)
-    regress(block.arm, device[0], device[1], wanted[0], wanted[1], Y)
-    control_force(block, Y, estimates, wanted[2], robust, hand, u)
-    saturate(block, u)
+        touched = environment_force(block, law, c.state, x, block.period_s)
+    touched = advance_tool(block, law, c, hand, touched)
+    tool_acceleration(block, c.ve, hand, touched, c.ae)
+    reference(block, device, (c.xe, c.ve, c.ae), (c.vr, c.ar, c.rho))
+    robust_term(block, c.rho, sigma_at(block, time), c.robust)
+    regress(block.arm, x, v, c.vr, c.ar, c.Y)
+    control_force(block, c.Y, c.estimates, c.rho, c.robust, hand, c.u)
+    saturate(block, c.u)
     return float(touched)

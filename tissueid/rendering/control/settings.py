@@ -7,18 +7,14 @@ of operator and device, in kg, N s/m and N/m, is a reading.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.rendering.control.law import (
-    ARM_PARAMETERS,
-    MOST_AXES,
-    inertia,
-)
+from tissueid.rendering.control.law import ARM_PARAMETERS, MOST_AXES, inertia
 from tissueid.rendering.tissue_block import Tissue
 
 
@@ -42,13 +38,11 @@ class Mechanics:
         if not (shape[0] == shape[1] <= MOST_AXES and all(one.shape == shape for one in parts)):
             msg = f"mass, damping and stiffness must be numbers, or square of 1 to {MOST_AXES} axes alike"
             raise UsageError(msg)
-        for one in parts:
-            if not (
-                np.isfinite(one).all() and np.array_equal(one, one.T) and np.linalg.eigvalsh(one)[0] >= 0
-            ):
+        for name, one in zip(("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m"), parts, strict=True):
+            symmetric = np.isfinite(one).all() and np.array_equal(one, one.T)
+            if not (symmetric and np.linalg.eigvalsh(one)[0] >= 0):
                 msg = f"masses, dampings, stiffnesses: finite, symmetric and not negative, not {one.tolist()}"
                 raise UsageError(msg)
-        for name, one in zip(("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m"), parts, strict=True):
             object.__setattr__(self, name, one)
 
     @property
@@ -59,9 +53,11 @@ class Mechanics:
     def parameters(self) -> FloatArray:
         """Upper triangles of the three, row by row, shape (3 n (n + 1) / 2,)."""
         upper = np.triu_indices(self.axes)
-        return np.concatenate(
-            [one[upper] for one in (self.mass_kg, self.damping_N_s_per_m, self.stiffness_N_per_m)]
-        )
+        return np.concatenate([one[upper] for one in self.parts()])
+
+    def parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mass, damping and stiffness."""
+        return self.mass_kg, self.damping_N_s_per_m, self.stiffness_N_per_m
 
 
 #: Table 3 [reading].
@@ -96,11 +92,7 @@ class Signal:
 
 #: Pushes of the hand along the first axis, which is into the tissue: offset, amplitude [N], frequency [Hz].
 #: Assumed: the inputs of the paper's simulation are lost.
-TASKS = {
-    "sustained": (10.0, 10.0, 1.0),
-    "free-contact": (2.0, 3.0, 0.5),
-    "impacts": (2.0, 10.0, 0.5),
-}
+TASKS = {"sustained": (10.0, 10.0, 1.0), "free-contact": (2.0, 3.0, 0.5), "impacts": (2.0, 10.0, 0.5)}
 
 
 #: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
@@ -314,7 +306,7 @@ def _problems(settings: ControlSettings) -> list[str]:
     if settings.device.axes != settings.operator.axes:
         found.append(f"the device has {settings.device.axes} axes and the hand {settings.operator.axes}")
     for name, signal in (("push", settings.push), ("disturbance", settings.disturbance)):
-        parts = () if signal is None else (signal.offset_N, signal.amplitude_N, signal.frequency_Hz)
+        parts = () if signal is None else astuple(signal)
         if any(len(part) != settings.axes for part in parts):
             found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
     if settings.arm is not None and settings.device.axes != 2:

@@ -1,13 +1,10 @@
-"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous.
-
-The sampled loop reads the force that the hand had under the last command, and holds its own until the next
-tick.
-"""
+"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,66 +12,68 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
-from tissueid.rendering.control.law import (
-    DRIVE_ROWS,
-    SCALARS,
-    VECTORS,
-    LoopBlock,
-    adapt,
-    command,
-    control_force,
-    disturbance,
-    environment_force,
-    generalised_force,
-    hand_push,
-    inertia,
-    lyapunov,
-    not_covered,
-    record_row,
-    reference,
-    regress,
-    robust_term,
-    row_size,
-    sigma_at,
-    solve,
-    tool_acceleration,
-)
+from tissueid.rendering.control import law
+from tissueid.rendering.control.law import Controller, LoopBlock
 from tissueid.rendering.control.settings import TASKS, ControlSettings, Signal, check_virtual_mass
 
 #: A device that is farther away than this has diverged [m].
 LARGEST_M = 10.0
-VECTOR_ROWS = 22
+
+
+class Loop(NamedTuple):
+    """A loop that is run, for compiled code."""
+
+    block: LoopBlock
+    law: FloatArray  # of the tissue, (LAW_SIZE,)
+    drive: FloatArray  # push and disturbance, (DRIVE_ROWS, n)
+    total: FloatArray  # parameters of device and hand together
+    operator: FloatArray  # parameters of the hand, in the same places
+    truth: FloatArray  # of the estimates, (p,)
+    gains: FloatArray  # of the adaptation, (p,)
+    bounds: FloatArray  # of the estimates, (2, p)
+
+
+#: Room of a sampled run: vectors, two of them to work in, regressor, inertia.
+SampledRoom = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+VECTOR_ROWS = 12
+
+
+def sampled_room(axes: int, parameters: int) -> SampledRoom:
+    """Room of a run."""
+    shapes = ((VECTOR_ROWS, axes), (2, axes), (axes, parameters), (axes, axes))
+    rows, spare, Y, M = (np.zeros(shape) for shape in shapes)
+    return rows, spare, Y, M
 
 
 @tick_kernel
 def _advance_plant(
-    block: LoopBlock,
-    parameters: tuple[FloatArray, FloatArray],
-    drive: FloatArray,
+    loop: Loop,
     time: float,
     u: FloatArray,
     plant: tuple[FloatArray, FloatArray, FloatArray],
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    vectors: tuple[FloatArray, FloatArray, FloatArray],
+    room: SampledRoom,
 ) -> None:
     """Move device and hand over one period under a held control force; leave the sensor's reading."""
-    total, operator = parameters
+    block = loop.block
     x, v, hand = plant
-    a, push, disturbed, spare, Y, M = room
+    a, push, disturbed = vectors
+    spare, Y, M = room[1], room[2], room[3]
     steps = block.substeps
     h = block.period_s / steps
     for step in range(steps):
-        hand_push(block, drive, time + step * h, push)
-        disturbance(drive, time + step * h, disturbed)
+        law.hand_push(block, loop.drive, time + step * h, push)
+        law.disturbance(loop.drive, time + step * h, disturbed)
         for i in range(x.size):
             a[i] = 0.0
-        generalised_force(block.arm, total, x, v, v, a, Y, hand)
+        law.generalised_force(block.arm, loop.total, x, v, v, a, Y, hand)
         for i in range(x.size):
             a[i] = push[i] + u[i] - disturbed[i] - hand[i]
-        inertia(block.arm, total, x, spare, Y, M)
-        solve(M, a)
+        law.inertia(block.arm, loop.total, x, spare, Y, M)
+        law.solve(M, a)
         if step == steps - 1:
             # what the sensor feels: the push, less what moves and holds the hand itself
-            generalised_force(block.arm, operator, x, v, v, a, Y, hand)
+            law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
             for i in range(x.size):
                 hand[i] = push[i] - hand[i]
         for i in range(x.size):
@@ -82,123 +81,99 @@ def _advance_plant(
             x[i] += h * v[i]
 
 
-def sampled_room(
-    axes: int, start: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """Room of a run: vectors, regressor twice, inertia; the estimates and the tissue at rest."""
-    return (
-        np.zeros((VECTOR_ROWS, axes)),
-        np.zeros((axes, start.size)),
-        np.zeros((axes, start.size)),
-        np.zeros((axes, axes)),
-        (start.copy(), np.zeros(STATE_SIZE)),
-    )
-
-
 @tick_kernel
-def run_sampled(
-    block: LoopBlock,
-    law: FloatArray,
-    parameters: tuple[FloatArray, FloatArray, FloatArray],
-    adaptation: tuple[FloatArray, FloatArray],
-    drive: FloatArray,
-    noise: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
-    out: FloatArray,
-) -> int:
+def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom, out: FloatArray) -> int:
     """Run a sampled loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
 
-    ``parameters``: of device and hand together, of the hand, of the estimates' truth; ``noise``: of the
-    sensor [N].
+    The loop reads the force that the hand had under the last command; ``noise``: of the sensor [N].
     """
-    n = drive.shape[1]
-    rows, Y, Z, M, lists = room
-    gains, bounds = adaptation
-    truth = parameters[2]
-    x, v, hand, sensed = rows[0], rows[1], rows[2], rows[3]
-    tool = (rows[4], rows[5], rows[6])
-    wanted = (rows[7], rows[8], rows[9])
-    u, robust, push, disturbed, unknown = rows[10], rows[11], rows[12], rows[13], rows[14]
-    was = (rows[15], rows[16])
-    spare = rows[17:19]
-    plant_room = (rows[19], rows[20], rows[21], spare, Z, M)
-    estimates, state = lists
+    block = loop.block
+    rows, spare, Y, M = room
+    x, v, hand, sensed, push, disturbed = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    unknown, was = rows[6], (rows[7], rows[8])
     touched = 0.0
     for tick in range(out.shape[0]):
         time = tick * block.period_s
-        hand_push(block, drive, time, push)
-        disturbance(drive, time, disturbed)
-        for i in range(n):
+        law.hand_push(block, loop.drive, time, push)
+        law.disturbance(loop.drive, time, disturbed)
+        for i in range(x.size):
             sensed[i] = hand[i] + noise[tick, i]
-            was[0][i], was[1][i] = tool[0][i], tool[1][i]
+            was[0][i], was[1][i] = c.xe[i], c.ve[i]
         before = touched
-        touched = command(
-            block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
-        )
-        not_covered(block, push, disturbed, unknown)
-        V, rate = lyapunov(block, x, (wanted[2], robust, unknown), truth, estimates, gains, (spare, Z, M))
-        record_row(
-            out[tick],
-            time,
-            (x, v, was[0], was[1], sensed, u, wanted[2], push, disturbed),
-            (before, sigma_at(block, time), V, rate),
-            estimates,
-        )
-        adapt(block, Y, wanted[2], gains, bounds, block.period_s, estimates)
-        _advance_plant(block, (parameters[0], parameters[1]), drive, time, u, (x, v, hand), plant_room)
-        for i in range(n):
+        touched = law.command(block, loop.law, c, time, (x, v), sensed, touched)
+        law.not_covered(block, push, disturbed, unknown)
+        terms = (c.rho, c.robust, unknown)
+        V, rate = law.lyapunov(block, x, terms, loop.truth, c.estimates, loop.gains, (spare, Y, M))
+        vectors = (x, v, was[0], was[1], sensed, c.u, c.rho, push, disturbed)
+        law.record_row(out[tick], time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
+        law.adapt(block, c.Y, c.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
+        _advance_plant(loop, time, c.u, (x, v, hand), (rows[9], rows[10], rows[11]), room)
+        for i in range(x.size):
             if not abs(x[i]) < LARGEST_M:
                 return tick + 1
     return int(out.shape[0])
 
 
-Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+#: Vectors, regressor and three inertias to solve in; estimates and tissue, each with its trials.
+Solving = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Lists = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+#: Room of a continuous run: motions, forces, and both of these.
+ContinuousRoom = tuple[FloatArray, FloatArray, Solving, Lists]
 #: Rows of the state of motion: position and velocity of the device, of the tool.
 MOTION_ROWS = 4
-#: Rows of forces, see :func:`_forces`; one for what the estimates don't cover, two to work in.
-FORCE_ROWS = 13
+#: Rows of forces, see :func:`_forces`; one for what the estimates don't cover.
+FORCE_ROWS = 11
+
+
+def continuous_room(axes: int, start: FloatArray) -> ContinuousRoom:
+    """Room of a run."""
+    squares = np.zeros((3, axes, axes))
+    return (
+        np.zeros((4, MOTION_ROWS, axes)),
+        np.zeros((FORCE_ROWS, axes)),
+        (np.zeros((2, axes)), np.zeros((axes, start.size)), squares[0], squares[1], squares[2]),
+        (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
+    )
 
 
 @tick_kernel
 def _forces(
-    block: LoopBlock,
-    parameters: tuple[FloatArray, FloatArray, FloatArray],
-    moment: tuple[FloatArray, float],
+    loop: Loop,
+    time: float,
     motion: FloatArray,
     estimates: FloatArray,
     touched: float,
     forces: FloatArray,
-    room: Five,
+    room: Solving,
 ) -> None:
-    """Solve the algebraic loop at one moment, of the drive and the time; ``forces`` is written.
+    """Solve the algebraic loop at one moment; ``forces`` is written.
 
     The hand's force holds its own acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a
     [+ Mh a in variant B], with M^ of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
     """
-    drive, time = moment
-    total, operator = parameters[0], parameters[1]
+    block = loop.block
     spare, Y, M, Mh, Mc = room
     x, v, ve = motion[0], motion[1], motion[3]
     push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
     a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
     n = x.size
-    hand_push(block, drive, time, push)
-    disturbance(drive, time, disturbed)
-    inertia(block.arm, operator, x, spare, Y, Mh)
-    inertia(block.arm, estimates, x, spare, Y, Mc)
-    inertia(block.arm, total, x, spare, Y, M)
+    law.hand_push(block, loop.drive, time, push)
+    law.disturbance(loop.drive, time, disturbed)
+    law.inertia(block.arm, loop.operator, x, spare, Y, Mh)
+    law.inertia(block.arm, estimates, x, spare, Y, Mc)
+    law.inertia(block.arm, loop.total, x, spare, Y, M)
     for i in range(n):
         a[i] = 0.0
-    generalised_force(block.arm, operator, x, v, v, a, Y, hand)
+    law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
     for i in range(n):
         hand[i] = push[i] - hand[i]
-    tool_acceleration(block, ve, hand, touched, ae)
-    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    robust_term(block, rho, sigma_at(block, time), robust)
-    regress(block.arm, x, v, vr, ar, Y)
-    control_force(block, Y, estimates, rho, robust, hand, u)
+    law.tool_acceleration(block, ve, hand, touched, ae)
+    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    law.robust_term(block, rho, law.sigma_at(block, time), robust)
+    law.regress(block.arm, x, v, vr, ar, Y)
+    law.control_force(block, Y, estimates, rho, robust, hand, u)
     # the plant's own forces take the room of vr, which is not needed any more
-    generalised_force(block.arm, total, x, v, v, a, Y, vr)
+    law.generalised_force(block.arm, loop.total, x, v, v, a, Y, vr)
     for i in range(n):
         ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
         for j in range(n):
@@ -206,22 +181,25 @@ def _forces(
                 M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
             if block.variant_B:
                 M[i, j] -= Mh[i, j]
-    solve(M, ar)
+    law.solve(M, ar)
     for i in range(n):
         a[i] = ar[i]
     for i in range(n):
         for j in range(n):
             hand[i] -= Mh[i, j] * a[j]
-    tool_acceleration(block, ve, hand, touched, ae)
-    reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    regress(block.arm, x, v, vr, ar, Y)
-    control_force(block, Y, estimates, rho, robust, hand, u)
+    law.tool_acceleration(block, ve, hand, touched, ae)
+    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
+    law.regress(block.arm, x, v, vr, ar, Y)
+    law.control_force(block, Y, estimates, rho, robust, hand, u)
 
 
 @tick_kernel
-def _tissue(block: LoopBlock, law: FloatArray, state: FloatArray, motion: FloatArray, h: float) -> float:
-    """Force of the environment [N] on whatever touches it."""
-    return environment_force(block, law, state, motion[0 if block.touched_by_device else 2], h)
+def _tissue(loop: Loop, state: FloatArray, motion: FloatArray) -> float:
+    """Force of the environment [N] on whatever touches it, a step later."""
+    block = loop.block
+    return law.environment_force(
+        block, loop.law, state, motion[0 if block.touched_by_device else 2], block.period_s
+    )
 
 
 @tick_kernel
@@ -240,91 +218,57 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
         target[k] = source[k]
 
 
-def continuous_room(
-    axes: int, start: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five]:
-    """Room of a run: motions, forces, inertias, regressor; estimates and tissue, each with its trials."""
-    return (
-        np.zeros((4, MOTION_ROWS, axes)),
-        np.zeros((FORCE_ROWS, axes)),
-        np.zeros((3, axes, axes)),
-        np.zeros((axes, start.size)),
-        (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
-    )
-
-
 @tick_kernel
-def _step(
-    block: LoopBlock,
-    law: FloatArray,
-    parameters: tuple[FloatArray, FloatArray, FloatArray],
-    adaptation: tuple[FloatArray, FloatArray],
-    moment: tuple[FloatArray, float],
-    motions: FloatArray,
-    forces: FloatArray,
-    rooms: tuple[Five, Five],
-) -> float:
+def _step(loop: Loop, time: float, room: ContinuousRoom) -> float:
     """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
-    gains, bounds = adaptation
-    solving, lists = rooms
+    block = loop.block
+    motions, forces, solving, lists = room
     h = block.period_s
     motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
     estimates, guess, moved, state, trial = lists
     Y = solving[1]
-    regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
+    law.regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
     _slopes(motion, forces, slope)
     _copy(estimates, guess)
-    adapt(block, Y, forces[4], gains, bounds, h, guess)
+    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, guess)
     for k in range(MOTION_ROWS):
         for i in range(motion.shape[1]):
             ahead[k, i] = motion[k, i] + h * slope[k, i]
     _copy(state, trial)
-    pressed = _tissue(block, law, trial, ahead, h)
-    _forces(block, parameters, (moment[0], moment[1] + h), ahead, guess, pressed, forces, solving)
+    pressed = _tissue(loop, trial, ahead)
+    _forces(loop, time + h, ahead, guess, pressed, forces, solving)
     _slopes(ahead, forces, slope_ahead)
     _copy(guess, moved)
-    adapt(block, Y, forces[4], gains, bounds, h, moved)
+    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, moved)
     for k in range(estimates.size):
         estimates[k] = 0.5 * (estimates[k] + moved[k])
     for k in range(MOTION_ROWS):
         for i in range(motion.shape[1]):
             motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
-    return float(_tissue(block, law, state, motion, h))
+    return float(_tissue(loop, state, motion))
 
 
 @tick_kernel
-def run_continuous(
-    block: LoopBlock,
-    law: FloatArray,
-    parameters: tuple[FloatArray, FloatArray, FloatArray],
-    adaptation: tuple[FloatArray, FloatArray],
-    drive: FloatArray,
-    every: int,
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five],
-    out: FloatArray,
-) -> int:
+def run_continuous(loop: Loop, every: int, room: ContinuousRoom, out: FloatArray) -> int:
     """Run a loop without sampling from rest at the surface; a row every ``every`` steps of the period."""
-    motions, forces, squares, Y, lists = room
-    motion, unknown, spare = motions[0], forces[10], forces[11:13]
-    solving = (spare, Y, squares[0], squares[1], squares[2])
-    estimates, gains, truth = lists[0], adaptation[0], parameters[2]
+    block = loop.block
+    motions, forces, solving, lists = room
+    motion, unknown, estimates = motions[0], forces[10], lists[0]
     touched = 0.0
     for row in range(out.shape[0]):
         for step in range(every):
             time = (row * every + step) * block.period_s
-            _forces(block, parameters, (drive, time), motion, estimates, touched, forces, solving)
+            _forces(loop, time, motion, estimates, touched, forces, solving)
             if step == 0:
-                rho, robust = forces[4], forces[5]
-                not_covered(block, forces[0], forces[1], unknown)
-                V, rate = lyapunov(
-                    block, motion[0], (rho, robust, unknown), truth, estimates, gains, (spare, Y, squares[0])
-                )
+                law.not_covered(block, forces[0], forces[1], unknown)
+                terms, work = (forces[4], forces[5], unknown), (solving[0], solving[1], solving[2])
+                V, rate = law.lyapunov(block, motion[0], terms, loop.truth, estimates, loop.gains, work)
                 led = (motion[0], motion[1], motion[2], motion[3])
-                vectors = (*led, forces[2], forces[3], rho, forces[0], forces[1])
-                record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
-            touched = _step(
-                block, law, parameters, adaptation, (drive, time), motions, forces, (solving, lists)
-            )
+                vectors = (*led, forces[2], forces[3], forces[4], forces[0], forces[1])
+                law.record_row(
+                    out[row], time, vectors, (touched, law.sigma_at(block, time), V, rate), estimates
+                )
+            touched = _step(loop, time, room)
         for i in range(motion.shape[1]):
             if not abs(motion[0, i]) < LARGEST_M:
                 return row + 1
@@ -400,47 +344,45 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
 
 def tissue_law(settings: ControlSettings) -> FloatArray:
     """The tissue's law, made stiffer by the scale, shape (LAW_SIZE,)."""
-    law = servo_law(settings.tissue.model, settings.tissue.theta)
-    return law.stiffer(settings.stiffness_scale).packed()
+    found = servo_law(settings.tissue.model, settings.tissue.theta)
+    return found.stiffer(settings.stiffness_scale).packed()
 
 
 def _drive(settings: ControlSettings) -> FloatArray:
     """Push and disturbance, shape (DRIVE_ROWS, n)."""
-    push = settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes)
-    rows = [push.offset_N, push.amplitude_N, push.frequency_Hz]
-    drive = np.zeros((DRIVE_ROWS, settings.axes))
-    drive[:3] = rows
+    drive = np.zeros((law.DRIVE_ROWS, settings.axes))
+    drive[:3] = astuple(settings.push or Signal.along(*TASKS["sustained"], axes=settings.axes))
     if settings.disturbance is not None:
-        other = settings.disturbance
-        drive[3:] = other.offset_N, other.amplitude_N, other.frequency_Hz
+        drive[3:] = astuple(settings.disturbance)
     return drive
 
 
 def simulate(settings: ControlSettings) -> ControlRun:
     """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
-    n = settings.axes
     device, operator = settings.true_parameters()
     truth = settings.estimated_truth()
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
-    parameters = (device + operator, operator, truth)
     start = np.array(start, dtype=np.float64)
-    adaptation = (settings.adaptation_gains(), settings.estimate_bounds())
-    law, drive = tissue_law(settings), _drive(settings)
     rows = max(1, round(settings.seconds * settings.rate_Hz))
-    out = np.zeros((rows, row_size(settings.axes, truth.size)))
+    out = np.zeros((rows, law.row_size(settings.axes, truth.size)))
+
+    def loop(block: LoopBlock) -> Loop:
+        adaptation = settings.adaptation_gains(), settings.estimate_bounds()
+        parameters = (device + operator, operator, truth)
+        return Loop(block, tissue_law(settings), _drive(settings), *parameters, *adaptation)
+
     if settings.continuous_step_s is None:
         block = loop_block(settings, period_s=1.0 / settings.rate_Hz, substeps=settings.tool_substeps())
         noise = np.zeros((rows, settings.axes))
         if settings.sensor_noise_N > 0.0:
             noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
-        written = run_sampled(block, law, parameters, adaptation, drive, noise, sampled_room(n, start), out)
+        controller, room = law.new_controller(settings.axes, start), sampled_room(settings.axes, start.size)
+        written = run_sampled(loop(block), controller, noise, room, out)
     else:
         every = max(1, math.ceil(1.0 / (settings.rate_Hz * settings.continuous_step_s) - 1e-9))
         block = loop_block(settings, period_s=1.0 / (settings.rate_Hz * every), substeps=1)
-        written = run_continuous(
-            block, law, parameters, adaptation, drive, every, continuous_room(n, start), out
-        )
+        written = run_continuous(loop(block), every, continuous_room(settings.axes, start), out)
     return _as_run(settings, out[:written], complete=written == rows)
 
 
@@ -448,14 +390,14 @@ def _as_run(settings: ControlSettings, rows: FloatArray, *, complete: bool) -> C
     """Name the columns; what a diverging loop wrote last may be no number."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     n = settings.axes
-    vectors = {name: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, name in enumerate(VECTORS)}
-    first = 1 + n * len(VECTORS)
-    scalars = {name: rows[:, first + k] for k, name in enumerate(SCALARS)}
+    vectors = {name: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, name in enumerate(law.VECTORS)}
+    first = 1 + n * len(law.VECTORS)
+    scalars = {name: rows[:, first + k] for k, name in enumerate(law.SCALARS)}
     return ControlRun(
         settings=settings,
         time_s=rows[:, 0],
         **vectors,
         **scalars,
-        estimates=rows[:, first + len(SCALARS) :],
+        estimates=rows[:, first + len(law.SCALARS) :],
         diverged_s=None if complete else float(rows[-1, 0]),
     )

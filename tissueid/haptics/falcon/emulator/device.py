@@ -17,10 +17,7 @@ from tissueid.haptics.limits import GuardLimits
 
 
 class EmulatorDevice(FalconDevice):
-    """A Falcon driver with its own emulated Falcon; the user's calibration is not read.
-
-    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``.  Raises UsageError: a port was named.
-    """
+    """A Falcon driver on an emulator with its own ``arguments``; UsageError where a port was named."""
 
     name = "emulator"
     refuses = ("port",)

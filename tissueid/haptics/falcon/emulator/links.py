@@ -1,8 +1,4 @@
-"""Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process.
-
-An unplugged device closes its end, so that a host sees what it would see: an error on a terminal, the end
-of the stream on a socket.
-"""
+"""Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process."""
 
 from __future__ import annotations
 
@@ -142,10 +138,7 @@ class EmulatedLink:
 
 
 class EmulatorProcess:
-    """An emulated Falcon in a process of its own that ends with its owner, on a pseudo-terminal.
-
-    Raises DeviceError: it did not come up; with what it said.
-    """
+    """An emulated Falcon in a process that ends with its owner; DeviceError, in its words, without one."""
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module

@@ -98,6 +98,7 @@ class _Stage(Enum):
     BROKEN = "waits for a new start"
 
 
+@dataclass
 class BootLoader:
     """The upload protocol, without a clock: it greets, then echoes every byte it is given.
 
@@ -106,23 +107,15 @@ class BootLoader:
     stacks do.
     """
 
-    def __init__(
-        self,
-        *,
-        firmware_bytes: int | None,
-        failing_tries: int = 0,
-        silent_hellos: int = 0,
-        long_greeting: bool = False,
-    ) -> None:
-        self.firmware_bytes = firmware_bytes
-        self.failing_tries = failing_tries
-        self.silent_hellos = silent_hellos
-        self.long_greeting = long_greeting
-        self.baud: int | None = None
-        self.taken = 0
-        self.tries = 0
-        self._stage = _Stage.GREETING
-        self._tail = b""
+    firmware_bytes: int | None
+    failing_tries: int = 0
+    silent_hellos: int = 0
+    long_greeting: bool = False
+    baud: int | None = None
+    taken: int = 0
+    tries: int = 0
+    _stage: _Stage = _Stage.GREETING
+    _tail: bytes = b""
 
     def restart(self) -> None:
         """Begin anew, as when the DTR line rises or the device is switched on."""
