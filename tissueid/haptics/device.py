@@ -401,3 +401,15 @@ def compiled_io(given: CompiledIO) -> Any:
         raise DeviceError(msg)
     access: Access = getattr(import_module(module), name)
     return access.made(given)
+
+
+def declared(library: Any, prototypes: Mapping[str, tuple[Any, list[Any]]], complaint: str) -> Any:
+    """The library with results and arguments of its functions; DeviceError with the one that it lacks."""
+    for function, (result, arguments) in prototypes.items():
+        try:
+            symbol = getattr(library, function)
+        except AttributeError as error:
+            msg = f"{complaint}: it has no {function}"
+            raise DeviceError(msg) from error
+        symbol.restype, symbol.argtypes = result, arguments
+    return library

@@ -6,7 +6,7 @@ A loop is cached on disk and runs where a driver is absent.  Without compilation
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -15,7 +15,6 @@ from numba.extending import intrinsic
 
 from tissueid.arrays import IntArray
 from tissueid.compiled import kernel
-from tissueid.errors import DeviceError
 
 _UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))
 _CTYPES: dict[Any, Any] = {
@@ -26,18 +25,6 @@ _CTYPES: dict[Any, Any] = {
     types.int64: ctypes.c_int64,
     types.float64: ctypes.c_double,
 }
-
-
-def declared(library: Any, prototypes: Mapping[str, tuple[Any, list[Any]]], complaint: str) -> Any:
-    """The library with results and arguments of its functions; DeviceError with the one that it lacks."""
-    for function, (result, arguments) in prototypes.items():
-        try:
-            symbol = getattr(library, function)
-        except AttributeError as error:
-            msg = f"{complaint}: it has no {function}"
-            raise DeviceError(msg) from error
-        symbol.restype, symbol.argtypes = result, arguments
-    return library
 
 
 def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.foreign import declared
+from tissueid.haptics.device import declared
 
 try:
     import fcntl

@@ -31,8 +31,8 @@ from tissueid.haptics.device import (
     DeviceSample,
     HapticDevice,
     await_homed,
+    declared,
 )
-from tissueid.haptics.foreign import declared
 from tissueid.haptics.limits import GuardLimits
 
 LIBRARY_VARIABLE = "TISSUEID_FORCEDIM"
