@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray
 from tissueid.contrast.decision import LEAST_FORCE_N, LIMITS
 from tissueid.documents import twin as document
-from tissueid.documents.contrast import Limit
 from tissueid.errors import DeviceError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -111,7 +110,7 @@ def run_twin(
         program=program.words,
         force_scale=scale.force,
         motion_scale=scale.motion,
-        limit=Limit(**asdict(LIMITS[0])),
+        limit=LIMITS[0],
         unseen=document.Unseen(other.speed_mm_s, _against_law(bundle, again).nrmsd),
         devices=tuple(devices),
     )
