@@ -256,10 +256,6 @@ def tolerated(stderr: Any, count: int) -> Any:
     return np.maximum(np.minimum(wide * stderr, TOO_MUCH), NO_GAIN)
 
 
-def _parameters(one: Tried) -> int:
-    return one.law.times + one.law.linear
-
-
 def resolved(one: Tried, step_s: float) -> bool:
     """True where no branch is faster than the sampling, far below the noise, or as fast as another."""
     point, law, sigma = one.optimum.point, one.system.law, one.optimum.noise.sigma_N
@@ -270,12 +266,8 @@ def resolved(one: Tried, step_s: float) -> bool:
     if float(np.diff(np.sort(point.log_times)).min()) < np.log(APART):
         return False
     columns = law.columns(point.log_times, one.system.path(one.system.travel))
-    first, size = len(columns) - one.branches * (one.degree + 1), one.degree + 1
-    for j in range(one.branches):
-        part = slice(first + j * size, first + (j + 1) * size)
-        if float(np.abs(point.linear[part] @ columns[part]).max()) < SEEN * sigma:
-            return False
-    return True
+    branches = [block.at for block in law.blocks if block.branch >= 0]
+    return all(np.abs(point.linear[at] @ columns[at]).max() >= SEEN * sigma for at in branches)
 
 
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
@@ -327,7 +319,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
         # the yardstick is the mark: it is chosen only where it alone was asked for
         as_good = chosen_among(describing(laws, MISSES_OF_LAWS))[2]
         chosen = min(
-            as_good, key=lambda one: (_parameters(one), one is not paper, -rival_of(one, as_good[0]).gain)
+            as_good, key=lambda one: (one.law.freedom, one is not paper, -rival_of(one, as_good[0]).gain)
         )
     beside = [rival_of(one, chosen) for one in everyone if one is not chosen]
     mark = next((one for one in beside if one.name == YARDSTICK), None)
@@ -370,17 +362,14 @@ def chosen_among(
         mean, error = _gain(best, one)
         if one is best or mean <= tolerated(error, best.errors.size):
             as_good.append(one)
-    chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
-    table = []
+    chosen = min(as_good, key=lambda one: (one.law.freedom, _gain(best, one)[0], one.branches))
+    table: list[dict[str, Any]] = []
     for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
         mean, error = _gain(best, one)
-        row: dict[str, Any] = {
-            "branches": one.branches,
-            "stiffness_degree": one.degree,
-            "score": -mean,
-            "stderr": error,
-            "chosen": one is chosen,
-            "tau_s": float(np.exp(_first_time(one)[0])),
-        }
-        table.append(row)
+        table.append(
+            {
+                "branches": one.branches, "stiffness_degree": one.degree, "score": -mean, "stderr": error,
+                "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
+            }
+        )  # fmt: skip
     return chosen, tuple(table), as_good

@@ -13,7 +13,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
-from tissueid.inference.optimum import Optimum, minimise
+from tissueid.inference.optimum import Optimum, free_of, minimise
 from tissueid.inference.prior import prior_rows, time_bounds
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, DampedModel
@@ -137,8 +137,6 @@ NEAR_END = 1e-3
 SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12
-#: Singular value of a row of an active bound that is none.
-RANK = 1e-6
 #: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
 REFERENCE_DEPTH = 0.5
 #: Depths, as fractions of the fitted one, at which a curve is judged.
@@ -165,17 +163,16 @@ class TissueEstimate:
     bounded: bool  # true where a passivity bound is active
 
 
-def _estimate(
-    name: str, symbol: str, unit: str, number: float, stderr: float, verdict: tuple[bool, float]
-) -> Estimate:
+def _estimate(spec: ParameterSpec, number: float, stderr: float, verdict: tuple[bool, float]) -> Estimate:
+    """A parameter with its verdict: identified or not, and the width of its interval."""
     identified, width = verdict
     # across an active bound the covariance is zero: that is no knowledge of the parameter
     at_bound = stderr <= BOUND_ROUNDING * max(abs(number), 1.0)
     finite = bool(np.isfinite(stderr)) and not at_bound
     return Estimate(
-        name=name,
-        symbol=symbol,
-        unit=unit,
+        name=spec.name,
+        symbol=spec.symbol,
+        unit=spec.unit,
         value=number if identified else None,
         stderr=stderr if identified and finite else None,
         identified=identified,
@@ -186,6 +183,12 @@ def _estimate(
             "at_bound": at_bound,
         },
     )
+
+
+def _verdict_of(estimate: float, stderr: float) -> tuple[bool, float]:
+    """Test if the 95 % interval of a logarithm is narrow enough, with its width."""
+    width = width_of(estimate, stderr)
+    return width <= MAX_WIDTH, width
 
 
 def _curve_verdict(
@@ -206,8 +209,7 @@ def _curve_verdict(
     basis, block = np.array(slopes).T, covariance[np.ix_(at, at)]
     with np.errstate(over="ignore", invalid="ignore"):
         spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, block, basis), 0.0))
-    width = width_of(float(height.max()), float(spread.max()))
-    return width <= MAX_WIDTH, width
+    return _verdict_of(float(height.max()), float(spread.max()))
 
 
 def _alike(
@@ -217,12 +219,9 @@ def _alike(
     """Parameters of one curve, with one verdict."""
     verdict = _curve_verdict(curve, theta, at, covariance)
     return [
-        _estimate(
-            model.parameters[k].name, model.parameters[k].symbol, model.parameters[k].unit, float(theta[k]),
-            float(np.sqrt(max(covariance[k, k], 0.0))), verdict,
-        )
+        _estimate(model.parameters[k], float(theta[k]), float(np.sqrt(max(covariance[k, k], 0.0))), verdict)
         for k in at
-    ]  # fmt: skip
+    ]
 
 
 def _time_estimate(
@@ -231,7 +230,7 @@ def _time_estimate(
     """tau, with the wider of its profile interval and, of several branches, that of its standard error."""
     width = max(interval.width, width_of(tau, stderr)) if several else interval.width
     verdict = (interval.closed and width <= MAX_WIDTH, width)
-    plain = _estimate(spec.name, spec.symbol, spec.unit, tau, stderr, verdict)
+    plain = _estimate(spec, tau, stderr, verdict)
     detail = dict(plain.detail) | {
         "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
         "open_low": interval.open_low,
@@ -260,9 +259,7 @@ def _branch_estimates(
         if names[k].startswith("relaxation_time") and interval is not None:
             estimates.append(_time_estimate(spec, value, error, interval, several=model.branches > 1))
         else:
-            width = width_of(value, error)
-            verdict = (width <= MAX_WIDTH, width)
-            estimates.append(_estimate(spec.name, spec.symbol, spec.unit, value, error, verdict))
+            estimates.append(_estimate(spec, value, error, _verdict_of(value, error)))
     if model.viscous:
         estimates.append(_viscosity(model, theta, covariance, curve, branch))
     return estimates
@@ -286,11 +283,9 @@ def _viscosity(
     block = covariance[np.ix_([*curve, place], [*curve, place])]
     used = np.where(np.outer(slope, slope) != 0.0, block, 0.0)
     eta, eta_stderr = stiffness * tau, float(np.sqrt(max(slope @ used @ slope, 0.0)))
-    width = width_of(eta, eta_stderr)
     symbol = "eta" if branch == 0 else f"eta{branch + 1}"
-    return _estimate(
-        f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", eta, eta_stderr, (width <= MAX_WIDTH, width)
-    )
+    spec = ParameterSpec(f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", 0.0, np.inf, "viscosity K tau")
+    return _estimate(spec, eta, eta_stderr, _verdict_of(eta, eta_stderr))
 
 
 def _damped(
@@ -306,9 +301,7 @@ def _damped(
             # an exponent at the end of its range: the law does not describe this
             ended = not last and min(theta[k] - spec.lower, spec.upper - theta[k]) < NEAR_END
             verdict = (narrow and not ended and not (last and confounded), width)
-            out.append(
-                _estimate(spec.name, spec.symbol, spec.unit, float(theta[k]), float(stderr[k]), verdict)
-            )
+            out.append(_estimate(spec, float(theta[k]), float(stderr[k]), verdict))
         elif confounded:
             out.append(replace(static[k], value=None, stderr=None, identified=False))
         else:
@@ -329,17 +322,11 @@ def theta_covariance(identified: Identified) -> FloatArray:
     shared = np.concatenate([np.arange(t), np.arange(t + 3, t + 3 + law.linear)])
     prior, normal = optimum.prior, optimum.normal
     hessian = normal.hessian[np.ix_(shared, shared)]
-    free = np.eye(len(shared))
-    rows = prior.cone[optimum.active][:, shared]
-    if len(rows):
-        size = np.linalg.norm(rows, axis=1)
-        _, values, vectors = np.linalg.svd(rows[size > 0.0] / size[size > 0.0, None])
-        free = vectors[int((values > RANK).sum()) :].T
+    free = free_of(prior.cone[optimum.active][:, shared])
     inner = free.T @ hessian @ free
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    inverse = (
-        np.linalg.pinv(inner / scale / scale[:, None], rcond=1e-14, hermitian=True) / scale / scale[:, None]
-    )
+    scaled = inner / scale / scale[:, None]
+    inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / scale / scale[:, None]
     covariance = free @ inverse @ free.T
     theta = law.theta(optimum.point.log_times, optimum.point.linear, exact=True)[0]
     change = np.zeros((theta.size, len(shared)))
@@ -356,7 +343,7 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     model, point = identified.law.model(), identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)
-    bounded = bool(identified.optimum.active[: len(identified.law.cone())].any())
+    bounded = bool(identified.optimum.active[: len(identified.law.cone)].any())
     if not identified.quotable:
         return TissueEstimate(model, theta, covariance, (), (), bounded)
     static = [k for k, name in enumerate(model.parameter_names) if name.startswith("static")]
@@ -372,12 +359,9 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
             continue
         interval, curve = profile(identified, order[branch])
         intervals.append(interval)
-        parameters += [
-            replace(one, detail={**one.detail, "profile": curve})
-            if one.name.startswith("relaxation_time")
-            else one
-            for one in _branch_estimates(model, theta, covariance, branch, interval)
-        ]
+        for one in _branch_estimates(model, theta, covariance, branch, interval):
+            timed = one.name.startswith("relaxation_time")
+            parameters.append(replace(one, detail={**one.detail, "profile": curve}) if timed else one)
     return TissueEstimate(
         model=model,
         theta=theta,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -86,7 +87,7 @@ class Draws:
 
 def _passive(law: ChannelLaw, linear: FloatArray) -> FloatArray:
     """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance."""
-    cone, out = law.cone(), linear.copy()
+    cone, out = law.cone, linear.copy()
     bad = (linear @ cone.T < -ON_WALL * np.abs(linear).max()).any(axis=1)
     if bad.any():
         root = root_of(np.atleast_2d(np.cov(linear.T)))
@@ -103,8 +104,7 @@ def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     """The same draws with the machine at its mean, the other coordinates following it linearly."""
-    t = target.law.times
-    at = np.arange(t, t + len(MACHINE))[target.free[t : t + len(MACHINE)]]
+    at = target.machine_places
     if at.size == 0:
         return vectors
     machine = vectors[:, at] - vectors[:, at].mean(axis=0)
@@ -229,18 +229,15 @@ def _uncertainties(
     """Mean, spread, intervals and diagnostics of each reported parameter."""
     base = statistical if total is None else total
     found = diagnose({name: base[name].reshape(shape) for name in names})
-    central = interval95({name: statistical[name] for name in names})
-    wide = None if total is None else interval95({name: total[name] for name in names})
+    central, wide = interval95(statistical), interval95(base)
     out = {}
     for name in names:
-        whole = None
-        if wide is not None:
-            whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
+        whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
         out[name] = ParameterUncertainty(
             mean=float(base[name].mean()),
             sd=float(base[name].std(ddof=1)),
             ci95=central[name],
-            ci95_total=whole,
+            ci95_total=None if total is None else whole,
             ess_bulk=found[name].ess_bulk,
             ess_tail=found[name].ess_tail,
             r_hat=found[name].r_hat,
@@ -353,6 +350,9 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
             continue
         score, scatter = float(row["score"]), float(row["stderr"])
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
+        verdict: Literal["chosen", "undecided", "worse"] = "worse"
+        if row["chosen"] or (branches, degree) in as_good:
+            verdict = "chosen" if row["chosen"] else "undecided"
         rows.append(
             ComparisonRow(
                 model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
@@ -362,11 +362,7 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
                 elpd_log_se=scatter,
                 elpd_speed=None,
                 elpd_speed_se=None,
-                verdict="chosen"
-                if row["chosen"]
-                else "undecided"
-                if (branches, degree) in as_good
-                else "worse",
+                verdict=verdict,
             )
         )
     return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))

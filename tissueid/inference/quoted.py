@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.stats import t
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.quantities import Spectrum
 from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
@@ -109,6 +108,10 @@ class _Quoter:
         return Quantity(name, unit, at, value, stderr)
 
 
+def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
+    return float(model.static_force(theta, np.array([depth]))[0])
+
+
 def _over(part: float, whole: float) -> float:
     """Ratio, NaN where there is no whole: a law that ends above the depth of a hold has no force there."""
     return float(part) / float(whole) if whole > 0.0 else float("nan")
@@ -119,11 +122,9 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     model, hold = quote.tissue.model, supported.hold
     depth = hold.depth_mm or model.depth_mm
     slowest = float(model.times(quote.tissue.theta).max(initial=0.0))
-    flat = (
-        ""
-        if slowest * PLATEAU_TIMES <= supported.window_s
-        else f"its plateau was not seen: a relaxation time of {slowest:.3g} s in {supported.window_s:.3g} s"
-    )
+    flat = f"its plateau was not seen: a relaxation time of {slowest:.3g} s in {supported.window_s:.3g} s"
+    if slowest * PLATEAU_TIMES <= supported.window_s:
+        flat = ""
     no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
 
     def step(model: ChannelModel, theta: FloatArray, time: float) -> float:
@@ -145,8 +146,7 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
             yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
 
         def ratio(m: ChannelModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
-            rest = float(m.static_force(t, np.array([depth]))[0])
-            return _over(force(m, t, 0.0), rest)
+            return _over(force(m, t, 0.0), _static(m, t, depth))
 
         yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
 
@@ -229,8 +229,7 @@ def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
 def _share(rival: Rival, depth: float, speed: float | None, time: float) -> float:
     """Share of the peak that a rival's tissue loses."""
     model, theta = rival.model, rival.theta
-    still = float(model.static_force(theta, np.array([depth]))[0])
-    peak, later = still + model.relaxing(theta, depth, np.array([0.0, time]), speed)
+    peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, np.array([0.0, time]), speed)
     return float(1.0 - later / peak)
 
 
@@ -249,12 +248,11 @@ def quoted_numbers(
     longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
     window = longest.longest_s or duration_s
     supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
-    spectra: tuple[Spectrum, ...] = tuple(one for hold in holds for one in hold.spectra)
     return QuotedNumbers(
         window_s=window,
         resolution_s=2.0 * step_s,
         model=model_numbers(tissue, supported, frequencies_Hz),
-        spectra=spectra,
+        spectra=tuple(one for hold in holds for one in hold.spectra),
     )
 
 
@@ -263,32 +261,23 @@ SHARES = (0.5, 1.0)
 KPA_PER_MPA = 1000.0
 
 
-def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
-    return float(model.static_force(theta, np.array([depth]))[0])
-
-
 def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
     return functionals.force_after_step(model, theta, depth, 0.0)
 
 
 def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
-    rows = []
+    """Moduli of a tissue at rest and at once by one formula, at one depth."""
+    quote = _Quoter(tissue, unknown_parameters(tissue))
     at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
+    reason = "" if contact else f"{formula} has no solution here: the contact is too wide for the layer"
+    rows = []
     for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden)):
-        if contact is None:
-            reason = f"{formula} has no solution here: the contact is too wide for the layer"
-            rows.append(Quantity(name, "kPa", at, None, None, reason))
-            continue
-        value, stderr = functionals.delta_method(
-            lambda theta, f=force, c=contact: KPA_PER_MPA * c.modulus_MPa(f(tissue.model, theta, depth)),  # type: ignore[misc]
-            tissue.theta,
-            tissue.covariance,
-            unknown_parameters(tissue),
-        )
-        if width_of(value, stderr) > MAX_WIDTH:
-            rows.append(Quantity(name, "kPa", at, None, None, "the data do not determine it"))
-        else:
-            rows.append(Quantity(name, "kPa", at, value, stderr))
+
+        def modulus(model: ChannelModel, theta: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
+            assert contact is not None  # noqa: S101 -- there is no reason against it
+            return KPA_PER_MPA * contact.modulus_MPa(force(model, theta, depth))
+
+        rows.append(quote(name, "kPa", at, modulus, reason))
     return rows
 
 
@@ -333,7 +322,6 @@ def with_moduli(
     return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags
 
 
-UNIT = "1"
 #: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.
 VISCOUS, DRAINAGE = 0.0, 2.0
 #: Ratio of the largest to the smallest contact radius, depth over tip radius, and holds, that can decide.
@@ -362,7 +350,7 @@ def depth_test(
     tip = geometry.indenter.radius_mm
     if geometry.indenter.shape == "sphere" and tip is not None and deepest > BURIED * tip:
         reason = f"the tip is buried: {deepest:.3g} mm of depth, {tip:.3g} mm of radius"
-        return Quantity(DEPTH_TEST, UNIT, at, None, None, reason), ()
+        return Quantity(DEPTH_TEST, "1", at, None, None, reason), ()
     slope, error, half = _slope(np.log(radius), np.log(tau_s))
     verdict = _verdict(slope - half, slope + half)
     at |= {"low": slope - half, "high": slope + half, "verdict": verdict}
@@ -373,7 +361,7 @@ def depth_test(
             f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
         )
         flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
-    return Quantity(DEPTH_TEST, UNIT, at, slope, error), flags
+    return Quantity(DEPTH_TEST, "1", at, slope, error), flags
 
 
 def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
