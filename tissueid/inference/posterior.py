@@ -22,6 +22,7 @@ from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
 from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
+    GAINS,
     interval95,
     log_theta_prior,
     next_indentation,
@@ -47,8 +48,6 @@ KEPT_DRAWS = 2000
 WORSE = 1.1
 #: Widest total interval of ln viscosity that counts as identified where its time is not: a factor of seven.
 MAX_WIDTH_VISCOSITY = 2.0
-#: Gains of the channels among the priors.
-GAINS = ("force_gain", "displacement_gain")
 #: Names of a branch's time and viscosity, before its number.
 TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
@@ -291,15 +290,15 @@ def _assembled(
     statistical = reported_draws(model, draws.statistical)
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
-    shape = sampled.chain.shape[:2]
-    found = _uncertainties(names, statistical, total, (shape[0], shape[1]))
+    walkers, steps = sampled.chain.shape[:2]
+    found = _uncertainties(names, statistical, total, (walkers, steps))
     parameters = _with_medians(fit.parameters, statistical, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     report = SamplerReport(
-        "emcee", sampled.converged, int(shape[0] * shape[1]), sampled.acceptance, _detail(sampled, fitted)
+        "emcee", sampled.converged, walkers * steps, sampled.acceptance, _detail(sampled, fitted)
     )
     posterior = Posterior(
         sampler=report,
@@ -311,7 +310,7 @@ def _assembled(
         draws_total=_kept(draws.total) if instrument else None,
         covariance=np.cov(draws.statistical, rowvar=False),
         chain_names=tuple(np.array(target.names)[target.free].tolist()),
-        chain=draws.vectors[:, target.free].reshape(shape[0], shape[1], -1),
+        chain=draws.vectors[:, target.free].reshape(walkers, steps, -1),
         log_density=sampled.log_density,
         priors=prior_table(target, draws.vectors, draws.statistical, draws.gains if instrument else None),
         budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),

@@ -143,9 +143,8 @@ def fit_with_state(
     tick = tick or (lambda _: None)
     # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
     with threadpool_limits(limits=1, user_api="blas"):
-        return _fit(
-            specimen, list(handles), options, request_of(options, priors or Priors(), machine=machine), tick
-        )
+        request = request_of(options, priors or Priors(), machine=machine)
+        return _fit(specimen, list(handles), options, request, tick)
 
 
 def identify_handles(
@@ -167,9 +166,8 @@ def force_along(
 ) -> FloatArray:
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
-    system = System(
-        [blocks], identified.law.along((index,)), identified.system.depth_mm, identified.system.effects
-    )
+    known = identified.system
+    system = System([blocks], identified.law.along((index,)), known.depth_mm, known.effects)
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
@@ -178,21 +176,19 @@ def force_along(
 
 def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:
     """Gain and contact of every log."""
-    system, out = identified.system, []
-    offsets = system.offsets(point) * system.depth_mm
-    for i, handle in enumerate(handles):
-        offset = float(offsets[i])
-        gain = float(np.exp(point.own[i, 0])) if system.effects.gain else 1.0
-        out.append(Adjustment(gain=gain, contact_offset_mm=offset, contact_shift_mm=handle.contact_shift_mm))
-    return out
+    system = identified.system
+    offsets = (system.offsets(point) * system.depth_mm).tolist()
+    gains = np.exp(point.own[:, 0]).tolist() if system.effects.gain else [1.0] * len(handles)
+    return [
+        Adjustment(gain, offset, handle.contact_shift_mm)
+        for gain, offset, handle in zip(gains, offsets, handles, strict=True)
+    ]
 
 
 def noise_of(identified: Identified, worth: float) -> NoiseFit:
     """The noise as it is told."""
-    found, step = (
-        identified.optimum.noise,
-        min(float(np.median(one.step_s)) for one in identified.system.logs),
-    )
+    found = identified.optimum.noise
+    step = min(float(np.median(one.step_s)) for one in identified.system.logs)
     kind: Literal["white", "ar1", "white+ar1"] = "white"
     if found.memory.time_s > 0.0:
         kind = "white+ar1" if found.memory.white > 0.0 else "ar1"
@@ -255,14 +251,10 @@ class _Found:
         if self.followed is not None:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
             flags = (*flags, *more)
-        depth_mm = self._reached_mm(adjustments, point)
         fit = replace(
-            self._told(here, told),
-            depth_mm=depth_mm,
-            flags=_one_form(flags),
-            unloading=unloading,
-            quoted=quoted,
-        )
+            self._told(here, told), depth_mm=self._reached_mm(adjustments, point), flags=_one_form(flags),
+            unloading=unloading, quoted=quoted,
+        )  # fmt: skip
         return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
 
     def _reached_mm(self, adjustments: Sequence[Adjustment], point: Point) -> float:
@@ -299,10 +291,8 @@ class _Found:
         slope, drains = depth_test(geometry, *_equal_holds(told))
         step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
         frequencies = self.options.frequencies_Hz
-        numbers = quoted_numbers(
-            tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies
-        )
-        numbers, said = with_moduli(with_form(numbers, self.identified.rivals), tissue, geometry)
+        plain = quoted_numbers(tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
+        numbers, said = with_moduli(with_form(plain, self.identified.rivals), tissue, geometry)
         if slope is None:
             return numbers, said
         decided = slope.at.get("verdict") in {"viscous", "drainage"}
@@ -360,9 +350,8 @@ def _fit(
     """Identify a specimen, and describe it at its optimum."""
     followed = None
     if options.unloading:
-        followed = follow_surfaces(
-            unloading_handles(handles), lambda now: identify_handles(now, request, tick), tick
-        )
+        identify = partial(identify_handles, request=request, tick=tick)
+        followed = follow_surfaces(unloading_handles(handles), identify, tick)
         handles, identified, facts = followed.handles, followed.identified, followed.facts
     else:
         handles = speed_handles(handles, request.candidates)
@@ -394,12 +383,8 @@ def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
     """Machine of an optimum, held against what is known of it."""
     if not found.request.machine:
         return ()
-    said = machine_flag(
-        point.machine,
-        found.request.priors.calibration,
-        force_N=float(np.abs(found.system.force).max()),
-        depth_mm=found.system.depth_mm,
-    )
+    force, priors = float(np.abs(found.system.force).max()), found.request.priors.calibration
+    said = machine_flag(point.machine, priors, force_N=force, depth_mm=found.system.depth_mm)
     return () if said is None else (said,)
 
 

@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import NoiseFit
 from tissueid.documents.quantities import Cycle, Measure
-from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.estimates import REFERENCE_DEPTH, TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
@@ -34,8 +34,6 @@ from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Factors of K that are tried: outside, the model has another kind of loop than the tissue.
 FACTORS = np.geomspace(0.1, 10.0, 13)
-#: Depth, as a share of the fitted one, at which viscosity is quoted where K varies.
-REFERENCE_DEPTH = 0.5
 
 
 def _ranges(time_s: FloatArray, rows: Sequence[Cycle]) -> list[slice]:
