@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,10 +136,7 @@ def _ends(time: FloatArray, depth: FloatArray, edges: IntArray) -> tuple[FloatAr
     count = (last - first).astype(np.float64)
     base = time[first]
     since = time - np.repeat(base, last - first)
-
-    def sums(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, first))
-
+    sums = partial(np.add.reduceat, indices=first)
     mean_t, mean_x = sums(since) / count, sums(depth) / count
     spread = sums(since * since) - count * mean_t**2
     slope = np.divide(
@@ -344,10 +342,7 @@ def _within(time: FloatArray, force: FloatArray, edges: IntArray, kept: IntArray
     first, size = edges[:-1], np.diff(edges)
     since = time - np.repeat(time[first], size)
     level = force - np.repeat(force[first], size)
-
-    def sums(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, first))
-
+    sums = partial(np.add.reduceat, indices=first)
     mean_t, mean_f = sums(since) / size, sums(level) / size
     tt = sums(since * since) - size * mean_t**2
     tf = sums(since * level) - size * mean_t * mean_f

@@ -297,9 +297,9 @@ def _assembled(
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
-    report = SamplerReport(
-        "emcee", sampled.converged, walkers * steps, sampled.acceptance, _detail(sampled, fitted)
-    )
+    detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}
+    detail["total"] = {"converged": True, "worth": sampled.detail["effective_draws"]}
+    report = SamplerReport("emcee", sampled.converged, walkers * steps, sampled.acceptance, detail)
     posterior = Posterior(
         sampler=report,
         noise=noise,
@@ -327,13 +327,6 @@ def _assembled(
         posterior=posterior,
         flags=(*said, *unidentified(parameters), *kept, *posterior_flags(posterior)),
     )
-
-
-def _detail(sampled: Sampled, fitted: FittedSpecimen) -> dict[str, object]:
-    """Describe the draws: their density and their effective number."""
-    kind = "generalised" if fitted.identified.discrepant else "exact"
-    worth = {"converged": True, "worth": sampled.detail["effective_draws"]}
-    return {"density": kind, **sampled.detail, "total": worth}
 
 
 def _kept(theta: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,11 @@ class _Quoter:
         return Quantity(name, unit, at, value, stderr)
 
 
+#: Force of a tissue a time after a push, and two numbers of a tissue.
+Relaxing = Callable[[ChannelModel, FloatArray, float], float]
+Pair = Callable[[ChannelModel, FloatArray], tuple[float, float]]
+
+
 def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
     return float(model.static_force(theta, np.array([depth]))[0])
 
@@ -138,17 +144,19 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         if path == "ramp" and not reason:
             at["speed_mm_s"] = hold.speed_mm_s
         for time in TIMES_S:
-
-            def relaxed(m: ChannelModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
-                return 1.0 - _over(force(m, t, time), force(m, t, 0.0))
-
             why = reason or supported.no_time(time)
-            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
+            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, partial(_lost, force, time), why)
+        yield quote("peak_to_plateau", "1", at, partial(_over_rest, force, depth), reason or flat)
 
-        def ratio(m: ChannelModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
-            return _over(force(m, t, 0.0), _static(m, t, depth))
 
-        yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
+def _lost(force: Relaxing, time: float, model: ChannelModel, theta: FloatArray) -> float:
+    """Share of the peak that is gone after a time."""
+    return 1.0 - _over(force(model, theta, time), force(model, theta, 0.0))
+
+
+def _over_rest(force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray) -> float:
+    """Peak over the force that stays."""
+    return _over(force(model, theta, 0.0), _static(model, theta, depth))
 
 
 def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[float]) -> Iterator[Quantity]:
@@ -160,23 +168,25 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
         if why and not frequencies:
             continue
         at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
-
-        def storage(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.complex_stiffness(m, t, depth, f)[0]
-
-        def loss(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.complex_stiffness(m, t, depth, f)[1]
-
-        def tangent(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return _over(loss(m, t, f), storage(m, t, f))
-
-        def energy(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
-
-        yield quote("storage_stiffness", "N/mm", at, storage, why)
-        yield quote("loss_stiffness", "N/mm", at, loss, why)
-        yield quote("tan_delta", "1", at, tangent, why)
+        both = partial(functionals.complex_stiffness, depth_mm=depth, frequency_Hz=f)
+        energy = partial(
+            functionals.dissipated_per_cycle, depth_mm=depth, amplitude_mm=amplitude, frequency_Hz=f
+        )
+        yield quote("storage_stiffness", "N/mm", at, partial(_part, both, 0), why)
+        yield quote("loss_stiffness", "N/mm", at, partial(_part, both, 1), why)
+        yield quote("tan_delta", "1", at, partial(_tangent, both), why)
         yield quote("dissipated_energy", "mJ", {**at, "amplitude_mm": amplitude}, energy, why)
+
+
+def _part(of: Pair, which: int, model: ChannelModel, theta: FloatArray) -> float:
+    """One of two numbers."""
+    return float(of(model, theta)[which])
+
+
+def _tangent(of: Pair, model: ChannelModel, theta: FloatArray) -> float:
+    """Loss over storage."""
+    storage, loss = of(model, theta)
+    return _over(loss, storage)
 
 
 def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
@@ -188,12 +198,9 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
     for share in STIFFNESS_SHARES:
         depth = share * quote.tissue.model.depth_mm
         for word, function in kinds:
+            both = partial(function, depth_mm=depth)
             for which, form in enumerate(("secant", "tangent")):
-
-                def value(m: ChannelModel, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
-                    return float(f(m, t, d)[w])
-
-                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, value)
+                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, partial(_part, both, which))
 
 
 def model_numbers(
@@ -270,15 +277,17 @@ def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact
     quote = _Quoter(tissue, unknown_parameters(tissue))
     at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
     reason = "" if contact else f"{formula} has no solution here: the contact is too wide for the layer"
-    rows = []
-    for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden)):
+    return [
+        quote(name, "kPa", at, partial(_modulus, contact, force, depth), reason)
+        for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden))
+    ]
 
-        def modulus(model: ChannelModel, theta: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
-            assert contact is not None  # noqa: S101 -- there is no reason against it
-            return KPA_PER_MPA * contact.modulus_MPa(force(model, theta, depth))
 
-        rows.append(quote(name, "kPa", at, modulus, reason))
-    return rows
+def _modulus(
+    contact: Contact | None, force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray
+) -> float:
+    """Young's modulus by a contact [kPa]; NaN without one."""
+    return float("nan") if contact is None else KPA_PER_MPA * contact.modulus_MPa(force(model, theta, depth))
 
 
 def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
