@@ -179,8 +179,6 @@ def test_a_value_outside_an_interval_of_its_is_named() -> None:
     parameters, rng = tissue().parameters, np.random.default_rng(1)
     found = uncertainties(draws(OPTIMUM, rng))
     assert outside(parameters, found) == ()
-    # nearly half of an interval from its ends is its middle: most values are not there
-    assert len(outside(parameters, found, margin=0.499)) >= 4
     shifted = uncertainties(draws(OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0]), rng))
     assert outside(parameters, shifted) == ("static_1_N_per_mm",)
     assert outside(tuple(replace(one, value=None) for one in parameters), shifted) == ()

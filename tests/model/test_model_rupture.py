@@ -90,7 +90,6 @@ def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> N
     measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
     threshold = float(measures[criterion][50_000])
     point = rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=8.0)
-    assert point is not None
     assert point.depth_mm == pytest.approx(x[50_000], abs=1e-5)
     assert point.force_N == pytest.approx(measures["force"][50_000], rel=1e-5)
     assert point.work_N_mm == pytest.approx(measures["work"][50_000], rel=1e-5)
@@ -112,7 +111,6 @@ def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: t
     work = static_work(static, 6.0)
     near = peak_force_against_speed(model, theta, "work", work, [0.8 * speed, 1.2 * speed])
     point = rupture_at_speed(model, theta, "work", work, speed_mm_s=speed)
-    assert point is not None
     ratio = hardening_ratio(model, theta, point.depth_mm, point.force_N)
     slope = (near[1] - near[0]) / (0.4 * speed)
     # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x

@@ -88,9 +88,7 @@ class Rival:
     gain: float
     stderr: float
     wide: float  # gain within which they predict alike
-    #: Its shortest relaxation time, NaN where nothing relaxes, with the standard deviation of the logarithm.
-    tau_s: float
-    tau_sd_ln: float
+    tau_s: float  # its shortest relaxation time, NaN where nothing relaxes
     apart: float  # difference of ln tau from the chosen law's, in standard deviations of both
     model: ChannelModel = field(repr=False)
     theta: FloatArray = field(repr=False)
@@ -120,7 +118,7 @@ def rival_of(tried: Tried, chosen: Tried) -> Rival:
     apart = (ln_tau - other) / max(float(np.hypot(sd, other_sd)), LEAST_SD)
     law, point = tried.law, tried.optimum.point
     theta = law.theta(point.log_times, point.linear)[0]
-    return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), sd, apart, law.model(), theta)
+    return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), apart, law.model(), theta)
 
 
 def _first_time(one: Tried) -> tuple[float, float]:

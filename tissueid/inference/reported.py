@@ -192,11 +192,6 @@ def _row_in_ln(
     return _row(name, words, True, draws, given.sd_ln)
 
 
-def _power_sd(powers: int, power: int) -> float:
-    """Standard deviation of a coefficient of u^power where Bernstein coefficients have one of 1."""
-    return float(np.linalg.norm(np.linalg.inv(bernstein(powers))[power]))
-
-
 def _largest(target: SpecimenTarget, tau_s: FloatArray) -> FloatArray:
     """Largest state of a branch over the largest depth, by its relaxation time."""
     return np.asarray(np.exp(np.interp(np.log(tau_s), target._ln_tau, target._ln_state)))  # noqa: SLF001
@@ -210,6 +205,8 @@ def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
     field = law.field(point.log_times[None])[0]
     states = law.largest_states(point.log_times, target.system.path(target.system.travel))
     for block in law.blocks:
+        # of each power's coefficient where those of Bernstein's polynomials have a standard deviation of 1
+        powers = np.linalg.inv(bernstein(block.size)) if block.polynomial else np.eye(block.size)
         for power, at in enumerate(range(block.at.start, block.at.stop)):
             k, spec = specs[law.linear_names[at]]
             if spec.name in priors.linear:
@@ -218,7 +215,7 @@ def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
                 rows.append(_row(spec.name, words, True, theta[:, k], sd))
                 continue
             state = states[block.branch] if block.branch >= 0 else 1.0
-            wide = _power_sd(block.size, power) if block.polynomial else 1.0
+            wide = float(np.linalg.norm(powers[power]))
             words = f"weak: every part of the curve up to some {spread:.3g} N, cut to the passive set"
             rows.append(_row(spec.name, words, False, theta[:, k], float(spread / state * field[at] * wide)))
     return rows

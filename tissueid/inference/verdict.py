@@ -154,30 +154,19 @@ def specimen_flags(
     return tuple(flags)
 
 
-def _inside(value: float, interval: tuple[float, float] | None, margin: float) -> bool:
-    if interval is None:
-        return False
-    spare = margin * (interval[1] - interval[0])
-    return interval[0] + spare <= value <= interval[1] - spare
+def _inside(value: float, interval: tuple[float, float] | None) -> bool:
+    return interval is not None and interval[0] <= value <= interval[1]
 
 
-def outside(
-    parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty], *, margin: float = 0.0
-) -> tuple[str, ...]:
-    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
-
-    ``margin``: share of an interval's width that the value must keep from its ends.
-    """
+def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
+    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part."""
     totals = any(one.ci95_total is not None for one in found.values())
     out = []
     for one in parameters:
         if one.value is None or one.name not in found:
             continue
         own = found[one.name]
-        good = _inside(one.value, own.ci95, margin)
-        if totals or own.ci95_total is not None:
-            good &= _inside(one.value, own.ci95_total, margin)
-        if not good:
+        if not _inside(one.value, own.ci95) or (totals and not _inside(one.value, own.ci95_total)):
             out.append(one.name)
     return tuple(out)
 
