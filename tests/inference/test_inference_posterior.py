@@ -81,13 +81,8 @@ def test_draws_are_passive_tissues_with_their_log_density(fit):
     assert np.isfinite(posterior.log_density).all()
     assert len(posterior.chain_names) == posterior.chain.shape[2]
     assert posterior.log_prior.shape == (len(posterior.draws),)
-    assert {row.source for row in posterior.budget} >= {
-        "noise",
-        "frame",
-        "time skew",
-        "contact points",
-        "total",
-    }
+    sources = {row.source for row in posterior.budget}
+    assert sources >= {"noise", "frame", "time skew", "contact points", "total"}
     (band,) = posterior.bands.values()
     inside = (fit.trials[0].curve.force_N >= band[0]) & (fit.trials[0].curve.force_N <= band[2])
     # 500 samples: three binomial standard deviations
