@@ -41,8 +41,7 @@ class _Problem:
     """The objective as lmfit sees it: a vector of residuals of a vector of parameters."""
 
     def __init__(self, identified: Identified) -> None:
-        self.identified, self.optimum = identified, identified.optimum
-        self.system, self.law = identified.system, identified.law
+        self.system, self.law, self.optimum = identified.system, identified.law, identified.optimum
         self.white = whitener_of(self.system, self.optimum.noise.memory)
         t = self.law.times
         self.free = free_of(self.optimum.prior.cone[self.optimum.active][:, t + 3 :])

@@ -327,16 +327,21 @@ class _Found:
 
 def _choice_of(found: Identified, tissue: TissueEstimate, pooling: str) -> ModelChoice:
     """The model that was chosen, as files name it."""
-    law = found.law.model_of
+    law, asked = found.law.model_of, found.request.candidates.paper
+    # as it was asked for, or as it was chosen
+    paper = KELVIN_VOIGT if asked is None else asked.name
+    nodes: dict[str, Any] = {}
+    if isinstance(found.law, YardstickLaw):
+        nodes = {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
     return ModelChoice(
         key=KEY if law is None else law.key,
-        name=_name_of(found),
+        name=paper if law is None else law.name,
         branches=tissue.model.branches,
         static_degree=min(found.law.static_size, MAX_STATIC),
         stiffness_degree=found.law.degree,
         static_pooling=pooling,
         range_s=None if law is None else (law.resolution_s, law.window_s),
-        **_nodes(found),
+        **nodes,
     )
 
 
@@ -404,21 +409,6 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
         f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
     )
     return (Flag("form_dependent", words, {"slope": window.slope}),)
-
-
-def _nodes(found: Identified) -> dict[str, Any]:
-    """Nodes of the yardstick."""
-    if not isinstance(found.law, YardstickLaw):
-        return {}
-    return {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
-
-
-def _name_of(found: Identified) -> str:
-    """Name of the law that was fitted: as it was asked for, or as it was chosen."""
-    laws = found.request.candidates
-    if found.law.model_of is not None:
-        return found.law.model_of.name
-    return KELVIN_VOIGT if laws.paper is None else laws.paper.name
 
 
 def _one_form(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:

@@ -20,11 +20,14 @@ from tissueid.trial import Segmentation, Trial
 
 
 def nrmsd(force_N: FloatArray, model_N: FloatArray) -> Nrmsd:
-    """NRMSD by range and by mean absolute force, and RMSE [N]; infinite over no range unless exact."""
+    """NRMSD by range and by mean absolute force, and RMSE [N]."""
     force = np.asarray(force_N)
     rmse = float(np.sqrt(np.mean((force - model_N) ** 2)))
-    spread = float(np.ptp(force))
-    mean = float(np.abs(force).mean())
+    return over_force(rmse, float(np.ptp(force)), float(np.abs(force).mean()))
+
+
+def over_force(rmse: float, spread: float, mean: float) -> Nrmsd:
+    """RMSE [N] over the range and over the mean of a force; infinite over none unless exact."""
 
     def over(denominator: float) -> float:
         if denominator > 0.0:
