@@ -200,28 +200,22 @@ def _stretches(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
 
 def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float:
     """Mean square error of logs under a fit of the others, their own parameters from their ramps."""
-    prior, noise = optimum.prior, optimum.noise
-
-    def of(logs: Sequence[Blocks], numbers: IntArray) -> System:
-        law = system.law.along(tuple(numbers.tolist()))
-        return System(logs, law, system.depth_mm, system.effects, give=system.give)
-
-    kept = np.flatnonzero(~out)
-    rest = of([system.logs[i] for i in kept], kept)
+    prior, noise, kept = optimum.prior, optimum.noise, np.flatnonzero(~out).tolist()
+    rest = system.of([system.logs[i] for i in kept], kept)
     theirs = replace(prior, own=prior.own[~out])
     found = minimise(
         rest, replace(optimum.point, own=optimum.point.own[~out]), lambda _: theirs,
         memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=REFIT_STEPS,
     )  # fmt: skip
     squares, count = 0.0, 0
-    for i in np.flatnonzero(out):
+    for i in np.flatnonzero(out).tolist():
         point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
         point = minimise(
-            of([_ramp(system.logs[i])], np.array([i])), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
+            system.of([_ramp(system.logs[i])], [i]), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
             memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
             held=np.arange(point.shared.size),
         ).point  # fmt: skip
-        one = of([system.logs[i]], np.array([i]))
+        one = system.of([system.logs[i]], [i])
         error = whitener_of(one, noise.memory)(one.force - one.predict(point))
         squares, count = squares + float(error @ error), count + error.size
     return squares / max(count, 1)

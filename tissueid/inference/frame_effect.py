@@ -129,9 +129,7 @@ def _corrected(
     system, point, index = fit
     contact = handle.segmentation.contact
     assert contact is not None  # noqa: S101 -- a handle has a fitted log
-    alone = System(
-        [blocks_of(handle, log, whole=True)], system.law, system.depth_mm, system.effects, give=system.give
-    )
+    alone = system.of([blocks_of(handle, log, whole=True)], [index])
     own = replace(point, own=point.own[index : index + 1])
     alone.follow(own)
     samples = log.data.time_s[int(log.inserted) :]

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
-from tissueid.inference.system import SHAPE, Derivatives, Point, System
+from tissueid.inference.system import MACHINE, SHAPE, Derivatives, Point, System
 
 #: Noise without memory.
 WHITE = Memory()
@@ -264,6 +264,22 @@ def _change(normal: Normal, point: Point, moved: Point, free: NDArray[np.bool_])
     return float((change / np.sqrt(np.maximum(variance, 1e-300))).max())
 
 
+def _frozen(system: System, machine: bool, held: NDArray[np.int64] | None) -> FloatArray:
+    """Curvature that keeps shared parameters where they are: those held, and a machine that is closed."""
+    out, t = np.zeros(system.size), system.law.times
+    if not machine:
+        out[t : t + len(MACHINE)] = 1e30
+    if held is not None:
+        out[held] = 1e30
+    return out
+
+
+def _active(prior: PriorRows, shared: FloatArray) -> NDArray[np.bool_]:
+    """Constraints that hold with equality."""
+    size = np.abs(prior.cone) @ np.maximum(np.abs(shared), 1e-12)
+    return np.asarray(prior.cone @ shared - prior.least <= ACTIVE * size)
+
+
 def minimise(
     system: System,
     point: Point,
@@ -283,13 +299,8 @@ def minimise(
     white = whitener_of(system, memory)
     if system.centred:
         point = replace(point, own=about_mean(point.own))
-    frozen = np.zeros(point.shared.size)
-    t = system.law.times
-    if not machine:
-        frozen[t : t + 3] = 1e30
-    if held is not None:
-        frozen[held] = 1e30
-    parameters = min(t + system.law.linear + point.own.size, system.force.size // 2)
+    frozen = _frozen(system, machine, held)
+    parameters = min(system.law.freedom + point.own.size, system.force.size // 2)
     floor = max(least_sigma_N, 1e-9 * float(np.abs(system.force).max()), 1e-15)
 
     def equations(point: Point) -> tuple[PriorRows, float, Normal]:
@@ -316,8 +327,6 @@ def minimise(
     prior, noise_N, normal = equations(point)
     hessian = normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
-    slack = prior.cone @ point.shared - prior.least
-    size = np.abs(prior.cone) @ np.maximum(np.abs(point.shared), 1e-12)
     return Optimum(
         point=point,
         normal=normal,
@@ -325,7 +334,7 @@ def minimise(
         noise=Noise(noise_N, memory),
         covariance=covariance_of(hessian),
         converged=converged,
-        active=slack <= ACTIVE * size,
+        active=_active(prior, point.shared),
     )
 
 

@@ -23,7 +23,7 @@ from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.second_looks import both_optimisers, relaxation_window
 from tissueid.inference.summaries import Summaries, second_pass
-from tissueid.inference.system import Point, System
+from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.verdict import discrepancy_flags, specimen_flags
@@ -166,8 +166,7 @@ def force_along(
 ) -> FloatArray:
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
-    known = identified.system
-    system = System([blocks], identified.law.along((index,)), known.depth_mm, known.effects)
+    system = identified.system.of([blocks], [index])
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
