@@ -187,7 +187,8 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
     shortest = float(rebuilt(fit.model, fit.depth_mm).times(fit.theta).min())
     if frame is not None:
         flags.append(_frame_sd(fit, frame))
-    return [*flags, *_unknown(fit, frame, stated, shortest)]
+    unknown = _unknown(fit, frame, stated, shortest)
+    return flags if unknown is None else [*flags, unknown]
 
 
 def machine_flag(
@@ -217,7 +218,7 @@ def machine_flag(
 
 def _unknown(
     fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any], tau_s: float
-) -> list[Flag]:
+) -> Flag | None:
     """``compliance_unknown``: what of the machine was not stated and could matter."""
     channels = {"force_filter_s": "force filter", "skew_s": "time skew"} if tau_s < INSTRUMENT_TAU_S else {}
     missing = [name for key, name in channels.items() if key not in stated]
@@ -230,11 +231,11 @@ def _unknown(
         values["assumed_frame_N_per_mm"] = ASSUMED_FRAME_N_PER_MM
         values |= {"tau_bias": effect.tau, "viscosity_bias": effect.viscosity}
     if not missing and not left:
-        return []
+        return None
     short = "" if frame is None or left else f", for a tau of {tau_s:.3g} s"
     words = [f"not stated: {', '.join(missing)}{short}"] if missing else []
     words += [f"{' and '.join(left)} is kept in"] if left else []
-    return [Flag("compliance_unknown", "; ".join(words), values)]
+    return Flag("compliance_unknown", "; ".join(words), values)
 
 
 def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
