@@ -207,10 +207,8 @@ def identify_logs(
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     least = LEAST_NOISE * float(np.ptp(base.force))
     fitting = _Fitting(base, request, least, step)
-    most, degree = (
-        max(b for b in request.branches if b <= 2 or b == min(request.branches)),
-        max(request.degrees),
-    )
+    most = max(b for b in request.branches if b <= 2 or b == min(request.branches))
+    degree = max(request.degrees)
     flexible = (most, degree if effects.shape else min(1, degree))
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
@@ -319,8 +317,7 @@ def _finished(
         optimum = fitting.minimise(system, optimum.point, memory, 40)
     return Identified(
         system=system, law=chosen.law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
-        discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out,
-        request=fitting.request,
+        discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=fitting.request,
     )  # fmt: skip
 
 
