@@ -342,9 +342,7 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
             continue
         score, scatter = float(row["score"]), float(row["stderr"])
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
-        verdict: Literal["chosen", "undecided", "worse"] = "worse"
-        if row["chosen"] or (branches, degree) in as_good:
-            verdict = "chosen" if row["chosen"] else "undecided"
+        other: Literal["undecided", "worse"] = "undecided" if (branches, degree) in as_good else "worse"
         rows.append(
             ComparisonRow(
                 model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
@@ -354,7 +352,7 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
                 elpd_log_se=scatter,
                 elpd_speed=None,
                 elpd_speed_se=None,
-                verdict=verdict,
+                verdict="chosen" if row["chosen"] else other,
             )
         )
     return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))
