@@ -130,5 +130,5 @@ def draw(recipe: Recipe, seed: int) -> list[SyntheticLog]:
 
 
 def by_name(fit) -> dict:
-    """Parameters of a fit by name."""
+    """Parameters of a fit, or of a tissue, by name."""
     return {one.name: one for one in fit.parameters}

@@ -224,7 +224,7 @@ def test_a_quasi_linear_tissue_is_told_and_the_papers_is_not():
 
 
 def rival(gain, apart, *, stderr=0.3):
-    return Rival("polynomial * tangent * prony:1", gain, stderr, 1.84 * stderr, 0.5, 0.01, apart, None, None)
+    return Rival("polynomial * tangent * prony:1", gain, stderr, 1.84 * stderr, 0.5, apart, None, None)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, small_recipe
+from inference_cases import by_name, draw, handles_for, identified, small_recipe
 
 from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, _crossing, estimate_tissue, profile
 from tissueid.synth import Branch, Hold, Log, Move
@@ -19,14 +19,10 @@ def estimate(recipe, seed, pooling, *, branches=1, degree=0, offset_sd_mm=1e-4):
     return estimate_tissue(found)
 
 
-def named(tissue):
-    return {one.name: one for one in tissue.parameters}
-
-
 @pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
 def test_values_come_in_natural_units(pooling):
     recipe = small_recipe(branches=(GROWING,), sigma_N=0.01)
-    found = named(estimate(recipe, 0, pooling, degree=1))
+    found = by_name(estimate(recipe, 0, pooling, degree=1))
     expected = {
         "static_1_N_per_mm": (20.0, "N/mm"),
         "static_2_N_per_mm2": (-1.2, "N/mm^2"),
@@ -56,22 +52,17 @@ def test_standard_errors_are_the_spread_over_repeated_recordings(pooling):
     recipe = small_recipe(branches=(GROWING,), cv_both=0.0 if pooling == "shared" else 0.05)
     truth = {"relaxation_time_s": 0.2, "viscosity_N_s_per_mm": 8.4, "stiffness_0_N_per_mm": 30.0}
     truth |= {"static_1_N_per_mm": 20.0, "static_2_N_per_mm2": -1.2, "static_3_N_per_mm3": 0.35}
-    values = {name: [] for name in truth}
-    claims = {name: [] for name in truth}
-    for seed in range(SEEDS):
-        found = named(estimate(recipe, seed, pooling, degree=1))
-        for name in truth:
-            values[name].append(found[name].detail["estimate"])
-            claims[name].append(found[name].detail["estimate_stderr"])
+    found = [by_name(estimate(recipe, seed, pooling, degree=1)) for seed in range(SEEDS)]
     for name, number in truth.items():
-        spread, claim = np.std(values[name], ddof=1), np.mean(claims[name])
+        values, claims = ([one[name].detail[key] for one in found] for key in ("estimate", "estimate_stderr"))
+        spread, claim = np.std(values, ddof=1), np.mean(claims)
         least = 0.4 if pooling == "scaled" and name.startswith("static") else 0.65
         assert least <= spread / claim <= 1.45, (name, spread, claim)
-        assert abs(np.mean(values[name]) - number) <= 4.0 * claim / np.sqrt(SEEDS), name
+        assert abs(np.mean(values) - number) <= 4.0 * claim / np.sqrt(SEEDS), name
 
 
 def test_viscosity_is_known_far_better_than_stiffness_and_time():
-    found = named(estimate(small_recipe(branches=(Branch((63.62,), 0.021),)), 0, "shared"))
+    found = by_name(estimate(small_recipe(branches=(Branch((63.62,), 0.021),)), 0, "shared"))
     relative = {name: one.stderr / one.value for name, one in found.items() if one.value}
     assert relative["viscosity_N_s_per_mm"] < 0.3 * relative["relaxation_time_s"]
     assert relative["stiffness_0_N_per_mm"] == pytest.approx(relative["relaxation_time_s"], rel=0.3)
@@ -79,7 +70,7 @@ def test_viscosity_is_known_far_better_than_stiffness_and_time():
 
 def test_further_branches_are_numbered_by_ascending_time():
     branches = (Branch((10.0,), 1.5), Branch((40.0,), 0.1))
-    found = named(estimate(small_recipe(branches=branches, sigma_N=0.02), 0, "shared", branches=2))
+    found = by_name(estimate(small_recipe(branches=branches, sigma_N=0.02), 0, "shared", branches=2))
     assert found["relaxation_time_s"].value == pytest.approx(0.1, rel=0.1)
     assert found["relaxation_time_s_b2"].value == pytest.approx(1.5, rel=0.1)
     assert found["viscosity_N_s_per_mm_b2"].value == pytest.approx(15.0, rel=0.1)
@@ -89,7 +80,7 @@ def test_further_branches_are_numbered_by_ascending_time():
 def test_what_is_not_identified_has_no_value_and_keeps_its_estimate():
     # sampled at 10 Hz, a relaxation of 21 ms is not seen; the viscosity is
     logs = tuple(log for log in small_recipe().logs if log.name != "ramp-600")
-    found = named(estimate(small_recipe(rate_Hz=10.0, logs=logs), 1, "shared"))
+    found = by_name(estimate(small_recipe(rate_Hz=10.0, logs=logs), 1, "shared"))
     tau = found["relaxation_time_s"]
     assert (tau.identified, tau.value, tau.stderr) == (False, None, None)
     low, high = tau.detail["profile_ci95"]
@@ -98,7 +89,7 @@ def test_what_is_not_identified_has_no_value_and_keeps_its_estimate():
     assert found["viscosity_N_s_per_mm"].identified
     # an elastic tissue has a static curve alone
     tissue = estimate(small_recipe(branches=(Branch((1e-9,), 0.1),)), 0, "shared")
-    known = {name for name, one in named(tissue).items() if one.identified}
+    known = {name for name, one in by_name(tissue).items() if one.identified}
     assert "static_1_N_per_mm" in known
     assert not known & {"relaxation_time_s", "viscosity_N_s_per_mm"}
     assert np.isfinite(tissue.covariance).all()
@@ -115,7 +106,7 @@ def test_an_active_bound_is_said_and_leaves_a_passive_tissue():
 @pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
 def test_theta_is_in_the_order_of_the_model_and_passive(pooling):
     tissue = estimate(small_recipe(branches=(GROWING,)), 0, pooling, degree=1)
-    found = [named(tissue)[name] for name in tissue.model.parameter_names]
+    found = [by_name(tissue)[name] for name in tissue.model.parameter_names]
     stderr = np.sqrt(np.diag(tissue.covariance))
     np.testing.assert_allclose([one.detail["estimate"] for one in found], tissue.theta, rtol=1e-12)
     np.testing.assert_allclose([one.stderr for one in found], stderr, rtol=1e-9)

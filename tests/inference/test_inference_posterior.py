@@ -81,13 +81,8 @@ def test_draws_are_passive_tissues_with_their_log_density(fit):
     assert np.isfinite(posterior.log_density).all()
     assert len(posterior.chain_names) == posterior.chain.shape[2]
     assert posterior.log_prior.shape == (len(posterior.draws),)
-    assert {row.source for row in posterior.budget} >= {
-        "noise",
-        "frame",
-        "time skew",
-        "contact points",
-        "total",
-    }
+    sources = {row.source for row in posterior.budget}
+    assert sources >= {"noise", "frame", "time skew", "contact points", "total"}
     (band,) = posterior.bands.values()
     inside = (fit.trials[0].curve.force_N >= band[0]) & (fit.trials[0].curve.force_N <= band[2])
     # 500 samples: three binomial standard deviations
@@ -165,17 +160,17 @@ def test_draws_are_brought_inside_no_further_than_needed():
     linear = np.array([3.0, 0.0, 0.0, 0.5, 0.5]) + rng.multivariate_normal(np.zeros(5), spread, 400)
     found = _passive(law, linear)
     # slopes, K at the surface and K at depth 1
-    walls = law.cone() @ linear.T
+    walls = law.cone @ linear.T
     inside = (walls >= 0.0).all(axis=0)
     assert 0.2 < inside.mean() < 0.8
     np.testing.assert_array_equal(found[inside], linear[inside])
-    assert (law.cone() @ found.T >= -1e-12).all()
+    assert (law.cone @ found.T >= -1e-12).all()
     # the nearest in the metric of the draws, by another solver
     precision = np.linalg.inv(np.cov(linear.T))
     for one, moved in list(zip(linear[~inside], found[~inside], strict=True))[:20]:
         best = minimize(
             lambda x, one=one: (x - one) @ precision @ (x - one), np.array([3.0, 0.0, 0.0, 1.0, 0.0]),
-            constraints=LinearConstraint(law.cone(), 0.0), method="SLSQP", options={"ftol": 1e-12},
+            constraints=LinearConstraint(law.cone, 0.0), method="SLSQP", options={"ftol": 1e-12},
         )  # fmt: skip
         np.testing.assert_allclose(moved, best.x, atol=2e-3)
 

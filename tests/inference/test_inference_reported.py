@@ -20,6 +20,7 @@ from tissueid.inference.reported import (
     reported_draws,
     uncertainty_budget,
 )
+from tissueid.inference.system import MACHINE
 from tissueid.inference.verdict import outside, unsampled, withheld
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate, SpecimenFit
@@ -77,15 +78,7 @@ def test_draws_widen_the_band_by_their_spread() -> None:
     assert (high - low).max() > 2 * 2 * 1.96 * SIGMA
 
 
-NAMES = (
-    "ln_tau_1",
-    "frame_compliance_mm_per_N",
-    "skew_s",
-    "force_filter_s",
-    "linear_1",
-    "contact",
-    "ln_sigma",
-)
+NAMES = ("ln_tau_1", *MACHINE, "linear_1", "contact", "ln_sigma")
 #: Change of the parameter by one standard deviation of each source, and of noise beside them.
 PARTS = {"frame": 3.0, "time skew": 0.0, "force filter": -2.0, "contact points": 1.0, "force gain": 4.0,
          "displacement gain": 0.5}  # fmt: skip
@@ -179,8 +172,6 @@ def test_a_value_outside_an_interval_of_its_is_named() -> None:
     parameters, rng = tissue().parameters, np.random.default_rng(1)
     found = uncertainties(draws(OPTIMUM, rng))
     assert outside(parameters, found) == ()
-    # nearly half of an interval from its ends is its middle: most values are not there
-    assert len(outside(parameters, found, margin=0.499)) >= 4
     shifted = uncertainties(draws(OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0]), rng))
     assert outside(parameters, shifted) == ("static_1_N_per_mm",)
     assert outside(tuple(replace(one, value=None) for one in parameters), shifted) == ()

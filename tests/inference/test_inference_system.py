@@ -61,19 +61,13 @@ def test_derivatives_are_differences_of_predictions(machine):
     # behind a frame, what a coefficient adds makes it give way: its memory is left out
     worst = 2e-5 if machine[0] == 0.0 else 2e-2
 
-    def shared(k, step):
-        def change(at, sign):
-            moved = at.shared.copy()
-            moved[k] += sign * step
-            return at.moved(moved)
+    def by(name, k, step):
+        """Difference by shared parameters, or by the logs' own."""
 
-        return difference(system, point, change) / (2.0 * step)
-
-    def own(k, step):
         def change(at, sign):
-            moved = at.own.copy()
-            moved[:, k] += sign * step
-            return replace(at, own=moved)
+            moved = {"shared": at.shared.copy(), "own": at.own.copy()}
+            moved[name][..., k] += sign * step
+            return at.moved(moved["shared"], moved["own"])
 
         return difference(system, point, change) / (2.0 * step)
 
@@ -84,12 +78,12 @@ def test_derivatives_are_differences_of_predictions(machine):
         # steps of the machine are one-sided where it ends at none
         if inside and machine[k - t] == 0.0:
             continue
-        expected = shared(k, 1e-6 if inside else 1e-4)
+        expected = by("shared", k, 1e-6 if inside else 1e-4)
         assert np.abs(column - expected).max() <= max(worst, 1e-4) * max(
             np.abs(expected).max(), 1e-3 * scale
         ), k
     for k in range(ALL.size):
-        expected = own(k, 1e-5 if k == 1 else 1e-4)
+        expected = by("own", k, 1e-5 if k == 1 else 1e-4)
         # a shape adds most in the middle of a ramp, where that memory is longest
         least = max(worst, 1e-4) * (1.0 if k < 2 else 1.5)
         assert np.abs(found.own[:, k] - expected).max() <= least * np.abs(expected).max(), k

@@ -189,7 +189,7 @@ def test_points_of_the_normal_within_the_walls_are_passive_tissues_wherever_cont
     central = found.at_mean_machine(drawn, inside)
     for z in (inside, central):
         linear = at.shared(at.vectors(z))[:, at.law.times + 3 :]
-        walls = at.law.cone() @ linear.T
+        walls = at.law.cone @ linear.T
         assert (walls >= -1e-10 * np.abs(linear).max()).all()
     moved = (inside != drawn).any(axis=1)
     assert moved.mean() > 0.1

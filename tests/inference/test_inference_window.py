@@ -227,7 +227,6 @@ def test_cycles_in_contact_stay_out_of_the_likelihood_and_in_the_state() -> None
     divided = segment(trial)
     assert [phase.kind for phase in divided.phases] == ["cycle"] * 3 + ["ramp", "hold"]
     log = fitted_log(trial, divided)
-    assert log is not None
     assert log.data.time_s[0] == 0.0
     assert log.data.depth_mm.size == trial.time_s.size
     first = int(np.argmax(log.data.include))
@@ -242,7 +241,6 @@ def test_cycles_without_a_test_are_fitted_on_their_first_rise() -> None:
     trial = recording([0, 2, 4, 6, 8], [0, 2, 0.5, 2, 0.5])
     divided = segment(trial)
     log = fitted_log(trial, divided)
-    assert log is not None
     assert divided.test == 0
     assert log.data.time_s[-1] == pytest.approx(2.0, abs=3.0 / RATE_HZ)
 
@@ -265,7 +263,6 @@ def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
     # 20 s of rest are ten relaxation times: contact is met at 33 s again
     assert trial.time_s[divided.contact.index] == pytest.approx(33.0, abs=0.1)
     log = fitted_log(trial, divided)
-    assert log is not None
     assert log.data.time_s[0] == pytest.approx(33.0, abs=0.1)
     left_out = identify([trial]).specimens[0].trials[0].flags
     assert any("let go" in flag.message for flag in left_out if flag.code == "unloading_left_out")
@@ -284,7 +281,6 @@ def test_samples_from_the_first_rupture_on_take_no_part_unless_the_user_denies_i
     divided, denied = segment(trial), segment(trial, options=SegmentOptions(rupture=False))
     assert [[event.kind for event in one.events] for one in (divided, denied)] == [["rupture"], []]
     log = fitted_log(trial, divided)
-    assert log is not None
     assert log.data.time_s[-1] == pytest.approx(3.0, abs=3.0 / RATE_HZ)
     assert not log.has_hold
     assert relaxation_rows(trial, divided) == ()
@@ -292,7 +288,6 @@ def test_samples_from_the_first_rupture_on_take_no_part_unless_the_user_denies_i
     assert {"rupture", "unloading_left_out"} <= set(flags)
     assert "the first rupture" in flags["unloading_left_out"]
     whole = fitted_log(trial, denied)
-    assert whole is not None
     assert whole.data.time_s[-1] == trial.time_s[-1]
 
 
@@ -309,5 +304,4 @@ def test_the_user_may_cut_a_recording() -> None:
     assert divided.phases[0].start_s == 3.0
     assert divided.phases[-1].end_s == 12.0
     log = fitted_log(trial, divided)
-    assert log is not None
     assert (log.data.time_s[0], log.data.time_s[-1]) == (3.0, 12.0)

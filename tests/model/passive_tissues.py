@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,12 @@ def sampled(corners: list[tuple[float, float]], per_leg: int) -> tuple[np.ndarra
             time.extend(time[-1] + lasting * fraction)
             depth.extend(depth[-1] + (end - depth[-1]) * fraction)
     return np.array(time), np.array(depth)
+
+
+def derivative(function: Callable[[float], Any], step: float) -> Any:
+    """Derivative of a function of a shift, at none: central differences of fourth order."""
+    a, b, c, d = (function(k * step) for k in (-2, -1, 1, 2))
+    return (a - 8.0 * b + 8.0 * c - d) / (12.0 * step)
 
 
 TICK = 1e-3

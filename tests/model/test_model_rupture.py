@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel, branch_states, loading_force
@@ -33,6 +34,11 @@ def tissue(static: tuple[float, ...]) -> tuple[ChannelModel, np.ndarray]:
 
 def static_work(static: tuple[float, ...], depth: float) -> float:
     return sum(a * depth ** (k + 2) / (k + 2) for k, a in enumerate(static))
+
+
+def stretched(stiffness, x: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """int_{x - s}^{x} K dy of a polynomial K."""
+    return sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(stiffness))
 
 
 @pytest.mark.parametrize(("static", "ends_N"), [(HARDENING, [92.4, 73.9]), (TABLE_1, [166.0, 169.1])])
@@ -66,11 +72,7 @@ def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness()
     measures = rupture_measures(model, theta, ContactPath(time, x))
     (state,) = branch_states(time, x, np.array([TAU_S]))
     # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat
-    powers = (60.0, 10.0, 1.5)
-    integral = sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(powers))
-    heat = np.concatenate(
-        [[0.0], np.cumsum(0.5 * np.diff(time) * ((state * integral)[1:] + (state * integral)[:-1]) / TAU_S)]
-    )
+    heat = cumulative_trapezoid(state / TAU_S * stretched((60.0, 10.0, 1.5), x, state), time, initial=0.0)
     assert measures["work"] == pytest.approx(measures["stored-energy"] + heat, rel=1e-5, abs=1e-5)
 
 
@@ -90,7 +92,6 @@ def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> N
     measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
     threshold = float(measures[criterion][50_000])
     point = rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=8.0)
-    assert point is not None
     assert point.depth_mm == pytest.approx(x[50_000], abs=1e-5)
     assert point.force_N == pytest.approx(measures["force"][50_000], rel=1e-5)
     assert point.work_N_mm == pytest.approx(measures["work"][50_000], rel=1e-5)
@@ -112,7 +113,6 @@ def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: t
     work = static_work(static, 6.0)
     near = peak_force_against_speed(model, theta, "work", work, [0.8 * speed, 1.2 * speed])
     point = rupture_at_speed(model, theta, "work", work, speed_mm_s=speed)
-    assert point is not None
     ratio = hardening_ratio(model, theta, point.depth_mm, point.force_N)
     slope = (near[1] - near[0]) / (0.4 * speed)
     # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x
@@ -151,15 +151,8 @@ def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.nda
                 way = x - np.interp(elastic - state, force, fine)
                 power += theta[part.ratio] * weight * state * way / time
                 continue
-            rows = enumerate(theta[part.stiffness])
-            power += (
-                weight
-                * state
-                / time
-                * sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in rows)
-            )
-    steps = 0.5 * np.diff(path.time_s) * (power[1:] + power[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])
+            power += weight * state / time * stretched(theta[part.stiffness], x, state)
+    return cumulative_trapezoid(power, path.time_s, initial=0.0)
 
 
 @pytest.mark.needs_jit

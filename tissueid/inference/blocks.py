@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,13 +112,11 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
 
     out, size = [0], 1
     following = iter([*stops, n])
-    stop = next(following)
-    i = 0
+    stop, i = next(following), 0
     while i < n:
         while stop <= i:
             stop = next(following)
-        size = max(int(np.ceil(GROWTH * size)), size + 1)
-        size = min(size, stop - i)
+        size = min(max(int(np.ceil(GROWTH * size)), size + 1), stop - i)
         # half a sample before the first and behind the last there is no path
         while size > 1 and not (
             0 < i < n - size
@@ -137,10 +136,7 @@ def _ends(time: FloatArray, depth: FloatArray, edges: IntArray) -> tuple[FloatAr
     count = (last - first).astype(np.float64)
     base = time[first]
     since = time - np.repeat(base, last - first)
-
-    def sums(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, first))
-
+    sums = partial(np.add.reduceat, indices=first)
     mean_t, mean_x = sums(since) / count, sums(depth) / count
     spread = sums(since * since) - count * mean_t**2
     slope = np.divide(
@@ -162,9 +158,8 @@ def _ends(time: FloatArray, depth: FloatArray, edges: IntArray) -> tuple[FloatAr
 
 def _corners(time: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times and depths of sharp corners that lie between two samples: where two straight lines meet."""
-    nothing = np.empty(0)
     if time.size < 2 * LINE_SAMPLES:
-        return nothing, nothing
+        return np.empty(0), np.empty(0)
     i = np.arange(LINE_SAMPLES - 1, time.size - LINE_SAMPLES)
     step = np.diff(time)
     # ramps and holds are straight nearly everywhere; what isn't fails as a line below
@@ -218,10 +213,8 @@ def log_blocks(
     sample.
     """
     time, force, include = data.time_s, data.force_N, data.include
-    if data.exact or whole or time.size <= SAMPLED:
-        got = _single_samples(data, step_s=step_s, whole=whole)
-    else:
-        got = _reduced(data, step_s=step_s)
+    single = data.exact or whole or time.size <= SAMPLED
+    got = _single_samples(data, step_s=step_s, whole=whole) if single else _reduced(data, step_s=step_s)
     grid_t, grid_x, at = got.grid_s, got.grid_mm, got.at
     if not data.exact:
         grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, data.depth_mm))
@@ -303,8 +296,7 @@ def _reduced(data: LogData, *, step_s: float) -> _Observations:
         stops = np.union1d(stops, np.flatnonzero(np.diff(data.fold, prepend=data.fold[0]) != 0))
     edges = _edges(time, depth, [int(one) for one in stops if 0 < one < time.size])
     ends_t, ends_x = _ends(time, depth, edges)
-    grid_t = np.empty(2 * edges.size - 1)
-    grid_x = np.empty(grid_t.size)
+    grid_t, grid_x = np.empty((2, 2 * edges.size - 1))
     grid_t[::2], grid_x[::2] = ends_t, ends_x
     grid_t[1::2] = 0.5 * (ends_t[1:] + ends_t[:-1])
     grid_x[1::2] = 0.5 * (ends_x[1:] + ends_x[:-1])
@@ -350,10 +342,7 @@ def _within(time: FloatArray, force: FloatArray, edges: IntArray, kept: IntArray
     first, size = edges[:-1], np.diff(edges)
     since = time - np.repeat(time[first], size)
     level = force - np.repeat(force[first], size)
-
-    def sums(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, first))
-
+    sums = partial(np.add.reduceat, indices=first)
     mean_t, mean_f = sums(since) / size, sums(level) / size
     tt = sums(since * since) - size * mean_t**2
     tf = sums(since * level) - size * mean_t * mean_f

@@ -112,6 +112,11 @@ class ChannelLaw:
         """Static and dynamic coefficients."""
         return self.static_size + self.branches * self.powers
 
+    @property
+    def freedom(self) -> int:
+        """All of its parameters."""
+        return self.times + self.linear
+
     @cached_property
     def linear_names(self) -> tuple[str, ...]:
         """Names of the linear parameters."""
@@ -150,7 +155,7 @@ class ChannelLaw:
         return np.array(out, dtype=np.int64)
 
     def ratio_place(self, branch: int) -> int:
-        """Place of the ratio of an inside branch among the shapes."""
+        """Place among the shapes of a branch's own behind its time, the first of them the ratio if inside."""
         times, static, further = self.counts
         return times + static + branch * further
 
@@ -179,9 +184,8 @@ class ChannelLaw:
 
     def _of_branch(self, values: list[Any], branch: int) -> list[Any]:
         """Ratio, if inside, and further shapes of a branch."""
-        times, static, further = self.counts
-        first = times + static + branch * further
-        return values[first : first + further]
+        first = self.ratio_place(branch)
+        return values[first : first + self.counts[2]]
 
     def _static_columns(self, path: Path, values: list[Any], out: FloatArray) -> None:
         """Columns of the static coefficients, 1 at the largest depth."""
@@ -252,12 +256,17 @@ class ChannelLaw:
             at += self.powers
         return out
 
+    def _static_slope(self, values: list[Any], path: Path, linear: FloatArray) -> FloatArray:
+        """F_s' by depth over the largest depth, (m,) [N]."""
+        shapes = self._of_static(values)
+        full = self._full(shapes).reshape(self.static_size, 1)
+        slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / full
+        return np.asarray(linear[: self.static_size] @ slope)
+
     def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
         """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside the convolution."""
         values, u = self._values(log_times), path.depth_mm / self.depth_mm
-        shapes = self._of_static(values)
-        slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / _column(self._full(shapes))
-        direct = linear[: self.static_size] @ slope
+        direct = self._static_slope(values, path, linear)
         found = list(self._parts(values, None))
         tau = np.concatenate([one[0] for one in found])
         weights = [np.ones(1) if one[1] is None else one[1] for one in found]
@@ -272,7 +281,7 @@ class ChannelLaw:
             bend = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(rows))
             states = np.stack(list(self._relaxed(path, u, values)))
             direct = direct + (bend * states).sum(axis=0)
-        return Slopes(np.asarray(direct), np.asarray(outer), tau)
+        return Slopes(direct, np.asarray(outer), tau)
 
     def passive(self, block: Block) -> FloatArray:
         """Rows that keep a block passive: F_s / x, or F_s' inside, or K_j non-negative on [0, depth]."""
@@ -280,12 +289,9 @@ class ChannelLaw:
             return np.eye(block.size)
         return _growing_rows(block.size) if self.inside else passive_rows(block.size)
 
+    @cached_property
     def cone(self) -> FloatArray:
         """Rows of the passive cone."""
-        return self._cone
-
-    @cached_property
-    def _cone(self) -> FloatArray:
         parts = []
         for one in self.blocks:
             rows = self.passive(one)
@@ -350,11 +356,6 @@ class ChannelLaw:
         return np.concatenate([static, shapes[:, :count], branch.reshape(len(linear), -1)], axis=1)
 
 
-def _column(values: FloatArray) -> FloatArray:
-    """Values at one depth beside columns along a path."""
-    return values.reshape(len(values), 1)
-
-
 def kelvin_voigt_law(branches: int, degree: int, depth_mm: float) -> ChannelLaw:
     """Modified Kelvin-Voigt law: F_s(u) + sum_j K_j(u) s_j, the stiffness outside the convolution."""
     laws = known_laws()
@@ -401,11 +402,8 @@ class DampedLaw(ChannelLaw):
 
     def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
         """F_s' (1 + chi r); what a frame gives way to changes the depth, not the measured speed."""
-        shapes = self._of_static(self._values(log_times))
-        full = self._full(shapes)
-        slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / full.reshape(len(full), 1)
-        direct = (linear[: self.static_size] @ slope) * self._damped(log_times, path)
-        return Slopes(np.asarray(direct), np.zeros((1, direct.size)), np.ones(1))
+        direct = self._static_slope(self._values(log_times), path, linear) * self._damped(log_times, path)
+        return Slopes(direct, np.zeros((1, direct.size)), np.ones(1))
 
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
         """Theta of the contact model, of one point or of rows of points; readings in air are none of it."""
@@ -486,9 +484,7 @@ def _corners(segmentation: Segmentation) -> list[tuple[int, int]]:
     """First and last samples between corners; a machine keeps its speed as it meets the tissue."""
     out, met = list[tuple[int, int]](), False
     for phase in segmentation.phases:
-        ends = (
-            [phase.start, phase.stop - 1] if phase.peak is None else [phase.start, phase.peak, phase.stop - 1]
-        )
+        ends = [phase.start, *(() if phase.peak is None else (phase.peak,)), phase.stop - 1]
         if met and out:
             ends[0] = out.pop()[0]
         out += pairwise(ends)
@@ -502,10 +498,8 @@ def _slopes(time: FloatArray, depth: FloatArray) -> FloatArray:
     t, x = time - time.mean(), depth - depth.mean()
     whole = float(t @ x) / max(float(t @ t), 1e-300)
     noise = white_noise_sd(time, depth)
-    if (
-        float(np.mean((x - whole * t) ** 2))
-        <= (STRAIGHT * noise) ** 2 + (STRAIGHT_SHARE * float(np.ptp(x))) ** 2
-    ):
+    most = (STRAIGHT * noise) ** 2 + (STRAIGHT_SHARE * float(np.ptp(x))) ** 2
+    if float(np.mean((x - whole * t) ** 2)) <= most:
         return np.full(size, whole)
     half = max(HALF_SAMPLES, int(HALF_SHARE * size))
     at = np.arange(size)

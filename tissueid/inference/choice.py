@@ -88,9 +88,7 @@ class Rival:
     gain: float
     stderr: float
     wide: float  # gain within which they predict alike
-    #: Its shortest relaxation time, NaN where nothing relaxes, with the standard deviation of the logarithm.
-    tau_s: float
-    tau_sd_ln: float
+    tau_s: float  # its shortest relaxation time, NaN where nothing relaxes
     apart: float  # difference of ln tau from the chosen law's, in standard deviations of both
     model: ChannelModel = field(repr=False)
     theta: FloatArray = field(repr=False)
@@ -120,7 +118,7 @@ def rival_of(tried: Tried, chosen: Tried) -> Rival:
     apart = (ln_tau - other) / max(float(np.hypot(sd, other_sd)), LEAST_SD)
     law, point = tried.law, tried.optimum.point
     theta = law.theta(point.log_times, point.linear)[0]
-    return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), sd, apart, law.model(), theta)
+    return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), apart, law.model(), theta)
 
 
 def _first_time(one: Tried) -> tuple[float, float]:
@@ -202,28 +200,22 @@ def _stretches(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
 
 def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float:
     """Mean square error of logs under a fit of the others, their own parameters from their ramps."""
-    prior, noise = optimum.prior, optimum.noise
-
-    def of(logs: Sequence[Blocks], numbers: IntArray) -> System:
-        law = system.law.along(tuple(numbers.tolist()))
-        return System(logs, law, system.depth_mm, system.effects, give=system.give)
-
-    kept = np.flatnonzero(~out)
-    rest = of([system.logs[i] for i in kept], kept)
+    prior, noise, kept = optimum.prior, optimum.noise, np.flatnonzero(~out).tolist()
+    rest = system.of([system.logs[i] for i in kept], kept)
     theirs = replace(prior, own=prior.own[~out])
     found = minimise(
         rest, replace(optimum.point, own=optimum.point.own[~out]), lambda _: theirs,
         memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=REFIT_STEPS,
     )  # fmt: skip
     squares, count = 0.0, 0
-    for i in np.flatnonzero(out):
+    for i in np.flatnonzero(out).tolist():
         point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
         point = minimise(
-            of([_ramp(system.logs[i])], np.array([i])), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
+            system.of([_ramp(system.logs[i])], [i]), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
             memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
             held=np.arange(point.shared.size),
         ).point  # fmt: skip
-        one = of([system.logs[i]], np.array([i]))
+        one = system.of([system.logs[i]], [i])
         error = whitener_of(one, noise.memory)(one.force - one.predict(point))
         squares, count = squares + float(error @ error), count + error.size
     return squares / max(count, 1)
@@ -256,10 +248,6 @@ def tolerated(stderr: Any, count: int) -> Any:
     return np.maximum(np.minimum(wide * stderr, TOO_MUCH), NO_GAIN)
 
 
-def _parameters(one: Tried) -> int:
-    return one.law.times + one.law.linear
-
-
 def resolved(one: Tried, step_s: float) -> bool:
     """True where no branch is faster than the sampling, far below the noise, or as fast as another."""
     point, law, sigma = one.optimum.point, one.system.law, one.optimum.noise.sigma_N
@@ -270,12 +258,8 @@ def resolved(one: Tried, step_s: float) -> bool:
     if float(np.diff(np.sort(point.log_times)).min()) < np.log(APART):
         return False
     columns = law.columns(point.log_times, one.system.path(one.system.travel))
-    first, size = len(columns) - one.branches * (one.degree + 1), one.degree + 1
-    for j in range(one.branches):
-        part = slice(first + j * size, first + (j + 1) * size)
-        if float(np.abs(point.linear[part] @ columns[part]).max()) < SEEN * sigma:
-            return False
-    return True
+    branches = [block.at for block in law.blocks if block.branch >= 0]
+    return all(np.abs(point.linear[at] @ columns[at]).max() >= SEEN * sigma for at in branches)
 
 
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
@@ -327,7 +311,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
         # the yardstick is the mark: it is chosen only where it alone was asked for
         as_good = chosen_among(describing(laws, MISSES_OF_LAWS))[2]
         chosen = min(
-            as_good, key=lambda one: (_parameters(one), one is not paper, -rival_of(one, as_good[0]).gain)
+            as_good, key=lambda one: (one.law.freedom, one is not paper, -rival_of(one, as_good[0]).gain)
         )
     beside = [rival_of(one, chosen) for one in everyone if one is not chosen]
     mark = next((one for one in beside if one.name == YARDSTICK), None)
@@ -370,17 +354,14 @@ def chosen_among(
         mean, error = _gain(best, one)
         if one is best or mean <= tolerated(error, best.errors.size):
             as_good.append(one)
-    chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
-    table = []
+    chosen = min(as_good, key=lambda one: (one.law.freedom, _gain(best, one)[0], one.branches))
+    table: list[dict[str, Any]] = []
     for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
         mean, error = _gain(best, one)
-        row: dict[str, Any] = {
-            "branches": one.branches,
-            "stiffness_degree": one.degree,
-            "score": -mean,
-            "stderr": error,
-            "chosen": one is chosen,
-            "tau_s": float(np.exp(_first_time(one)[0])),
-        }
-        table.append(row)
+        table.append(
+            {
+                "branches": one.branches, "stiffness_degree": one.degree, "score": -mean, "stderr": error,
+                "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
+            }
+        )  # fmt: skip
     return chosen, tuple(table), as_good

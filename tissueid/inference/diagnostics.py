@@ -48,7 +48,9 @@ def diagnose(draws: Mapping[str, FloatArray]) -> dict[str, Diagnostics]:
     scores: dict[int, FloatArray] = {}
     found = {}
     for name, values in draws.items():
-        halves = _halves(_chains(name, values))
+        chains = _chains(name, values)
+        half = chains.shape[1] // 2
+        halves = np.concatenate([chains[:, :half], chains[:, -half:]])
         if halves.size not in scores:
             scores[halves.size] = _normal_scores(halves.size)
         found[name] = _diagnose_one(halves, scores[halves.size])
@@ -67,11 +69,6 @@ def _chains(name: str, values: FloatArray) -> FloatArray:
         msg = f"{name}: {np.count_nonzero(~np.isfinite(array))} draws are not finite"
         raise ValueError(msg)
     return array
-
-
-def _halves(chains: FloatArray) -> FloatArray:
-    half = chains.shape[1] // 2
-    return np.concatenate([chains[:, :half], chains[:, -half:]])
 
 
 def _diagnose_one(halves: FloatArray, scores: FloatArray) -> Diagnostics:

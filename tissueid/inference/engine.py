@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
@@ -32,10 +31,10 @@ from tissueid.inference.choice import (
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
+from tissueid.inference.optimum import Optimum, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
-from tissueid.inference.system import SHAPE, Effects, Point, System
+from tissueid.inference.system import MACHINE, SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
 from tissueid.inference.yardstick_law import YardstickLaw, yardstick_law
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
@@ -98,16 +97,6 @@ class Identified:
         return not isinstance(self.law, YardstickLaw)
 
 
-def _effects(pooling: str, logs: int) -> Effects:
-    alone = logs == 1
-    return Effects(gain=not alone and pooling != "shared", shape=not alone and pooling == "scaled")
-
-
-def _blank(law: ChannelLaw, system: System, machine: FloatArray) -> Point:
-    own = np.zeros((len(system.logs), system.effects.size))
-    return Point(np.zeros(law.times), machine, np.zeros(law.linear), own)
-
-
 class _Fitting:
     """Candidates of one specimen, fitted from the same blocks."""
 
@@ -116,9 +105,10 @@ class _Fitting:
         self.scatter, laws = WIDE, request.candidates
         # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
         told = [] if laws.paper is not None else [self.named(one) for one in laws.laws if not one.mark]
-        self.freest = max(told, key=_freedom, default=None)
-        machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
-        self.at = _blank(self.law(1, 0), base, machine)
+        self.freest = max(told, key=lambda law: law.freedom, default=None)
+        machine = np.array([request.priors.calibration[name].mean for name in MACHINE])
+        law, own = self.law(1, 0), np.zeros((len(base.logs), base.effects.size))
+        self.at = Point(np.zeros(law.times), machine, np.zeros(law.linear), own)
 
     def law(self, branches: int, degree: int) -> ChannelLaw:
         """A Kelvin-Voigt law, or the freest of those that were asked for instead."""
@@ -161,13 +151,6 @@ class _Fitting:
             self.scatter = scatter_of(system, optimum)
             optimum = self.minimise(system, optimum.point, Memory(), LOOK_STEPS)
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
-
-
-def _freedom(law: ChannelLaw) -> int:
-    return law.times + law.linear
-
-
-_MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
 
 
 def _badness(system: System, optimum: Optimum) -> float:
@@ -219,25 +202,21 @@ def identify_logs(
     """Choose and fit the law of a specimen; of ``facts`` the samples are not looked at."""
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
-    effects = _effects(request.pooling, len(logs))
+    several = len(logs) > 1
+    effects = Effects(several and request.pooling != "shared", several and request.pooling == "scaled")
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     least = LEAST_NOISE * float(np.ptp(base.force))
     fitting = _Fitting(base, request, least, step)
-    flexible = (
-        max(b for b in request.branches if b <= 2 or b == min(request.branches)),
-        max(request.degrees)
-        if request.pooling == "scaled" and len(logs) > 1
-        else min(1, max(request.degrees)),
-    )
+    most = max(b for b in request.branches if b <= 2 or b == min(request.branches))
+    degree = max(request.degrees)
+    flexible = (most, degree if effects.shape else min(1, degree))
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
     memory = Memory()
     tick("noise")
     if request.noise != "white":
-        system, optimum = fitting.candidate(fitting.law(*flexible), Memory())
-        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
-        memory = Memory() if verdict.refuted else noise.memory
+        memory, _ = _noise(fitting, *fitting.candidate(fitting.law(*flexible), Memory()), evidence)
     orders, laws = _Orders(None, (), ()), request.candidates
     if laws.paper is not None:
         orders = _orders_tried(fitting, memory, groups, facts, tick)
@@ -246,7 +225,7 @@ def identify_logs(
         tick(one.name)
         others.append(_tried(fitting, fitting.named(one), memory, None if request.single else groups))
     paper = orders.chosen
-    choice = choice_of(paper, others, choose=request.candidates.choose)
+    choice = choice_of(paper, others, choose=laws.choose)
     found = _finished(fitting, choice.chosen, evidence, memory, groups.kind, tick)
     table = () if request.single else table_of(orders.table, choice, paper)
     as_good = orders.as_good if choice.chosen is paper else ()
@@ -292,27 +271,26 @@ def _orders_tried(
 def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:
     """A law, fitted, and asked to predict what is left out."""
     system, optimum = fitting.candidate(law, memory)
-    if groups is None:
-        return Tried(law.branches, law.degree, optimum, system, np.ones(1))
-    least = (ROUNDED * float(np.ptp(system.force))) ** 2
-    errors = np.maximum(held_out(system, optimum, groups), least)
+    errors = np.ones(1)
+    if groups is not None:
+        least = (ROUNDED * float(np.ptp(system.force))) ** 2
+        errors = np.maximum(held_out(system, optimum, groups), least)
     return Tried(law.branches, law.degree, optimum, system, errors)
 
 
 def _noise(
-    fitting: _Fitting, system: System, optimum: Optimum, seen: Sequence[LogEvidence], model: str
-) -> tuple[Noise, NoiseVerdict]:
-    """Noise of the residuals, and whether it can be noise."""
-    parts = system.derivatives(optimum.point, machine=False)
+    fitting: _Fitting, system: System, optimum: Optimum, seen: Sequence[LogEvidence]
+) -> tuple[Memory, NoiseVerdict]:
+    """Memory of the noise in the residuals, none where it can't be noise, and the verdict on that."""
+    parts, model = system.derivatives(optimum.point, machine=False), fitting.request.noise
     scan = scan_memory(
         system, optimum.point, parts, optimum.prior,
         step_s=fitting.step_s, rough_N=optimum.noise.sigma_N, model=model,
     )  # fmt: skip
-    phases = len(system.logs) == 1
-    verdict = verdict_on_noise(scan.noise, seen, step_s=fitting.step_s, alone=phases)
+    verdict = verdict_on_noise(scan.noise, seen, step_s=fitting.step_s, alone=len(system.logs) == 1)
     if model != "auto":
         verdict = replace(verdict, refuted=False)
-    return scan.noise, verdict
+    return Memory() if verdict.refuted else scan.noise.memory, verdict
 
 
 def _finished(
@@ -324,24 +302,22 @@ def _finished(
     tick: Callable[[str], None],
 ) -> Identified:
     """The chosen candidate under its own noise."""
-    request, system, law = fitting.request, chosen.system, chosen.law
-    optimum = chosen.optimum
+    system, optimum = chosen.system, chosen.optimum
     tick("the optimum")
     for _ in range(2):
         optimum = fitting.minimise(system, optimum.point, memory, 40)
         if system.effects.gain:
             fitting.scatter = scatter_of(system, optimum)
             optimum = fitting.minimise(system, optimum.point, memory, 40)
-        noise, verdict = _noise(fitting, system, optimum, evidence, request.noise)
-        wanted = Memory() if verdict.refuted else noise.memory
+        wanted, verdict = _noise(fitting, system, optimum, evidence)
         if wanted == memory:
             break
         memory = wanted
     else:
         optimum = fitting.minimise(system, optimum.point, memory, 40)
     return Identified(
-        system=system, law=law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
-        discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=request,
+        system=system, law=chosen.law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
+        discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=fitting.request,
     )  # fmt: skip
 
 

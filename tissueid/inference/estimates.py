@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
-from tissueid.inference.optimum import Optimum, minimise
+from tissueid.inference.optimum import Optimum, free_of, minimise
 from tissueid.inference.prior import prior_rows, time_bounds
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, DampedModel
@@ -137,8 +138,6 @@ NEAR_END = 1e-3
 SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12
-#: Singular value of a row of an active bound that is none.
-RANK = 1e-6
 #: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
 REFERENCE_DEPTH = 0.5
 #: Depths, as fractions of the fitted one, at which a curve is judged.
@@ -165,17 +164,16 @@ class TissueEstimate:
     bounded: bool  # true where a passivity bound is active
 
 
-def _estimate(
-    name: str, symbol: str, unit: str, number: float, stderr: float, verdict: tuple[bool, float]
-) -> Estimate:
+def _estimate(spec: ParameterSpec, number: float, stderr: float, verdict: tuple[bool, float]) -> Estimate:
+    """A parameter with its verdict: identified or not, and the width of its interval."""
     identified, width = verdict
     # across an active bound the covariance is zero: that is no knowledge of the parameter
     at_bound = stderr <= BOUND_ROUNDING * max(abs(number), 1.0)
     finite = bool(np.isfinite(stderr)) and not at_bound
     return Estimate(
-        name=name,
-        symbol=symbol,
-        unit=unit,
+        name=spec.name,
+        symbol=spec.symbol,
+        unit=spec.unit,
         value=number if identified else None,
         stderr=stderr if identified and finite else None,
         identified=identified,
@@ -188,13 +186,33 @@ def _estimate(
     )
 
 
+def _verdict_of(estimate: float, stderr: float) -> tuple[bool, float]:
+    """Test if the 95 % interval of a logarithm is narrow enough, with its width."""
+    width = width_of(estimate, stderr)
+    return width <= MAX_WIDTH, width
+
+
+class _Fitted(NamedTuple):
+    """A model with its parameters and their covariance."""
+
+    model: ChannelModel
+    theta: FloatArray
+    covariance: FloatArray
+
+    def estimate(self, k: int, verdict: tuple[bool, float] | None = None) -> Estimate:
+        """One parameter, by its own interval where there is no verdict."""
+        value, stderr = float(self.theta[k]), float(np.sqrt(max(self.covariance[k, k], 0.0)))
+        return _estimate(self.model.parameters[k], value, stderr, verdict or _verdict_of(value, stderr))
+
+
 def _curve_verdict(
-    curve: Callable[[FloatArray], FloatArray], theta: FloatArray, at: Sequence[int], covariance: FloatArray
+    fitted: _Fitted, at: Sequence[int], curve: Callable[[FloatArray], FloatArray]
 ) -> tuple[bool, float]:
     """Test if a curve's widest 95 % interval is narrower than the curve is high.
 
     A curve may start soft: an interval relative to its own height at each depth would condemn it there.
     """
+    _, theta, covariance = fitted
     height, slopes = curve(theta), []
     for k in at:
         step = 1e-6 * max(abs(float(theta[k])), float(np.sqrt(max(covariance[k, k], 0.0))), 1e-12)
@@ -206,32 +224,21 @@ def _curve_verdict(
     basis, block = np.array(slopes).T, covariance[np.ix_(at, at)]
     with np.errstate(over="ignore", invalid="ignore"):
         spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, block, basis), 0.0))
-    width = width_of(float(height.max()), float(spread.max()))
-    return width <= MAX_WIDTH, width
+    return _verdict_of(float(height.max()), float(spread.max()))
 
 
-def _alike(
-    model: ChannelModel, theta: FloatArray, covariance: FloatArray, at: Sequence[int],
-    curve: Callable[[FloatArray], FloatArray],
-) -> list[Estimate]:  # fmt: skip
+def _alike(fitted: _Fitted, at: Sequence[int], curve: Callable[[FloatArray], FloatArray]) -> list[Estimate]:
     """Parameters of one curve, with one verdict."""
-    verdict = _curve_verdict(curve, theta, at, covariance)
-    return [
-        _estimate(
-            model.parameters[k].name, model.parameters[k].symbol, model.parameters[k].unit, float(theta[k]),
-            float(np.sqrt(max(covariance[k, k], 0.0))), verdict,
-        )
-        for k in at
-    ]  # fmt: skip
+    verdict = _curve_verdict(fitted, at, curve)
+    return [fitted.estimate(k, verdict) for k in at]
 
 
-def _time_estimate(
-    spec: ParameterSpec, tau: float, stderr: float, interval: ProfileInterval, *, several: bool
-) -> Estimate:
+def _time_estimate(fitted: _Fitted, k: int, interval: ProfileInterval) -> Estimate:
     """tau, with the wider of its profile interval and, of several branches, that of its standard error."""
+    tau, stderr = float(fitted.theta[k]), float(np.sqrt(max(fitted.covariance[k, k], 0.0)))
+    several = fitted.model.branches > 1
     width = max(interval.width, width_of(tau, stderr)) if several else interval.width
-    verdict = (interval.closed and width <= MAX_WIDTH, width)
-    plain = _estimate(spec.name, spec.symbol, spec.unit, tau, stderr, verdict)
+    plain = fitted.estimate(k, (interval.closed and width <= MAX_WIDTH, width))
     detail = dict(plain.detail) | {
         "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
         "open_low": interval.open_low,
@@ -240,31 +247,23 @@ def _time_estimate(
     return replace(plain, detail=detail)
 
 
-def _branch_estimates(
-    model: ChannelModel, theta: FloatArray, covariance: FloatArray, branch: int,
-    interval: ProfileInterval | None,
-) -> list[Estimate]:  # fmt: skip
+def _branch_estimates(fitted: _Fitted, branch: int, interval: ProfileInterval | None) -> list[Estimate]:
     """Stiffness or ratio, relaxation time, further shapes and viscosity of one branch."""
-    names, suffix = model.parameter_names, branch_suffix(branch)
+    model, suffix = fitted.model, branch_suffix(branch)
+    names = model.parameter_names
     own = [k for k, name in enumerate(names) if _is_of(name, suffix)]
     curve = [k for k in own if names[k].startswith("stiffness")]
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
     estimates = []
     if curve:
-        estimates += _alike(
-            model, theta, covariance, curve, lambda theta: model.stiffness(theta, depths)[branch]
-        )
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        estimates += _alike(fitted, curve, lambda theta: model.stiffness(theta, depths)[branch])
     for k in own[len(curve) :]:
-        spec, value, error = model.parameters[k], float(theta[k]), float(stderr[k])
         if names[k].startswith("relaxation_time") and interval is not None:
-            estimates.append(_time_estimate(spec, value, error, interval, several=model.branches > 1))
+            estimates.append(_time_estimate(fitted, k, interval))
         else:
-            width = width_of(value, error)
-            verdict = (width <= MAX_WIDTH, width)
-            estimates.append(_estimate(spec.name, spec.symbol, spec.unit, value, error, verdict))
+            estimates.append(fitted.estimate(k))
     if model.viscous:
-        estimates.append(_viscosity(model, theta, covariance, curve, branch))
+        estimates.append(_viscosity(fitted, curve, branch))
     return estimates
 
 
@@ -274,10 +273,9 @@ def _is_of(name: str, suffix: str) -> bool:
     return branched and (name.endswith(suffix) if suffix else "_b" not in name)
 
 
-def _viscosity(
-    model: ChannelModel, theta: FloatArray, covariance: FloatArray, curve: list[int], branch: int
-) -> Estimate:
+def _viscosity(fitted: _Fitted, curve: list[int], branch: int) -> Estimate:
     """K tau of a branch, at half depth where K varies."""
+    model, theta, covariance = fitted
     suffix, place = branch_suffix(branch), curve[-1] + 1
     powers = np.arange(float(len(curve)))
     reference = (REFERENCE_DEPTH * model.depth_mm) ** powers if len(curve) > 1 else np.ones(1)
@@ -286,29 +284,23 @@ def _viscosity(
     block = covariance[np.ix_([*curve, place], [*curve, place])]
     used = np.where(np.outer(slope, slope) != 0.0, block, 0.0)
     eta, eta_stderr = stiffness * tau, float(np.sqrt(max(slope @ used @ slope, 0.0)))
-    width = width_of(eta, eta_stderr)
     symbol = "eta" if branch == 0 else f"eta{branch + 1}"
-    return _estimate(
-        f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", eta, eta_stderr, (width <= MAX_WIDTH, width)
-    )
+    spec = ParameterSpec(f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", 0.0, np.inf, "viscosity K tau")
+    return _estimate(spec, eta, eta_stderr, _verdict_of(eta, eta_stderr))
 
 
-def _damped(
-    identified: Identified, theta: FloatArray, covariance: FloatArray, static: list[Estimate]
-) -> list[Estimate]:
+def _damped(fitted: _Fitted, static: list[Estimate], *, confounded: bool) -> list[Estimate]:
     """Static parameters and that of the damping; numbers without a unit are judged by their own width."""
-    model, stderr = identified.law.model(), np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    out, confounded = [], slow_share(identified) < FEWEST_SLOW
-    for k, spec in enumerate(model.parameters):
+    theta, stderr = fitted.theta, np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+    out = []
+    for k, spec in enumerate(fitted.model.parameters):
         last, width = k == theta.size - 1, 2.0 * float(np.sqrt(LEVEL_95) * stderr[k])
         if spec.unit == "1":
             narrow = width <= (MAX_DAMPING_WIDTH if last else MAX_EXPONENT_WIDTH)
             # an exponent at the end of its range: the law does not describe this
             ended = not last and min(theta[k] - spec.lower, spec.upper - theta[k]) < NEAR_END
             verdict = (narrow and not ended and not (last and confounded), width)
-            out.append(
-                _estimate(spec.name, spec.symbol, spec.unit, float(theta[k]), float(stderr[k]), verdict)
-            )
+            out.append(fitted.estimate(k, verdict))
         elif confounded:
             out.append(replace(static[k], value=None, stderr=None, identified=False))
         else:
@@ -329,17 +321,11 @@ def theta_covariance(identified: Identified) -> FloatArray:
     shared = np.concatenate([np.arange(t), np.arange(t + 3, t + 3 + law.linear)])
     prior, normal = optimum.prior, optimum.normal
     hessian = normal.hessian[np.ix_(shared, shared)]
-    free = np.eye(len(shared))
-    rows = prior.cone[optimum.active][:, shared]
-    if len(rows):
-        size = np.linalg.norm(rows, axis=1)
-        _, values, vectors = np.linalg.svd(rows[size > 0.0] / size[size > 0.0, None])
-        free = vectors[int((values > RANK).sum()) :].T
+    free = free_of(prior.cone[optimum.active][:, shared])
     inner = free.T @ hessian @ free
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    inverse = (
-        np.linalg.pinv(inner / scale / scale[:, None], rcond=1e-14, hermitian=True) / scale / scale[:, None]
-    )
+    scaled = inner / scale / scale[:, None]
+    inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / scale / scale[:, None]
     covariance = free @ inverse @ free.T
     theta = law.theta(optimum.point.log_times, optimum.point.linear, exact=True)[0]
     change = np.zeros((theta.size, len(shared)))
@@ -356,28 +342,26 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     model, point = identified.law.model(), identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)
-    bounded = bool(identified.optimum.active[: len(identified.law.cone())].any())
+    bounded = bool(identified.optimum.active[: len(identified.law.cone)].any())
     if not identified.quotable:
         return TissueEstimate(model, theta, covariance, (), (), bounded)
     static = [k for k, name in enumerate(model.parameter_names) if name.startswith("static")]
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
-    parameters = _alike(model, theta, covariance, static, lambda theta: model.static_force(theta, depths))
+    fitted = _Fitted(model, theta, covariance)
+    parameters = _alike(fitted, static, lambda theta: model.static_force(theta, depths))
     if isinstance(model, DampedModel):
-        parameters = _damped(identified, theta, covariance, parameters)
+        parameters = _damped(fitted, parameters, confounded=slow_share(identified) < FEWEST_SLOW)
     intervals, law = [], identified.law
     order = np.argsort(point.log_times[: law.counts[0]]).tolist()
     for branch in range(model.branches):
         if not order:
-            parameters += _branch_estimates(model, theta, covariance, branch, None)
+            parameters += _branch_estimates(fitted, branch, None)
             continue
         interval, curve = profile(identified, order[branch])
         intervals.append(interval)
-        parameters += [
-            replace(one, detail={**one.detail, "profile": curve})
-            if one.name.startswith("relaxation_time")
-            else one
-            for one in _branch_estimates(model, theta, covariance, branch, interval)
-        ]
+        for one in _branch_estimates(fitted, branch, interval):
+            timed = one.name.startswith("relaxation_time")
+            parameters.append(replace(one, detail={**one.detail, "profile": curve}) if timed else one)
     return TissueEstimate(
         model=model,
         theta=theta,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,9 +80,6 @@ class NoiseVerdict:
 
     refuted: bool  # the recordings show that it is no noise
     measured_N: float  # standard deviation in quiet stretches, slow forces taken off, or of differences [N]
-    from_quiet: bool  # quiet stretches were there to be looked at
-    excess: float  # needed over shown, in the measure that tells most
-    p_value: float  # of the quiet stretches; 1 without any
 
 
 def _quiet(time_s: FloatArray, force_N: FloatArray, degree: int) -> _Quiet:
@@ -92,12 +90,9 @@ def _quiet(time_s: FloatArray, force_N: FloatArray, degree: int) -> _Quiet:
     return _Quiet(slow, force_N - slow @ (slow.T @ force_N), np.maximum(step, 1e-12), chain_breaks(time_s))
 
 
-def log_evidence(
-    trial: Trial, segmentation: Segmentation, log: FittedLog, residual_N: FloatArray | None = None
-) -> LogEvidence:
-    """Evidence of one recording; of its force, or of ``residual_N`` at the samples of ``log``."""
-    time, include = log.data.time_s, log.data.include
-    values = log.data.force_N if residual_N is None else residual_N
+def log_evidence(trial: Trial, segmentation: Segmentation, log: FittedLog) -> LogEvidence:
+    """Evidence of one recording."""
+    time, include, values = log.data.time_s, log.data.include, log.data.force_N
     found = []
     for hold in segmentation.of_kind("hold"):
         late = hold.end_s - LATE_SHARE * (hold.end_s - hold.start_s)
@@ -112,7 +107,7 @@ def log_evidence(
             found.append(_quiet(trial.time_s[rows], force[rows], AIR_DEGREE))
     return LogEvidence(
         quiet=tuple(found),
-        difference_N=white_noise_sd(time[include], log.data.force_N[include]),
+        difference_N=white_noise_sd(time[include], values[include]),
         quantum_N=quantum(trial.force_N),
         samples=int(include.sum()),
     )
@@ -155,29 +150,30 @@ def verdict_on_noise(
     refuted = step_excess > EXCESS * (1.0 + MEDIAN_ERROR / math.sqrt(max(samples, 1)))
     if not stretches or noise.sigma_N <= 0.0:
         refuted |= alone and noise.memory.time_s > 0.0
-        return NoiseVerdict(refuted and noise.sigma_N > 0.0, shown, False, step_excess, 1.0)
+        return NoiseVerdict(refuted and noise.sigma_N > 0.0, shown)
     least = max(digits**2 / 12.0, 1e-24)
     at_fit, _ = _likelihood(stretches, noise.memory, least, noise.sigma_N**2)
-    best, same_shape = _likelihood(stretches, noise.memory, least)
-    quietest = same_shape
-    for time in TIMES * step_s:
-        for share in SHARES:
-            value, variance = _likelihood(stretches, Memory(time, share), least)
-            if value > best:
-                best, quietest = value, variance
+    same = _likelihood(stretches, noise.memory, least)
+    others = [Memory(time, share) for time in TIMES * step_s for share in SHARES]
+    best, quietest = max([same, *(_likelihood(stretches, one, least) for one in others)], key=_LIKELIEST)
     p_value = float(stats.chi2.sf(2.0 * (best - at_fit), FREE))
-    excess = noise.sigma_N / math.sqrt(min(same_shape, quietest))
+    excess = noise.sigma_N / math.sqrt(min(same[1], quietest))
     refuted |= p_value < LEVEL and excess > EXCESS
     power = sum(float(one.left_N @ one.left_N) for one in stretches)
     freedom = sum(one.freedom for one in stretches)
     measured = math.sqrt(max(power / freedom, least))
-    return NoiseVerdict(refuted, measured, True, max(excess, step_excess), p_value)
+    return NoiseVerdict(refuted, measured)
 
 
 #: Correlation times over the step, and white shares beside them, of a first look.
 SCANNED_TIMES, SCANNED_SHARES = np.geomspace(0.35, 400.0, 11), (0.0, 0.3, 0.7)
 #: Gain in ln L below which noise is white, and below which it has no white part.
 WORTH, SHARE_WORTH = 5.0, 3.0
+
+
+#: Restricted ln L of a correlation, and its sigma [N].
+_Found = tuple[float, float, Memory]
+_LIKELIEST = itemgetter(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,30 +228,21 @@ def scan_memory(
     rough_N: float,
     model: str = "auto",
 ) -> MemoryScan:
-    """Correlation of the noise: ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+    """Correlation of the noise: ``auto``, ``white``, ``ar1`` or ``white+ar1``; ``rough_N``: of residuals."""
 
-    ``rough_N``: size of the residuals.
-    """
-    look: Callable[[Memory], tuple[float, float]] = lambda memory: _restricted(  # noqa: E731
-        system, point, parts, prior, memory, rough_N
-    )
-    plain, sigma = look(Memory())
+    def look(memory: Memory) -> _Found:
+        return (*_restricted(system, point, parts, prior, memory, rough_N), memory)
+
+    plain, sigma, _ = look(Memory())
     if model == "white" or system.force.size < 12 or not np.isfinite(plain):
         # residuals that parameters take up show no noise
         return MemoryScan(Noise(sigma), 0.0)
-    best = (-np.inf, sigma, Memory())
-    for share in (0.0,) if model == "ar1" else SCANNED_SHARES:
-        for time in SCANNED_TIMES * step_s:
-            value, scale = look(Memory(float(time), share))
-            if value > best[0]:
-                best = (value, scale, Memory(float(time), share))
-    best = _refined(best, look, share=model != "ar1")
+    times = (SCANNED_TIMES * step_s).tolist()
+    shares = (0.0,) if model == "ar1" else SCANNED_SHARES
+    tried = [look(Memory(time, share)) for share in shares for time in times]
+    best = _refined(max([(-np.inf, sigma, Memory()), *tried], key=_LIKELIEST), look, share=model != "ar1")
     if best[2].white > 0.0 and model == "auto":
-        pure = _refined(
-            max(((*look(Memory(float(t))), Memory(float(t))) for t in SCANNED_TIMES * step_s), key=_first),
-            look,
-            share=False,
-        )
+        pure = _refined(max((look(Memory(time)) for time in times), key=_LIKELIEST), look, share=False)
         if best[0] - pure[0] < SHARE_WORTH:
             best = pure
     gain = float(best[0] - plain)
@@ -264,14 +251,7 @@ def scan_memory(
     return MemoryScan(Noise(best[1], best[2]), gain)
 
 
-_Found = tuple[float, float, Memory]
-
-
-def _first(found: _Found) -> float:
-    return found[0]
-
-
-def _refined(best: _Found, look: Callable[[Memory], tuple[float, float]], *, share: bool) -> _Found:
+def _refined(best: _Found, look: Callable[[Memory], _Found], *, share: bool) -> _Found:
     """The best of a finer and finer look around it."""
     width, spread = 0.5, 0.15
     for _ in range(4):
@@ -279,9 +259,6 @@ def _refined(best: _Found, look: Callable[[Memory], tuple[float, float]], *, sha
         tried = [Memory(at.time_s * np.exp(d), at.white) for d in (-width, width)]
         if share and at.white > 0.0:
             tried += [Memory(at.time_s, float(np.clip(at.white + d, 0.0, 0.98))) for d in (-spread, spread)]
-        for memory in tried:
-            value, scale = look(memory)
-            if value > best[0]:
-                best = (value, scale, memory)
+        best = max([best, *map(look, tried)], key=_LIKELIEST)
         width, spread = 0.6 * width, 0.6 * spread
     return best

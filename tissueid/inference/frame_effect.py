@@ -24,6 +24,7 @@ from tissueid.inference.optimum import minimise, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import MACHINE, Effects, Point, System
+from tissueid.inference.verdict import INSTRUMENT_TAU_S
 from tissueid.inference.window import FittedLog
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import deflection, deflection_sd, tangent_stiffness, tangent_stiffness_sd
@@ -88,9 +89,8 @@ def _flag(frame: FrameCurve, peak_N: float) -> Flag:
     values = {"deflection_mm": give, "sd_mm": sd, "force_N": peak_N, "frame_stiffness_N_per_mm": stiffness}
     message = f"the frame's give of {give:.3g} mm (sd {sd:.2g}) under {peak_N:.3g} N was taken off"
     if frame.range_N is not None and peak_N > frame.range_N[1]:
-        message = (
-            f"the frame's give of {give:.3g} mm was taken off, beyond the {frame.range_N[1]:.3g} N calibrated"
-        )
+        reach = f"beyond the {frame.range_N[1]:.3g} N calibrated"
+        message = f"the frame's give of {give:.3g} mm was taken off, {reach}"
         values["calibrated_to_N"] = frame.range_N[1]
     return Flag("frame_corrected", message, values)
 
@@ -110,19 +110,14 @@ def tip_handles(
         start = Point(np.zeros(2), np.zeros(3), np.zeros(law.linear), np.zeros((len(handles), effects.size)))
         tick("the frame")
         white = whitener_of(system, Memory())
-        found = None
+        priors = partial(prior_rows, system, Scatter(), Priors(), machine=False)
+        point = start
         for _ in range(ROUNDS):
             first = starting_points(system, law, start, white)[0]
-            found = minimise(
-                system,
-                first,
-                partial(prior_rows, system, Scatter(), Priors(), machine=False),
-                machine=False,
-            )
-            system.guess = system.tip_force(found.point)[0]
-        assert found is not None  # noqa: S101 -- there was a round
+            point = minimise(system, first, priors, machine=False).point
+            system.guess = system.tip_force(point)[0]
         return [
-            _corrected(handle, trial, log, (system, found.point, i), frame)
+            _corrected(handle, trial, log, (system, point, i), frame)
             for i, (handle, (trial, log)) in enumerate(zip(handles, pairs, strict=True))
         ]
 
@@ -134,9 +129,7 @@ def _corrected(
     system, point, index = fit
     contact = handle.segmentation.contact
     assert contact is not None  # noqa: S101 -- a handle has a fitted log
-    alone = System(
-        [blocks_of(handle, log, whole=True)], system.law, system.depth_mm, system.effects, give=system.give
-    )
+    alone = system.of([blocks_of(handle, log, whole=True)], [index])
     own = replace(point, own=point.own[index : index + 1])
     alone.follow(own)
     samples = log.data.time_s[int(log.inserted) :]
@@ -159,8 +152,6 @@ WORTH_SAYING = 0.02
 #: A machine so many standard deviations of its prior off is none; nor is a frame that nobody stated, softer
 #: than one standard deviation, that bends by more than this share of the travel.
 UNLIKELY_SD, SOFT_SD, MOST_BENDING = 3.0, 1.0, 0.2
-#: Relaxation times below this are moved by force filters and time skew of ordinary size [s].
-INSTRUMENT_TAU_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,10 +183,11 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
     flags = [flag for flag in fit.flags if flag.code != "compliance_unknown"]
     if not fit.parameters or fit.model.branches == 0 or fit.axes.normalised:
         return flags
-    short = _shortest(fit)
+    # as estimated, identified or not
+    shortest = float(rebuilt(fit.model, fit.depth_mm).times(fit.theta).min())
     if frame is not None:
         flags.append(_frame_sd(fit, frame))
-    unknown = _unknown(fit, frame, stated, short)
+    unknown = _unknown(fit, frame, stated, shortest)
     return flags if unknown is None else [*flags, unknown]
 
 
@@ -204,14 +196,14 @@ def machine_flag(
 ) -> Flag | None:
     """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against."""
     values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
+    frame = "frame_compliance_mm_per_N"
     needed = {
-        "frame_compliance_mm_per_N": lambda value: f"a frame of {1.0 / max(value, 1e-9):.3g} N/mm",
-        "skew_s": lambda value: f"channels {1e3 * abs(value):.3g} ms apart",
-        "force_filter_s": lambda value: f"a force filter of {1e3 * value:.3g} ms",
+        frame: f"a frame of {1.0 / max(values[frame], 1e-9):.3g} N/mm",
+        "skew_s": f"channels {1e3 * abs(values['skew_s']):.3g} ms apart",
+        "force_filter_s": f"a force filter of {1e3 * values['force_filter_s']:.3g} ms",
     }
     far = {name: abs(values[name] - priors[name].mean) / priors[name].sd for name in MACHINE}
     name = max(far, key=lambda one: far[one])
-    frame = "frame_compliance_mm_per_N"
     share = values[frame] * force_N / depth_mm if not priors[frame].stated else 0.0
     if far[name] > UNLIKELY_SD:
         why = f"{far[name]:.1f} standard deviations off"
@@ -219,14 +211,9 @@ def machine_flag(
         name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
     else:
         return None
-    words = f"the fit needs {needed[name](values[name])}, {why}"
+    words = f"the fit needs {needed[name]}, {why}"
     told = {"name": name, "value": values[name], "deviations": far[name], "frame_share": share}
     return Flag("machine_implausible", words, told)
-
-
-def _shortest(fit: SpecimenFit) -> float:
-    """Shortest relaxation time, as estimated, identified or not [s]."""
-    return float(rebuilt(fit.model, fit.depth_mm).times(fit.theta).min())
 
 
 def _unknown(
@@ -241,11 +228,8 @@ def _unknown(
     if frame is None and (max(effect.tau, -effect.viscosity) > WORTH_SAYING or channels):
         by = f" ({ASSUMED_FRAME_N_PER_MM:g} N/mm: tau {100 * effect.tau:.1f} % too long)"
         missing.insert(0, "frame" if left else f"frame{by}")
-        values |= {
-            "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
-            "tau_bias": effect.tau,
-            "viscosity_bias": effect.viscosity,
-        }
+        values["assumed_frame_N_per_mm"] = ASSUMED_FRAME_N_PER_MM
+        values |= {"tau_bias": effect.tau, "viscosity_bias": effect.viscosity}
     if not missing and not left:
         return None
     short = "" if frame is None or left else f", for a tau of {tau_s:.3g} s"
@@ -258,8 +242,7 @@ def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
     """Shift of tau by the frame's own uncertainty: d ln tau_app = -K dk / (k + k_0)^2."""
     branch, static = _stiffnesses(fit)
     force = static * fit.depth_mm / 2.0
-    k = tangent_stiffness(frame, force)
-    sd = tangent_stiffness_sd(frame, force)
+    k, sd = tangent_stiffness(frame, force), tangent_stiffness_sd(frame, force)
     share = branch * sd / (k + static) ** 2
     message = f"a frame of {k:.4g} N/mm (sd {sd:.2g}) was taken off; tau is uncertain by {100 * share:.2g} %"
     values = {"frame_stiffness_N_per_mm": k, "frame_stiffness_N_per_mm_sd": sd, "tau_sd_fraction": share}

@@ -125,13 +125,15 @@ class LogHandle:
             return log
         return with_unloading(segmentation, log, self.surface)
 
+    def own_window(self, trial: Trial) -> FittedLog | None:
+        """The part of its trial; as it is where the guard zone swallows a very shallow log."""
+        guarded = self.window(trial, self.segmentation, guard=self.guard)
+        return guarded or self.window(trial, self.segmentation)
+
     def fitted(self) -> tuple[Trial, FittedLog]:
         """The trial and its fitted part, loaded anew."""
         trial = self.load()
-        log = self.window(trial, self.segmentation, guard=self.guard)
-        if log is None:
-            # the guard zone may swallow a very shallow log: then it is fitted as it is
-            log = self.window(trial, self.segmentation)
+        log = self.own_window(trial)
         if log is None:
             msg = f"{trial.name} changed while it was being fitted"
             raise RuntimeError(msg)
@@ -165,7 +167,7 @@ def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHan
     for handle in handles:
         trial = handle.load()
         now = replace(handle, follows_speed=True, unloading=whole)
-        log = now.window(trial, now.segmentation, guard=now.guard) or now.window(trial, now.segmentation)
+        log = now.own_window(trial)
         if log is None:
             msg = (
                 f"0 contacts begin at a speed, of which {named[0].name!r} is a law: record the approach, "

@@ -61,9 +61,8 @@ def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray
     rest = np.maximum(1.0 - r, 1e-15)
     alpha = r * (1.0 - decay) / rest / n
     square = np.maximum(1.0 - r * r, 1e-15)
-    variance = (
-        square * (n - 2.0 * r * (1.0 - decay) / rest + r * r * (1.0 - decay**2) / square) / (n * rest) ** 2
-    )
+    inner = n - 2.0 * r * (1.0 - decay) / rest + r * r * (1.0 - decay**2) / square
+    variance = square * inner / (n * rest) ** 2
     cross = square * ((1.0 - decay) / rest - r * (1.0 - decay**2) / square) / (n * rest)
     single = n == 1.0
     return (
@@ -115,9 +114,8 @@ def _gains(
         # one filter for all chains: it settles after some correlation times
         starts = np.flatnonzero(chain)
         longest = int(np.diff(np.append(starts, k)).max())
-        table = _recursion(
-            rows[:1].repeat(longest, axis=0).tolist(), [True] + [False] * (longest - 1), q, settle=True
-        )
+        one = rows[:1].repeat(longest, axis=0).tolist()
+        table = _recursion(one, [True] + [False] * (longest - 1), q, settle=True)
         since = np.arange(k) - np.repeat(starts, np.diff(np.append(starts, k)))
         out = table[np.minimum(since, len(table) - 1)]
     else:

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
-from tissueid.inference.system import SHAPE, Derivatives, Point, System
+from tissueid.inference.system import MACHINE, SHAPE, Derivatives, Point, System
 
 #: Noise without memory.
 WHITE = Memory()
@@ -29,8 +29,8 @@ DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
 FLAT = 1e-6
 #: Constraint slack, relative to the row's size, that counts as active.
 ACTIVE = 1e-7
-#: Distance behind a wall that counts as on it.
-ON_WALL = 1e-12
+#: Distance behind a wall that counts as on it, and singular value of a row of an active bound that is none.
+ON_WALL, RANK = 1e-12, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,15 @@ def nearest_in_cone(
     root, used = root_of(covariance), least > -1e200
     step = nearest_inside(np.zeros((1, centre.size)), (cone @ root)[used], missing[used])[0]
     return np.asarray(centre + root @ step) if np.isfinite(step).all() else centre
+
+
+def free_of(rows: FloatArray) -> FloatArray:
+    """Orthonormal directions (d, free) that active bounds, rows (c, d) of any size, leave free."""
+    size = np.linalg.norm(rows, axis=1)
+    if not size.any():
+        return np.eye(rows.shape[1])
+    _, values, vectors = np.linalg.svd(rows[size > 0.0] / size[size > 0.0, None])
+    return np.asarray(vectors[int((values > RANK).sum()) :].T)
 
 
 class Reduced(NamedTuple):
@@ -255,6 +264,22 @@ def _change(normal: Normal, point: Point, moved: Point, free: NDArray[np.bool_])
     return float((change / np.sqrt(np.maximum(variance, 1e-300))).max())
 
 
+def _frozen(system: System, machine: bool, held: NDArray[np.int64] | None) -> FloatArray:
+    """Curvature that keeps shared parameters where they are: those held, and a machine that is closed."""
+    out, t = np.zeros(system.size), system.law.times
+    if not machine:
+        out[t : t + len(MACHINE)] = 1e30
+    if held is not None:
+        out[held] = 1e30
+    return out
+
+
+def _active(prior: PriorRows, shared: FloatArray) -> NDArray[np.bool_]:
+    """Constraints that hold with equality."""
+    size = np.abs(prior.cone) @ np.maximum(np.abs(shared), 1e-12)
+    return np.asarray(prior.cone @ shared - prior.least <= ACTIVE * size)
+
+
 def minimise(
     system: System,
     point: Point,
@@ -274,24 +299,21 @@ def minimise(
     white = whitener_of(system, memory)
     if system.centred:
         point = replace(point, own=about_mean(point.own))
-    prior = prior_at(point)
-    frozen = np.zeros(point.shared.size)
-    t = system.law.times
-    if not machine:
-        frozen[t : t + 3] = 1e30
-    if held is not None:
-        frozen[held] = 1e30
-    parameters = min(t + system.law.linear + point.own.size, system.force.size // 2)
+    frozen = _frozen(system, machine, held)
+    parameters = min(system.law.freedom + point.own.size, system.force.size // 2)
     floor = max(least_sigma_N, 1e-9 * float(np.abs(system.force).max()), 1e-15)
-    damping, converged = DAMPING, False
-    normal, noise_N = None, floor
-    for _ in range(steps):
+
+    def equations(point: Point) -> tuple[PriorRows, float, Normal]:
+        """Priors, noise [N] and the quadratic model at a point."""
         parts = system.derivatives(point, machine=machine, follow=True)
-        noise_N = sigma_N or max(
-            _scale_of(system, system.force - parts.force, white, memory, parameters), floor
-        )
+        left = system.force - parts.force
+        noise_N = sigma_N or max(_scale_of(system, left, white, memory, parameters), floor)
         prior = prior_at(point)
-        normal = normal_equations(system, point, parts, white, noise_N, prior)
+        return prior, noise_N, normal_equations(system, point, parts, white, noise_N, prior)
+
+    damping, converged = DAMPING, False
+    for _ in range(steps):
+        prior, noise_N, normal = equations(point)
         moved, damping, gain = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
         if moved is None:
             converged = True
@@ -302,14 +324,9 @@ def minimise(
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
-    parts = system.derivatives(point, machine=machine, follow=True)
-    noise_N = sigma_N or max(_scale_of(system, system.force - parts.force, white, memory, parameters), floor)
-    prior = prior_at(point)
-    normal = normal_equations(system, point, parts, white, noise_N, prior)
+    prior, noise_N, normal = equations(point)
     hessian = normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
-    slack = prior.cone @ point.shared - prior.least
-    size = np.abs(prior.cone) @ np.maximum(np.abs(point.shared), 1e-12)
     return Optimum(
         point=point,
         normal=normal,
@@ -317,7 +334,7 @@ def minimise(
         noise=Noise(noise_N, memory),
         covariance=covariance_of(hessian),
         converged=converged,
-        active=slack <= ACTIVE * size,
+        active=_active(prior, point.shared),
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,6 +22,7 @@ from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
 from tissueid.inference.optimum import ON_WALL, nearest_inside, root_of
 from tissueid.inference.reported import (
+    GAINS,
     interval95,
     log_theta_prior,
     next_indentation,
@@ -46,8 +48,6 @@ KEPT_DRAWS = 2000
 WORSE = 1.1
 #: Widest total interval of ln viscosity that counts as identified where its time is not: a factor of seven.
 MAX_WIDTH_VISCOSITY = 2.0
-#: Gains of the channels among the priors.
-GAINS = ("force_gain", "displacement_gain")
 #: Names of a branch's time and viscosity, before its number.
 TIME, VISCOSITY = "relaxation_time_s", "viscosity_N_s_per_mm"
 
@@ -86,7 +86,7 @@ class Draws:
 
 def _passive(law: ChannelLaw, linear: FloatArray) -> FloatArray:
     """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance."""
-    cone, out = law.cone(), linear.copy()
+    cone, out = law.cone, linear.copy()
     bad = (linear @ cone.T < -ON_WALL * np.abs(linear).max()).any(axis=1)
     if bad.any():
         root = root_of(np.atleast_2d(np.cov(linear.T)))
@@ -103,8 +103,7 @@ def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     """The same draws with the machine at its mean, the other coordinates following it linearly."""
-    t = target.law.times
-    at = np.arange(t, t + len(MACHINE))[target.free[t : t + len(MACHINE)]]
+    at = target.machine_places
     if at.size == 0:
         return vectors
     machine = vectors[:, at] - vectors[:, at].mean(axis=0)
@@ -229,18 +228,15 @@ def _uncertainties(
     """Mean, spread, intervals and diagnostics of each reported parameter."""
     base = statistical if total is None else total
     found = diagnose({name: base[name].reshape(shape) for name in names})
-    central = interval95({name: statistical[name] for name in names})
-    wide = None if total is None else interval95({name: total[name] for name in names})
+    central, wide = interval95(statistical), interval95(base)
     out = {}
     for name in names:
-        whole = None
-        if wide is not None:
-            whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
+        whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
         out[name] = ParameterUncertainty(
             mean=float(base[name].mean()),
             sd=float(base[name].std(ddof=1)),
             ci95=central[name],
-            ci95_total=whole,
+            ci95_total=None if total is None else whole,
             ess_bulk=found[name].ess_bulk,
             ess_tail=found[name].ess_tail,
             r_hat=found[name].r_hat,
@@ -294,16 +290,16 @@ def _assembled(
     statistical = reported_draws(model, draws.statistical)
     total = reported_draws(model, draws.total) if instrument else None
     names = [one.name for one in fit.parameters]
-    shape = sampled.chain.shape[:2]
-    found = _uncertainties(names, statistical, total, (shape[0], shape[1]))
+    walkers, steps = sampled.chain.shape[:2]
+    found = _uncertainties(names, statistical, total, (walkers, steps))
     parameters = _with_medians(fit.parameters, statistical, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
-    report = SamplerReport(
-        "emcee", sampled.converged, int(shape[0] * shape[1]), sampled.acceptance, _detail(sampled, fitted)
-    )
+    detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}
+    detail["total"] = {"converged": True, "worth": sampled.detail["effective_draws"]}
+    report = SamplerReport("emcee", sampled.converged, walkers * steps, sampled.acceptance, detail)
     posterior = Posterior(
         sampler=report,
         noise=noise,
@@ -314,7 +310,7 @@ def _assembled(
         draws_total=_kept(draws.total) if instrument else None,
         covariance=np.cov(draws.statistical, rowvar=False),
         chain_names=tuple(np.array(target.names)[target.free].tolist()),
-        chain=draws.vectors[:, target.free].reshape(shape[0], shape[1], -1),
+        chain=draws.vectors[:, target.free].reshape(walkers, steps, -1),
         log_density=sampled.log_density,
         priors=prior_table(target, draws.vectors, draws.statistical, draws.gains if instrument else None),
         budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),
@@ -333,13 +329,6 @@ def _assembled(
     )
 
 
-def _detail(sampled: Sampled, fitted: FittedSpecimen) -> dict[str, object]:
-    """Describe the draws: their density and their effective number."""
-    kind = "generalised" if fitted.identified.discrepant else "exact"
-    worth = {"converged": True, "worth": sampled.detail["effective_draws"]}
-    return {"density": kind, **sampled.detail, "total": worth}
-
-
 def _kept(theta: FloatArray) -> FloatArray:
     """The draws that a bundle and a report keep, spread over all."""
     return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
@@ -353,6 +342,7 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
             continue
         score, scatter = float(row["score"]), float(row["stderr"])
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
+        other: Literal["undecided", "worse"] = "undecided" if (branches, degree) in as_good else "worse"
         rows.append(
             ComparisonRow(
                 model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
@@ -362,11 +352,7 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
                 elpd_log_se=scatter,
                 elpd_speed=None,
                 elpd_speed_se=None,
-                verdict="chosen"
-                if row["chosen"]
-                else "undecided"
-                if (branches, degree) in as_good
-                else "worse",
+                verdict="chosen" if row["chosen"] else other,
             )
         )
     return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))

@@ -64,20 +64,17 @@ class PriorRows:
     #: (b, shared): ``cone @ shared >= least``.
     cone: FloatArray
     least: FloatArray  # (b,)
-    #: Half the ln determinant of the precision of the linear parameters, as it follows the relaxation times.
-    log_det: float = 0.0
 
 
-def _linear_rows(law: ChannelLaw, largest: FloatArray, force: float) -> tuple[FloatArray, float]:
-    """Rows of the linear parameters around 0, and ln of how they follow the largest states."""
-    rows, log_det = np.zeros((law.linear, law.linear)), 0.0
+def _linear_rows(law: ChannelLaw, largest: FloatArray, force: float) -> FloatArray:
+    """Rows of the linear parameters around 0, which follow the largest states."""
+    rows = np.zeros((law.linear, law.linear))
     for one in law.blocks:
         inner = bernstein(one.size) if one.polynomial else np.eye(one.size)
         rows[one.at, one.at] = inner / (WEAK_FACTOR * force)
         if one.branch >= 0:
             rows[one.at, one.at] *= largest[one.branch]
-            log_det += one.size * float(np.log(largest[one.branch]))
-    return rows, log_det
+    return rows
 
 
 def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatArray, FloatArray]:
@@ -106,18 +103,23 @@ def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatAr
 def prior_rows(system: System, scatter: Scatter, priors: Priors, point: Point, *, machine: bool) -> PriorRows:
     """Priors around a point, where the largest states of the branches are taken."""
     law = system.law
-    t, m, p = law.times, len(MACHINE), law.linear
+    t, m = law.times, len(MACHINE)
     force = float(np.abs(system.force).max())
-    path = system.path(system.travel)
-    largest = law.largest_states(point.log_times, path)
-    linear, log_det = _linear_rows(law, largest, force)
+    largest = law.largest_states(point.log_times, system.path(system.travel))
+    linear = _linear_rows(law, largest, force)
     stated_rows, wanted = _stated_rows(law, point, priors)
     rows = [np.hstack([np.zeros((len(linear), t + m)), linear]), stated_rows]
     target = [np.zeros(len(linear)), wanted]
+
+    def told(at: int, mean: float, sd: float) -> None:
+        """Add a normal prior of one shared parameter."""
+        row = np.zeros((1, t + m + law.linear))
+        row[0, at] = 1.0 / sd
+        rows.append(row)
+        target.append(np.array([mean / sd]))
+
     low, high = law.bounds(*time_bounds(system))
-    cone = [np.hstack([np.zeros((len(law.cone()), t + m)), law.cone()])]
-    least = [np.zeros(len(law.cone()))]
-    bounds = np.zeros((2 * t + 2, t + m + p))
+    bounds = np.zeros((2 * t + 2, t + m + law.linear))
     bound = np.full(2 * t + 2, -1e300)
     for j in range(t):
         bounds[2 * j, j], bound[2 * j] = 1.0, low[j]
@@ -126,28 +128,21 @@ def prior_rows(system: System, scatter: Scatter, priors: Priors, point: Point, *
         if j < min(len(priors.relaxation_time_s), law.counts[0]):
             stated = priors.relaxation_time_s[j]
         if stated is not None:
-            row = np.zeros((1, t + m + p))
-            row[0, j] = 1.0 / stated.sd_ln
-            rows.append(row)
-            target.append(np.array([np.log(stated.median) / stated.sd_ln]))
+            told(j, float(np.log(stated.median)), stated.sd_ln)
     if machine:
         for j, name in enumerate(MACHINE):
-            one = priors.calibration[name]
-            row = np.zeros((1, t + m + p))
-            row[0, t + j] = 1.0 / one.sd
-            rows.append(row)
-            target.append(np.array([one.mean / one.sd]))
+            told(t + j, priors.calibration[name].mean, priors.calibration[name].sd)
         for i, j in enumerate((0, 2)):
             lower = priors.calibration[MACHINE[j]].lower
             bounds[2 * t + i, t + j] = 1.0
             bound[2 * t + i] = lower if np.isfinite(lower) else -1e300
+    cone = np.hstack([np.zeros((len(law.cone), t + m)), law.cone])
     return PriorRows(
         rows=np.vstack(rows),
         target=np.concatenate(target),
         own=own_precision(system, scatter),
-        cone=np.vstack([*cone, bounds]),
-        least=np.concatenate([*least, bound]),
-        log_det=log_det,
+        cone=np.vstack([cone, bounds]),
+        least=np.concatenate([np.zeros(len(cone)), bound]),
     )
 
 

@@ -117,12 +117,8 @@ def cut_normal(
     for direction in _directions(key, d, STEPS_EACH * d, rng):
         along = rows @ direction
         up, down = along > 1e-12, along < -1e-12
-        low = np.full(CHAINS, -np.inf)
-        high = np.full(CHAINS, np.inf)
-        if up.any():
-            low = (-slack[:, up] / along[up]).max(axis=1)
-        if down.any():
-            high = (slack[:, down] / -along[down]).min(axis=1)
+        low = (-slack[:, up] / along[up]).max(axis=1, initial=-np.inf)
+        high = (slack[:, down] / -along[down]).min(axis=1, initial=np.inf)
         mean = (centre - z) @ direction
         move = _truncated(mean, WIDER, np.minimum(low, 0.0), np.maximum(high, 0.0), rng.random(CHAINS))
         z += move[:, None] * direction

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.quantities import Spectrum
 from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
@@ -109,6 +109,15 @@ class _Quoter:
         return Quantity(name, unit, at, value, stderr)
 
 
+#: Force of a tissue a time after a push, and two numbers of a tissue.
+Relaxing = Callable[[ChannelModel, FloatArray, float], float]
+Pair = Callable[[ChannelModel, FloatArray], tuple[float, float]]
+
+
+def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
+    return float(model.static_force(theta, np.array([depth]))[0])
+
+
 def _over(part: float, whole: float) -> float:
     """Ratio, NaN where there is no whole: a law that ends above the depth of a hold has no force there."""
     return float(part) / float(whole) if whole > 0.0 else float("nan")
@@ -119,11 +128,9 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     model, hold = quote.tissue.model, supported.hold
     depth = hold.depth_mm or model.depth_mm
     slowest = float(model.times(quote.tissue.theta).max(initial=0.0))
-    flat = (
-        ""
-        if slowest * PLATEAU_TIMES <= supported.window_s
-        else f"its plateau was not seen: a relaxation time of {slowest:.3g} s in {supported.window_s:.3g} s"
-    )
+    flat = f"its plateau was not seen: a relaxation time of {slowest:.3g} s in {supported.window_s:.3g} s"
+    if slowest * PLATEAU_TIMES <= supported.window_s:
+        flat = ""
     no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
 
     def step(model: ChannelModel, theta: FloatArray, time: float) -> float:
@@ -137,18 +144,19 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         if path == "ramp" and not reason:
             at["speed_mm_s"] = hold.speed_mm_s
         for time in TIMES_S:
-
-            def relaxed(m: ChannelModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
-                return 1.0 - _over(force(m, t, time), force(m, t, 0.0))
-
             why = reason or supported.no_time(time)
-            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
+            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, partial(_lost, force, time), why)
+        yield quote("peak_to_plateau", "1", at, partial(_over_rest, force, depth), reason or flat)
 
-        def ratio(m: ChannelModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
-            rest = float(m.static_force(t, np.array([depth]))[0])
-            return _over(force(m, t, 0.0), rest)
 
-        yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
+def _lost(force: Relaxing, time: float, model: ChannelModel, theta: FloatArray) -> float:
+    """Share of the peak that is gone after a time."""
+    return 1.0 - _over(force(model, theta, time), force(model, theta, 0.0))
+
+
+def _over_rest(force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray) -> float:
+    """Peak over the force that stays."""
+    return _over(force(model, theta, 0.0), _static(model, theta, depth))
 
 
 def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[float]) -> Iterator[Quantity]:
@@ -160,23 +168,25 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
         if why and not frequencies:
             continue
         at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
-
-        def storage(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.complex_stiffness(m, t, depth, f)[0]
-
-        def loss(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.complex_stiffness(m, t, depth, f)[1]
-
-        def tangent(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return _over(loss(m, t, f), storage(m, t, f))
-
-        def energy(m: ChannelModel, t: FloatArray, f: float = f) -> float:
-            return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
-
-        yield quote("storage_stiffness", "N/mm", at, storage, why)
-        yield quote("loss_stiffness", "N/mm", at, loss, why)
-        yield quote("tan_delta", "1", at, tangent, why)
+        both = partial(functionals.complex_stiffness, depth_mm=depth, frequency_Hz=f)
+        energy = partial(
+            functionals.dissipated_per_cycle, depth_mm=depth, amplitude_mm=amplitude, frequency_Hz=f
+        )
+        yield quote("storage_stiffness", "N/mm", at, partial(_part, both, 0), why)
+        yield quote("loss_stiffness", "N/mm", at, partial(_part, both, 1), why)
+        yield quote("tan_delta", "1", at, partial(_tangent, both), why)
         yield quote("dissipated_energy", "mJ", {**at, "amplitude_mm": amplitude}, energy, why)
+
+
+def _part(of: Pair, which: int, model: ChannelModel, theta: FloatArray) -> float:
+    """One of two numbers."""
+    return float(of(model, theta)[which])
+
+
+def _tangent(of: Pair, model: ChannelModel, theta: FloatArray) -> float:
+    """Loss over storage."""
+    storage, loss = of(model, theta)
+    return _over(loss, storage)
 
 
 def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
@@ -188,12 +198,9 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
     for share in STIFFNESS_SHARES:
         depth = share * quote.tissue.model.depth_mm
         for word, function in kinds:
+            both = partial(function, depth_mm=depth)
             for which, form in enumerate(("secant", "tangent")):
-
-                def value(m: ChannelModel, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
-                    return float(f(m, t, d)[w])
-
-                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, value)
+                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, partial(_part, both, which))
 
 
 def model_numbers(
@@ -229,8 +236,7 @@ def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
 def _share(rival: Rival, depth: float, speed: float | None, time: float) -> float:
     """Share of the peak that a rival's tissue loses."""
     model, theta = rival.model, rival.theta
-    still = float(model.static_force(theta, np.array([depth]))[0])
-    peak, later = still + model.relaxing(theta, depth, np.array([0.0, time]), speed)
+    peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, np.array([0.0, time]), speed)
     return float(1.0 - later / peak)
 
 
@@ -249,12 +255,11 @@ def quoted_numbers(
     longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
     window = longest.longest_s or duration_s
     supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
-    spectra: tuple[Spectrum, ...] = tuple(one for hold in holds for one in hold.spectra)
     return QuotedNumbers(
         window_s=window,
         resolution_s=2.0 * step_s,
         model=model_numbers(tissue, supported, frequencies_Hz),
-        spectra=spectra,
+        spectra=tuple(one for hold in holds for one in hold.spectra),
     )
 
 
@@ -263,33 +268,26 @@ SHARES = (0.5, 1.0)
 KPA_PER_MPA = 1000.0
 
 
-def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
-    return float(model.static_force(theta, np.array([depth]))[0])
-
-
 def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
     return functionals.force_after_step(model, theta, depth, 0.0)
 
 
 def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
-    rows = []
+    """Moduli of a tissue at rest and at once by one formula, at one depth."""
+    quote = _Quoter(tissue, unknown_parameters(tissue))
     at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
-    for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden)):
-        if contact is None:
-            reason = f"{formula} has no solution here: the contact is too wide for the layer"
-            rows.append(Quantity(name, "kPa", at, None, None, reason))
-            continue
-        value, stderr = functionals.delta_method(
-            lambda theta, f=force, c=contact: KPA_PER_MPA * c.modulus_MPa(f(tissue.model, theta, depth)),  # type: ignore[misc]
-            tissue.theta,
-            tissue.covariance,
-            unknown_parameters(tissue),
-        )
-        if width_of(value, stderr) > MAX_WIDTH:
-            rows.append(Quantity(name, "kPa", at, None, None, "the data do not determine it"))
-        else:
-            rows.append(Quantity(name, "kPa", at, value, stderr))
-    return rows
+    reason = "" if contact else f"{formula} has no solution here: the contact is too wide for the layer"
+    return [
+        quote(name, "kPa", at, partial(_modulus, contact, force, depth), reason)
+        for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden))
+    ]
+
+
+def _modulus(
+    contact: Contact | None, force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray
+) -> float:
+    """Young's modulus by a contact [kPa]; NaN without one."""
+    return float("nan") if contact is None else KPA_PER_MPA * contact.modulus_MPa(force(model, theta, depth))
 
 
 def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
@@ -333,7 +331,6 @@ def with_moduli(
     return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags
 
 
-UNIT = "1"
 #: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.
 VISCOUS, DRAINAGE = 0.0, 2.0
 #: Ratio of the largest to the smallest contact radius, depth over tip radius, and holds, that can decide.
@@ -362,7 +359,7 @@ def depth_test(
     tip = geometry.indenter.radius_mm
     if geometry.indenter.shape == "sphere" and tip is not None and deepest > BURIED * tip:
         reason = f"the tip is buried: {deepest:.3g} mm of depth, {tip:.3g} mm of radius"
-        return Quantity(DEPTH_TEST, UNIT, at, None, None, reason), ()
+        return Quantity(DEPTH_TEST, "1", at, None, None, reason), ()
     slope, error, half = _slope(np.log(radius), np.log(tau_s))
     verdict = _verdict(slope - half, slope + half)
     at |= {"low": slope - half, "high": slope + half, "verdict": verdict}
@@ -373,7 +370,7 @@ def depth_test(
             f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
         )
         flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
-    return Quantity(DEPTH_TEST, UNIT, at, slope, error), flags
+    return Quantity(DEPTH_TEST, "1", at, slope, error), flags
 
 
 def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:

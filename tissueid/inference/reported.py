@@ -97,6 +97,8 @@ def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
 
 
 TOTAL: Source = "total"
+#: Gains of the channels among the priors.
+GAINS = ("force_gain", "displacement_gain")
 #: Names of the machine's coordinates as sources.
 SOURCES: Mapping[str, Source] = {
     "frame_compliance_mm_per_N": "frame",
@@ -180,9 +182,14 @@ def _row(name: str, words: str, stated: bool, draws: FloatArray, prior_sd: float
     )
 
 
-def _power_sd(powers: int, power: int) -> float:
-    """Standard deviation of a coefficient of u^power where Bernstein coefficients have one of 1."""
-    return float(np.linalg.norm(np.linalg.inv(bernstein(powers))[power]))
+def _row_in_ln(
+    name: str, given: SpreadPrior | None, unit: str, draws: FloatArray, free: tuple[str, float]
+) -> PriorRow:
+    """A coordinate that is a logarithm; ``free``: words and width of its prior where none is stated."""
+    if given is None:
+        return _row(name, free[0], False, draws, free[1] / math.sqrt(12.0))
+    words = f"log-normal, median {given.median:.4g} {unit}, sd {given.sd_ln:.3g} in ln"
+    return _row(name, words, True, draws, given.sd_ln)
 
 
 def _largest(target: SpecimenTarget, tau_s: FloatArray) -> FloatArray:
@@ -198,6 +205,8 @@ def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
     field = law.field(point.log_times[None])[0]
     states = law.largest_states(point.log_times, target.system.path(target.system.travel))
     for block in law.blocks:
+        # of each power's coefficient where those of Bernstein's polynomials have a standard deviation of 1
+        powers = np.linalg.inv(bernstein(block.size)) if block.polynomial else np.eye(block.size)
         for power, at in enumerate(range(block.at.start, block.at.stop)):
             k, spec = specs[law.linear_names[at]]
             if spec.name in priors.linear:
@@ -206,7 +215,7 @@ def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
                 rows.append(_row(spec.name, words, True, theta[:, k], sd))
                 continue
             state = states[block.branch] if block.branch >= 0 else 1.0
-            wide = _power_sd(block.size, power) if block.polynomial else 1.0
+            wide = float(np.linalg.norm(powers[power]))
             words = f"weak: every part of the curve up to some {spread:.3g} N, cut to the passive set"
             rows.append(_row(spec.name, words, False, theta[:, k], float(spread / state * field[at] * wide)))
     return rows
@@ -225,46 +234,28 @@ def prior_table(
 ) -> tuple[PriorRow, ...]:
     """Every prior of a specimen, its posterior and the shrinkage between them."""
     priors, places = target.priors, target.places
-    rows = _linear(target, theta)
-    low, high = time_bounds(target.system)
-    for j in range(target.law.counts[0]):
-        name = f"ln_relaxation_time_{j + 1}"
-        if j < len(priors.relaxation_time_s):
-            one = priors.relaxation_time_s[j]
-            words = f"log-normal, median {one.median:.4g} s, sd {one.sd_ln:.3g} in ln"
-            rows.append(_row(name, words, True, vectors[:, j], one.sd_ln))
-        else:
+    rows, (low, high) = _linear(target, theta), time_bounds(target.system)
+    stated = dict(_stated_shapes(target))
+    for j, shape in enumerate(target.law.shapes):
+        name, unit, ends = shape.spec.name, shape.spec.unit, (shape.spec.lower, shape.spec.upper)
+        if j < target.law.counts[0]:
+            name, unit, width = f"relaxation_time_{j + 1}", "s", high - low
             words = f"uniform in ln tau from {math.exp(low):.3g} s to {math.exp(high):.3g} s"
-            rows.append(_row(name, words, False, vectors[:, j], (high - low) / math.sqrt(12.0)))
-    for j, shape in enumerate(target.law.shapes[target.law.counts[0] :], target.law.counts[0]):
-        given = priors.shapes.get(shape.spec.name)
-        if given is not None:
-            words = f"log-normal, median {given.median:.4g} {shape.spec.unit}, sd {given.sd_ln:.3g} in ln"
-            rows.append(_row(f"ln_{shape.spec.name}", words, True, vectors[:, j], given.sd_ln))
-            continue
-        ends = math.log(shape.spec.lower), math.log(shape.spec.upper)
-        words = f"uniform in its logarithm from {shape.spec.lower:g} to {shape.spec.upper:g}"
-        sd = (ends[1] - ends[0]) / math.sqrt(12.0)
-        rows.append(_row(f"ln_{shape.spec.name}", words, False, vectors[:, j], sd))
-    sigma, stated = vectors[:, places["ln_sigma"]], priors.sigma_N
-    if stated is None:
-        rows.append(_row("ln_sigma", "uniform in ln sigma", False, sigma, LOG_SIGMA_RANGE / 12**0.5))
-    else:
-        words = f"log-normal, median {stated.median:.4g} N, sd {stated.sd_ln:.3g} in ln"
-        rows.append(_row("ln_sigma", words, True, sigma, stated.sd_ln))
+        else:
+            width = math.log(ends[1]) - math.log(ends[0])
+            words = f"uniform in its logarithm from {ends[0]:g} to {ends[1]:g}"
+        rows.append(_row_in_ln(f"ln_{name}", stated.get(j), unit, vectors[:, j], (words, width)))
+    sigma = vectors[:, places["ln_sigma"]]
+    rows.append(_row_in_ln("ln_sigma", priors.sigma_N, "N", sigma, ("uniform in ln sigma", LOG_SIGMA_RANGE)))
     if "ln_gain_sd" in places:
         words, scale = f"half-normal, scale {priors.gain_sd:.3g}", priors.gain_sd * HALF_NORMAL_SD
         own = np.exp(vectors[:, places["ln_gain_sd"]])
         rows.append(_row("gain_sd", words, priors.gain_sd != Priors().gain_sd, own, scale))
     if gains is not None:
-        for k, name in enumerate(("force_gain", "displacement_gain")):
+        drawn = np.column_stack([gains, vectors[:, target.law.times :][:, : len(MACHINE)]])
+        for name, own in zip((*GAINS, *MACHINE), drawn.T, strict=True):
             words, sd = _machine_words(priors.calibration[name])
-            rows.append(_row(name, words, priors.calibration[name].stated, gains[:, k], sd))
-        for k, name in enumerate(MACHINE):
-            words, sd = _machine_words(priors.calibration[name])
-            rows.append(
-                _row(name, words, priors.calibration[name].stated, vectors[:, target.law.times + k], sd)
-            )
+            rows.append(_row(name, words, priors.calibration[name].stated, own, sd))
     return tuple(rows)
 
 

@@ -76,9 +76,7 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
         else:
             path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm[start:stop])))])
             place = np.searchsorted(MOVE_EDGES, path / max(path[-1], 1e-300), side="right")
-        keys[start:stop] = np.column_stack(
-            [np.full(stop - start, seen[held]), np.full(stop - start, held), place]
-        )
+        keys[start:stop, :2], keys[start:stop, 2] = (seen[held], held), place
         seen[held] += 1
     return keys
 
@@ -134,6 +132,8 @@ def residual_blocks(
         total = np.add.reduceat(columns[used], first, axis=0)
         return np.asarray(total / count.reshape(-1, *[1] * (columns.ndim - 1)))
 
+    by_log = _own_columns(model, theta, log, fitted)
+    by_corner = _corner_columns(model, theta, log, segmentation)
     return ResidualBlocks(
         phase=keys[first, 0],
         hold=keys[first, 1] == 1,
@@ -143,15 +143,7 @@ def residual_blocks(
         start_s=data.time_s[used[first]],
         end_s=data.time_s[used[last]],
         shared=means(adjustment.gain * model.jacobian(theta, path)),
-        own=means(
-            np.concatenate(
-                [
-                    _own_columns(model, theta, log, fitted),
-                    _corner_columns(model, theta, log, segmentation),
-                ],
-                axis=1,
-            )
-        ),
+        own=means(np.concatenate([by_log, by_corner], axis=1)),
         speed_mm_s=max(log.speeds_mm_s),
         depth_mm=log.depth_mm,
         step_s=log.step_s,
@@ -288,18 +280,14 @@ def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
 
 def _features(logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]) -> tuple[FloatArray, list[_Row]]:
     """A value of each block by place and contrast, shape (logs, features), and how they are grouped."""
-    keys = sorted(
-        {
-            key
-            for one in logs
-            for key in zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
-        }
-    )
+    keys_of = [
+        list(zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)) for one in logs
+    ]
+    keys = sorted({key for found in keys_of for key in found})
     at = {key: k for k, key in enumerate(keys)}
     table = np.zeros((len(logs), len(keys)))
     present = np.zeros_like(table, dtype=bool)
-    for i, (one, value) in enumerate(zip(logs, values, strict=True)):
-        found = zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
+    for i, (found, value) in enumerate(zip(keys_of, values, strict=True)):
         columns = [at[key] for key in found]
         table[i, columns] = value
         present[i, columns] = True
@@ -431,11 +419,8 @@ def _within(projected: _Projected, effective: float) -> MisfitCheck:
         return MisfitCheck(name, 0.0, 1.0, "too few samples for a look at the residual within a log", False)
     ratio = float(projected.residual @ projected.residual) / projected.freedom
     p = float(stats.f.sf(ratio / SPECTRUM_TOLERANCE, projected.freedom, effective))
-    raised = p < LEVELS[name]
-    message = (
-        f"block means of the residual scatter {np.sqrt(ratio):.2f} times as much as the noise model explains"
-    )
-    return MisfitCheck(name, ratio, p, message, raised)
+    times = f"{np.sqrt(ratio):.2f} times as much as the noise model explains"
+    return MisfitCheck(name, ratio, p, f"block means of the residual scatter {times}", p < LEVELS[name])
 
 
 def _directed(
@@ -488,12 +473,9 @@ def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm
     checks = []
     found = shared_structure(logs, noise, rng=np.random.default_rng(SEED))
     if found is not None:
-        statistic, p, words = found
-        name = "shared structure"
-        message = (
-            f"the residual repeats from log to log, most in the {words}: mean squares are {statistic:.1f} "
-            "times those of independent logs"
-        )
+        (statistic, p, words), name = found, "shared structure"
+        where = f"the residual repeats from log to log, most in the {words}"
+        message = f"{where}: mean squares are {statistic:.1f} times those of independent logs"
         checks.append(MisfitCheck(name, statistic, p, message, p < LEVELS[name]))
     if noise.discrepant:
         # misses within a log are in the intervals already

@@ -139,7 +139,7 @@ def unloading_verdict(
         return float(np.sqrt(np.mean(values**2))) if values.size else None
 
     rms_air = rms(air)
-    report = {
+    report: dict[str, Any] = {
         "rounds": followed.rounds,
         "converged": followed.settled and unique,
         "change_sd": followed.change_sd if np.isfinite(followed.change_sd) else None,
@@ -152,26 +152,14 @@ def unloading_verdict(
     }
     flags = []
     if not followed.settled or not unique:
-        why = (
-            f"a parameter still moved by {followed.change_sd:.2g} standard errors"
-            if not followed.settled
-            else "the free surface has several positions"
-        )
+        why = "the free surface has several positions"
+        if not followed.settled:
+            why = f"a parameter still moved by {followed.change_sd:.2g} standard errors"
         words = f"unloading did not converge in {followed.rounds} rounds: {why}"
-        flags.append(
-            Flag(
-                "unloading_not_settled",
-                words,
-                {"rounds": followed.rounds, "change_sd": report["change_sd"], "surface_unique": unique},
-            )
-        )
+        told = {name: report[name] for name in ("rounds", "change_sd", "surface_unique")}
+        flags.append(Flag("unloading_not_settled", words, told))
     if rms_air is not None and rms_air > AIR_MISFIT * sigma_N:
         words = f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)"
-        flags.append(
-            Flag(
-                "contact_loss_misfit",
-                words,
-                {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled},
-            )
-        )
+        values = {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled}
+        flags.append(Flag("contact_loss_misfit", words, values))
     return report, flags

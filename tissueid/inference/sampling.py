@@ -180,11 +180,9 @@ class Proposal(Protocol):
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws, shape (count, d)."""
-        ...
 
     def log_density(self, z: FloatArray) -> FloatArray:
         """Up to a constant, (n, d) -> (n,)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,11 +238,11 @@ def sample(
     progress: Callable[[int, float], None] | None = None,
 ) -> Sampled:
     """Sample a specimen's posterior; ``draws``: effective ones that are asked for."""
-    began = time.perf_counter()
+    began, tell = time.perf_counter(), progress or (lambda _count, _share: None)
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)
     proposal = _proposal(target, rng)
-    points, log_weight, weighed = _weighed(target, proposal, draws, rng, kept, progress)
+    points, log_weight, weighed = _weighed(target, proposal, draws, rng, kept, tell)
     poor = weighed.worth < WALKERS * FEWEST_STARTS
     if poor and not np.isfinite(log_weight).any():
         msg = f"none of {len(points)} proposals is passive and fits"
@@ -252,29 +250,29 @@ def sample(
     weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
     start = _started(target, points, weights, rng)
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
-    moves = _moves(proposal, MOVES_EXACT if target.is_normal else shares, rng)
+    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
+    moves = list(zip(kinds, MOVES_EXACT if target.is_normal else shares, strict=True))
     sampler = emcee.EnsembleSampler(WALKERS, target.size, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
 
     def told(steps: int, share: float) -> None:
-        if progress is not None:
-            progress(len(points) + WALKERS * steps, share)
+        tell(len(points) + WALKERS * steps, share)
 
     walked, apart = _walked(sampler, state, weighed, draws, told, alone=poor)
     told(int(sampler.iteration), 1.0)
     trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
     # walkers that nothing but themselves has spread have to agree
     converged = bool(trusted or (walked >= ENOUGH and (not poor or apart <= ALIKE)))
+    most = max(weighed.worth, walked)
     detail: dict[str, Any] = {
         "steps": int(sampler.iteration),
         "walkers": WALKERS,
-        "effective_draws": max(weighed.worth, walked),
+        "effective_draws": most,
         "pareto_k": weighed.pareto,
         "proposals": len(points),
         "wall_s": time.perf_counter() - began,
     }
     if not converged:
-        most = max(weighed.worth, walked)
         detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
         if poor:
             detail["reason"] += f", walkers apart by R-hat {apart:.2f}"
@@ -286,14 +284,6 @@ def sample(
         msg = f"importance sampling is worth {weighed.worth:.0f} draws, and walkers left the data"
         raise ArithmeticError(msg)
     return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
-
-
-def _moves(
-    proposal: Proposal, shares: tuple[float, ...], rng: np.random.Generator
-) -> list[tuple[emcee.moves.Move, float]]:
-    """Moves of the walkers with their shares."""
-    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
-    return list(zip(kinds, shares, strict=True))
 
 
 def _started(target: Target, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -345,7 +335,7 @@ def _weighed(
     draws: int,
     rng: np.random.Generator,
     kept: Checkpoint,
-    progress: Callable[[int, float], None] | None,
+    progress: Callable[[int, float], None],
 ) -> tuple[FloatArray, FloatArray, Weighed]:
     """Importance sampling until it is worth what was asked for."""
     points, log_weight = kept.resume(rng, target.size)
@@ -353,8 +343,7 @@ def _weighed(
     for _ in range(MOST_LOOKS):
         if len(points):
             found = smoothed(log_weight)
-            if progress is not None:
-                progress(len(points), min(found.worth / draws, 1.0))
+            progress(len(points), min(found.worth / draws, 1.0))
             dear = len(points) >= FEW_LOOKS * LOOK and found.worth < POOR_LOOK * len(points)
             if found.worth >= draws or (dear and found.worth >= WALKERS * FEWEST_STARTS):
                 break

@@ -20,7 +20,7 @@ from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import about_mean, minimise, prior_cost, whitener_of
+from tissueid.inference.optimum import about_mean, free_of, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
@@ -35,24 +35,16 @@ MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 BEYOND = 1e12
 #: ln tau is kept within this.
 FARTHEST = 40.0
-#: Singular value of a row of an active bound that is none.
-RANK = 1e-6
 
 
 class _Problem:
     """The objective as lmfit sees it: a vector of residuals of a vector of parameters."""
 
     def __init__(self, identified: Identified) -> None:
-        self.identified, self.optimum = identified, identified.optimum
-        self.system, self.law = identified.system, identified.law
+        self.system, self.law, self.optimum = identified.system, identified.law, identified.optimum
         self.white = whitener_of(self.system, self.optimum.noise.memory)
         t = self.law.times
-        rows = self.optimum.prior.cone[self.optimum.active][:, t + 3 :]
-        rows = rows[np.abs(rows).sum(axis=1) > 0.0]
-        self.free = np.eye(self.law.linear)
-        if len(rows):
-            _, values, vectors = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True))
-            self.free = vectors[int((values > RANK).sum()) :].T
+        self.free = free_of(self.optimum.prior.cone[self.optimum.active][:, t + 3 :])
         point = self.optimum.point
         self.start = np.concatenate([point.log_times, self.free.T @ point.linear, point.own.ravel()])
 
@@ -110,25 +102,23 @@ def both_optimisers(identified: Identified) -> dict[str, object]:
     low, high = time_bounds(identified.system)
     parameters = lmfit.Parameters()
     for k, value in enumerate(problem.start.tolist()):
-        if k < t:
-            rough = float(np.clip(round(value / START_GRID) * START_GRID, low + 0.05, high - 0.05))
-            parameters.add(f"p{k}", value=rough)
-        else:
-            parameters.add(f"p{k}", value=value * (1.0 + START_OFF))
+        rough = float(np.clip(round(value / START_GRID) * START_GRID, low + 0.05, high - 0.05))
+        parameters.add(f"p{k}", value=rough if k < t else value * (1.0 + START_OFF))
 
     def vector(values: Any) -> FloatArray:
         return np.array([values[f"p{k}"].value for k in range(len(problem.start))])
 
+    def bounded(values: Any) -> FloatArray:
+        return np.clip(vector(values), -BEYOND, BEYOND)
+
     def residual(values: Any) -> FloatArray:
         # a step that leaves the range of numbers is a bad one, not an error
-        return np.nan_to_num(
-            problem.residual(np.clip(vector(values), -BEYOND, BEYOND)), nan=BEYOND, posinf=BEYOND
-        )
+        return np.nan_to_num(problem.residual(bounded(values)), nan=BEYOND, posinf=BEYOND)
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         found = lmfit.Minimizer(residual, parameters, scale_covar=False).leastsq(
-            Dfun=lambda values: np.nan_to_num(problem.jacobian(np.clip(vector(values), -BEYOND, BEYOND))),
+            Dfun=lambda values: np.nan_to_num(problem.jacobian(bounded(values))),
             max_nfev=MAX_EVALUATIONS,
             ftol=TOLERANCE,
             xtol=TOLERANCE,
@@ -141,7 +131,7 @@ def both_optimisers(identified: Identified) -> dict[str, object]:
     sd = np.sqrt(np.maximum(np.diag(identified.optimum.covariance)[:t], 1e-24))
     apart = float((np.abs(np.sort(reached[:t]) - np.sort(problem.start[:t])) / sd).max(initial=0.0))
     agree = bool(abs(difference) <= AGREE_VALUE or apart <= AGREE_SD)
-    bounded = bool(problem.free.shape[1] < identified.law.linear)
+    at_bound = bool(problem.free.shape[1] < identified.law.linear)
     return {
         "method": "Levenberg-Marquardt (lmfit) and constrained Gauss-Newton",
         "lm_sum_of_squares_N2": lm_value * variance,
@@ -149,8 +139,8 @@ def both_optimisers(identified: Identified) -> dict[str, object]:
         "relative_difference": float(difference),
         "lm_evaluations": int(found.nfev),
         "lm_converged": bool(found.success),
-        "agree": None if bounded and not agree else agree,
-        "bound_active": bounded,
+        "agree": None if at_bound and not agree else agree,
+        "bound_active": at_bound,
         "prior_cost": prior_cost(identified.optimum.prior, identified.optimum.point),
         "sigma_gain": identified.scatter.gain if identified.system.effects.gain else None,
     }
@@ -165,11 +155,6 @@ EDGE = 0.05
 STEPS = 12
 
 
-def _hold_s(handle: LogHandle) -> float:
-    """Length of the longest hold of a log [s]."""
-    return max((hold.end_s - hold.start_s for hold in handle.segmentation.of_kind("hold")), default=0.0)
-
-
 def _ln_tau(identified: Identified, handles: Sequence[LogHandle], share: float) -> tuple[float, float] | None:
     """Ln of the one relaxation time with its standard error, ``None`` at the ends of the search."""
     blocks = []
@@ -181,17 +166,15 @@ def _ln_tau(identified: Identified, handles: Sequence[LogHandle], share: float) 
     law = kelvin_voigt_law(1, identified.law.degree, identified.system.depth_mm)
     system = System(blocks, law, identified.system.depth_mm, identified.system.effects)
     at = Point(np.zeros(1), found.machine, np.zeros(law.linear), found.own)
-    best = None
-    for start in starting_points(system, law, at, whitener_of(system, Memory()))[:1]:
-        best = minimise(
-            system,
-            start,
-            partial(prior_rows, system, identified.scatter, request.priors, machine=False),
-            machine=False,
-            steps=STEPS,
-        )
+    best = minimise(
+        system,
+        starting_points(system, law, at, whitener_of(system, Memory()))[0],
+        partial(prior_rows, system, identified.scatter, request.priors, machine=False),
+        machine=False,
+        steps=STEPS,
+    )
     low, high = time_bounds(system)
-    if best is None or not low + EDGE < best.point.log_times[0] < high - EDGE:
+    if not low + EDGE < best.point.log_times[0] < high - EDGE:
         return None
     error = float(np.sqrt(best.covariance[0, 0]))
     return (float(best.point.log_times[0]), error) if np.isfinite(error) else None
@@ -204,7 +187,9 @@ def relaxation_window(
 
     Returns ``None`` where no hold, or a quarter of it, determines a relaxation time.
     """
-    holds = [length for handle in handles if (length := _hold_s(handle)) > 0.0]
+    every = [handle.segmentation.of_kind("hold") for handle in handles]
+    longest = [max((hold.end_s - hold.start_s for hold in holds), default=0.0) for holds in every]
+    holds = [length for length in longest if length > 0.0]
     step = max(handle.facts.step_s for handle in handles)
     if not holds:
         return None

@@ -23,7 +23,7 @@ from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.second_looks import both_optimisers, relaxation_window
 from tissueid.inference.summaries import Summaries, second_pass
-from tissueid.inference.system import Point, System
+from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.verdict import discrepancy_flags, specimen_flags
@@ -143,9 +143,8 @@ def fit_with_state(
     tick = tick or (lambda _: None)
     # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
     with threadpool_limits(limits=1, user_api="blas"):
-        return _fit(
-            specimen, list(handles), options, request_of(options, priors or Priors(), machine=machine), tick
-        )
+        request = request_of(options, priors or Priors(), machine=machine)
+        return _fit(specimen, list(handles), options, request, tick)
 
 
 def identify_handles(
@@ -167,9 +166,7 @@ def force_along(
 ) -> FloatArray:
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
-    system = System(
-        [blocks], identified.law.along((index,)), identified.system.depth_mm, identified.system.effects
-    )
+    system = identified.system.of([blocks], [index])
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
@@ -178,21 +175,19 @@ def force_along(
 
 def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:
     """Gain and contact of every log."""
-    system, out = identified.system, []
-    offsets = system.offsets(point) * system.depth_mm
-    for i, handle in enumerate(handles):
-        offset = float(offsets[i])
-        gain = float(np.exp(point.own[i, 0])) if system.effects.gain else 1.0
-        out.append(Adjustment(gain=gain, contact_offset_mm=offset, contact_shift_mm=handle.contact_shift_mm))
-    return out
+    system = identified.system
+    offsets = (system.offsets(point) * system.depth_mm).tolist()
+    gains = np.exp(point.own[:, 0]).tolist() if system.effects.gain else [1.0] * len(handles)
+    return [
+        Adjustment(gain, offset, handle.contact_shift_mm)
+        for gain, offset, handle in zip(gains, offsets, handles, strict=True)
+    ]
 
 
 def noise_of(identified: Identified, worth: float) -> NoiseFit:
     """The noise as it is told."""
-    found, step = (
-        identified.optimum.noise,
-        min(float(np.median(one.step_s)) for one in identified.system.logs),
-    )
+    found = identified.optimum.noise
+    step = min(float(np.median(one.step_s)) for one in identified.system.logs)
     kind: Literal["white", "ar1", "white+ar1"] = "white"
     if found.memory.time_s > 0.0:
         kind = "white+ar1" if found.memory.white > 0.0 else "ar1"
@@ -255,14 +250,10 @@ class _Found:
         if self.followed is not None:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
             flags = (*flags, *more)
-        depth_mm = self._reached_mm(adjustments, point)
         fit = replace(
-            self._told(here, told),
-            depth_mm=depth_mm,
-            flags=_one_form(flags),
-            unloading=unloading,
-            quoted=quoted,
-        )
+            self._told(here, told), depth_mm=self._reached_mm(adjustments, point), flags=_one_form(flags),
+            unloading=unloading, quoted=quoted,
+        )  # fmt: skip
         return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
 
     def _reached_mm(self, adjustments: Sequence[Adjustment], point: Point) -> float:
@@ -299,10 +290,8 @@ class _Found:
         slope, drains = depth_test(geometry, *_equal_holds(told))
         step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
         frequencies = self.options.frequencies_Hz
-        numbers = quoted_numbers(
-            tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies
-        )
-        numbers, said = with_moduli(with_form(numbers, self.identified.rivals), tissue, geometry)
+        plain = quoted_numbers(tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
+        numbers, said = with_moduli(with_form(plain, self.identified.rivals), tissue, geometry)
         if slope is None:
             return numbers, said
         decided = slope.at.get("verdict") in {"viscous", "drainage"}
@@ -337,16 +326,21 @@ class _Found:
 
 def _choice_of(found: Identified, tissue: TissueEstimate, pooling: str) -> ModelChoice:
     """The model that was chosen, as files name it."""
-    law = found.law.model_of
+    law, asked = found.law.model_of, found.request.candidates.paper
+    # as it was asked for, or as it was chosen
+    paper = KELVIN_VOIGT if asked is None else asked.name
+    nodes: dict[str, Any] = {}
+    if isinstance(found.law, YardstickLaw):
+        nodes = {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
     return ModelChoice(
         key=KEY if law is None else law.key,
-        name=_name_of(found),
+        name=paper if law is None else law.name,
         branches=tissue.model.branches,
         static_degree=min(found.law.static_size, MAX_STATIC),
         stiffness_degree=found.law.degree,
         static_pooling=pooling,
         range_s=None if law is None else (law.resolution_s, law.window_s),
-        **_nodes(found),
+        **nodes,
     )
 
 
@@ -360,9 +354,8 @@ def _fit(
     """Identify a specimen, and describe it at its optimum."""
     followed = None
     if options.unloading:
-        followed = follow_surfaces(
-            unloading_handles(handles), lambda now: identify_handles(now, request, tick), tick
-        )
+        identify = partial(identify_handles, request=request, tick=tick)
+        followed = follow_surfaces(unloading_handles(handles), identify, tick)
         handles, identified, facts = followed.handles, followed.identified, followed.facts
     else:
         handles = speed_handles(handles, request.candidates)
@@ -394,12 +387,8 @@ def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
     """Machine of an optimum, held against what is known of it."""
     if not found.request.machine:
         return ()
-    said = machine_flag(
-        point.machine,
-        found.request.priors.calibration,
-        force_N=float(np.abs(found.system.force).max()),
-        depth_mm=found.system.depth_mm,
-    )
+    force, priors = float(np.abs(found.system.force).max()), found.request.priors.calibration
+    said = machine_flag(point.machine, priors, force_N=force, depth_mm=found.system.depth_mm)
     return () if said is None else (said,)
 
 
@@ -419,21 +408,6 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
         f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
     )
     return (Flag("form_dependent", words, {"slope": window.slope}),)
-
-
-def _nodes(found: Identified) -> dict[str, Any]:
-    """Nodes of the yardstick."""
-    if not isinstance(found.law, YardstickLaw):
-        return {}
-    return {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
-
-
-def _name_of(found: Identified) -> str:
-    """Name of the law that was fitted: as it was asked for, or as it was chosen."""
-    laws = found.request.candidates
-    if found.law.model_of is not None:
-        return found.law.model_of.name
-    return KELVIN_VOIGT if laws.paper is None else laws.paper.name
 
 
 def _one_form(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:

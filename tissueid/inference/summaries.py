@@ -16,11 +16,11 @@ from scipy.interpolate import PchipInterpolator
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import NoiseFit
 from tissueid.documents.quantities import Cycle, Measure
-from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.estimates import REFERENCE_DEPTH, TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
-from tissueid.inference.trials import Adjustment, ResidualTotals, summarise_trial
+from tissueid.inference.trials import Adjustment, ResidualTotals, over_force, summarise_trial
 from tissueid.inference.window import FittedLog
 from tissueid.measured import measure
 from tissueid.measured.cycles import closed_area, cycle_rows
@@ -34,8 +34,6 @@ from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Factors of K that are tried: outside, the model has another kind of loop than the tissue.
 FACTORS = np.geomspace(0.1, 10.0, 13)
-#: Depth, as a share of the fitted one, at which viscosity is quoted where K varies.
-REFERENCE_DEPTH = 0.5
 
 
 def _ranges(time_s: FloatArray, rows: Sequence[Cycle]) -> list[slice]:
@@ -202,18 +200,12 @@ def second_pass(
     for one in found:
         totals.merge(one.totals)
     rmse = float(np.sqrt(totals.squares / totals.count))
-    spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
-    overall = Nrmsd(
-        range=rmse / spread if spread > 0.0 else float("inf"),
-        mean=rmse / mean if mean > 0.0 else float("inf"),
-        rmse_N=rmse,
-    )
     return Summaries(
         trials=tuple(one.trial for one in found),
         relaxation=tuple(row for one in found for row in one.relaxation),
         cycles=tuple(row for one in found for row in one.cycles),
         holds=tuple(one.holds for one in found),
-        nrmsd=overall,
+        nrmsd=over_force(rmse, totals.high - totals.low, abs(totals.force / totals.count)),
         blocks=tuple(one.blocks for one in found),
     )
 

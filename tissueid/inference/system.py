@@ -153,6 +153,11 @@ class System:
         new.law = law
         return new
 
+    def of(self, logs: Sequence[Blocks], numbers: Sequence[int]) -> System:
+        """Some of the logs by their numbers, in blocks that are given, under the same law."""
+        law = self.law.along(tuple(numbers))
+        return System(logs, law, self.depth_mm, self.effects, give=self.give)
+
     @property
     def centred(self) -> bool:
         """True where the shapes of several logs have mean zero: the specimen's curve is that of its logs."""

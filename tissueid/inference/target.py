@@ -42,28 +42,20 @@ class Target(Protocol):
     rows: FloatArray
     walls: FloatArray
     likely: IntArray
-
-    @property
-    def is_normal(self) -> bool:
-        """True where it is that normal within the walls."""
-        ...
+    is_normal: bool  # it is that normal within the walls
+    size: int  # coordinates
 
     def bent(self, z: FloatArray) -> FloatArray:
         """Points of that normal in the coordinates of :meth:`densities`, (n, d) -> (n, d)."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """Coordinates."""
-        ...
 
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of rows of points, (n, d) -> (n,)."""
-        ...
 
 
 class SpecimenTarget:
     """Log posterior density of a specimen about the optimum of its law."""
+
+    is_normal = False  # its tails and bends are its own
 
     def __init__(self, identified: Identified, *, machine: bool = True) -> None:
         self.identified = identified
@@ -108,23 +100,15 @@ class SpecimenTarget:
             add("ln_gain_sd", float(np.log(scatter.gain)))
         self.names, self.mode = tuple(names), np.array(values)
         self.free = np.ones(len(names), dtype=bool)
-        if not machine:
-            self.free[self.law.times : self.law.times + len(MACHINE)] = False
-        self.open = machine
+        at = np.arange(self.law.times, self.law.times + len(MACHINE))
+        self.free[at] = machine
+        self.size, self.open = int(self.free.sum()), machine
+        #: Places of the machine, where it is open: in a vector and, as all before it is free, among the free.
+        self.machine_places = at[self.free[at]]
         typical = np.concatenate(
             [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
         )
         self._slack = -ROUNDING * (np.abs(found.prior.cone) @ typical)
-
-    @property
-    def is_normal(self) -> bool:
-        """Its tails and bends are its own."""
-        return False
-
-    @property
-    def size(self) -> int:
-        """Whitened coordinates."""
-        return int(self.free.sum())
 
     @property
     def samples(self) -> int:
@@ -197,15 +181,6 @@ class SpecimenTarget:
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
         return x
 
-    @property
-    def machine_places(self) -> IntArray:
-        """Places of the machine in a vector, where it is open."""
-        return (
-            np.arange(self.law.times, self.law.times + len(MACHINE))
-            if self.open
-            else np.empty(0, dtype=np.int64)
-        )
-
     def _straight(self, z: FloatArray) -> FloatArray:
         """Points with the machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
 
@@ -217,10 +192,7 @@ class SpecimenTarget:
         out = np.array(z)
         values = [_quantile(one, z[..., k]) for k, one in enumerate(self._machine_priors)]
         off = np.stack(values, axis=-1) - self.mode[at]
-        inner = self.root[np.searchsorted(np.flatnonzero(self.free), at)][:, : at.size]
-        out[..., : at.size] = (
-            np.linalg.solve(inner, off[..., None])[..., 0] if off.ndim > 1 else np.linalg.solve(inner, off)
-        )
+        out[..., : at.size] = np.linalg.solve(self.root[at, : at.size], off[..., None])[..., 0]
         return out
 
     def bent(self, z: FloatArray) -> FloatArray:
@@ -229,9 +201,8 @@ class SpecimenTarget:
         if at.size == 0:
             return z
         out, x = np.array(z), self.mode[self.free] + z @ self.root.T
-        places = np.searchsorted(np.flatnonzero(self.free), at)
         for k, one in enumerate(self._machine_priors):
-            out[:, k] = _coordinate(one, x[:, places[k]])
+            out[:, k] = _coordinate(one, x[:, at[k]])
         return out
 
     def _bent(self) -> FloatArray:
@@ -274,16 +245,15 @@ class SpecimenTarget:
         x[:, at] += (-STEP, 0.0, STEP)
         values = self.density(x)
         value = (2.0 * values[1] - values[0] - values[2]) / STEP**2
-        return float(
-            np.clip(value if np.isfinite(value) else LEAST_CURVATURE, LEAST_CURVATURE, MOST_CURVATURE)
-        )
+        if not np.isfinite(value):
+            return LEAST_CURVATURE
+        return float(np.clip(value, LEAST_CURVATURE, MOST_CURVATURE))
 
     def _whiten(self) -> None:
         """Coordinates whitened about the optimum; walls and the centre of the normal in them."""
         hessian, gradient = self._curvature()
         self.precision = hessian[np.ix_(self.free, self.free)]
-        covariance = covariance_of(self.precision)
-        self.root = self.factor(covariance)
+        self.root = self.factor(covariance_of(self.precision))
         prior = self.optimum.prior
         used = prior.least > -1e200
         rows = np.zeros((int(used.sum()), len(self.mode)))
@@ -299,7 +269,7 @@ class SpecimenTarget:
 
     def factor(self, covariance: FloatArray) -> FloatArray:
         """Root of a covariance of the free coordinates, the machine first."""
-        places = np.searchsorted(np.flatnonzero(self.free), self.machine_places)
+        places = self.machine_places
         order = np.concatenate([places, np.setdiff1d(np.arange(len(covariance)), places)])
         inner = covariance[np.ix_(order, order)]
         out = np.empty_like(inner)
@@ -322,10 +292,8 @@ class SpecimenTarget:
         """Whitening by the number of a step of ln memory."""
         if key not in self._whiteners:
             memory = self.optimum.noise.memory
-            if "ln_memory" in self.places:
-                memory = replace(memory, time_s=float(np.exp(key * MEMORY_GRID)))
-            else:
-                memory = Memory()
+            changed = replace(memory, time_s=float(np.exp(key * MEMORY_GRID)))
+            memory = changed if "ln_memory" in self.places else Memory()
             self._whiteners[key] = whitener_of(self.system, memory)
         return self._whiteners[key]
 
@@ -445,6 +413,8 @@ class NormalTarget:
     bounds (Andrews 1999, doi 10.1111/1468-0262.00082). The root of ``base`` is replaced.
     """
 
+    is_normal = True  # its walls are met after drawing
+
     def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:
         root = base.factor(covariance)
         to_old = np.linalg.solve(base.root, root)
@@ -452,21 +422,11 @@ class NormalTarget:
         # the unbounded minimum stays where it is
         self.centre = np.linalg.solve(to_old, base.centre)
         base.root, base.straight = root, True
-        self.machine = len(base.machine_places)
-
-    @property
-    def is_normal(self) -> bool:
-        """Its walls are met after drawing."""
-        return True
+        self.machine, self.size = len(base.machine_places), base.size
 
     def bent(self, z: FloatArray) -> FloatArray:
         """The same points."""
         return z
-
-    @property
-    def size(self) -> int:
-        """Whitened coordinates."""
-        return int(self.rows.shape[1])
 
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of whitened points, walls apart, (n, d) -> (n,)."""

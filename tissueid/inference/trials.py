@@ -20,11 +20,14 @@ from tissueid.trial import Segmentation, Trial
 
 
 def nrmsd(force_N: FloatArray, model_N: FloatArray) -> Nrmsd:
-    """NRMSD by range and by mean absolute force, and RMSE [N]; infinite over no range unless exact."""
+    """NRMSD by range and by mean absolute force, and RMSE [N]."""
     force = np.asarray(force_N)
     rmse = float(np.sqrt(np.mean((force - model_N) ** 2)))
-    spread = float(np.ptp(force))
-    mean = float(np.abs(force).mean())
+    return over_force(rmse, float(np.ptp(force)), float(np.abs(force).mean()))
+
+
+def over_force(rmse: float, spread: float, mean: float) -> Nrmsd:
+    """RMSE [N] over the range and over the mean of a force; infinite over none unless exact."""
 
     def over(denominator: float) -> float:
         if denominator > 0.0:
@@ -88,35 +91,31 @@ class ResidualTotals:
         self.high = max(self.high, other.high)
 
 
-def _after_corners(corners: Sequence[tuple[int, int]], most: int) -> set[int]:
+def _after_corners(corners: Sequence[tuple[int, int]]) -> set[int]:
     """Samples at geometric distances behind each corner: relaxation is fastest there."""
     keep: set[int] = set()
-    for start, stop in corners[: most // (3 * CORNER_POINTS)]:
+    for start, stop in corners[: CURVE_POINTS // (3 * CORNER_POINTS)]:
         behind = np.geomspace(1.0, max(stop - start - 1, 1), CORNER_POINTS - 1).round().astype(np.int64)
         keep |= {start, *(start + behind).tolist()}
     return keep
 
 
 def kept_samples(
-    force: FloatArray,
-    depth: FloatArray,
-    corners: Sequence[tuple[int, int]] = (),
-    *,
-    most: int = CURVE_POINTS,
+    force: FloatArray, depth: FloatArray, corners: Sequence[tuple[int, int]]
 ) -> NDArray[np.int64]:
     """Samples to keep, ascending: ends, extremes of force and depth in bins, and what follows corners."""
     n = force.size
-    if n <= most:
+    if n <= CURVE_POINTS:
         return np.arange(n)
-    keep = {0, n - 1} | {i for i in _after_corners(corners, most) if 0 <= i < n}
-    edges = np.linspace(0, n, (most - len(keep)) // 4 + 1).astype(np.int64)
+    keep = {0, n - 1} | {i for i in _after_corners(corners) if 0 <= i < n}
+    edges = np.linspace(0, n, (CURVE_POINTS - len(keep)) // 4 + 1).astype(np.int64)
     for first, last in pairwise(edges.tolist()):
         keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
         keep.add(first + int(np.argmax(depth[first:last])))
     return np.array(sorted(keep))
 
 
-def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag | None:
+def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> list[Flag]:
     """Parts of the recording left out of the fit, with reasons."""
     size = int(trial.time_s.size)
     reach = log.first + log.data.time_s.size - int(log.inserted)
@@ -135,18 +134,16 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag 
         how = "their state is carried on" if kept else "the tool had let go"
         words.append(f"{cycles} cycles before the test ({how})")
     if not words:
-        return None
+        return []
     values = {"left_out": size - reach, "cycles": cycles, "n_samples": size}
-    return Flag("unloading_left_out", f"not fitted: {' and '.join(words)}", values)
+    return [Flag("unloading_left_out", f"not fitted: {' and '.join(words)}", values)]
 
 
 def _trial_flags(
     trial: Trial, segmentation: Segmentation, log: FittedLog, *, share: float, acf: float
 ) -> tuple[Flag, ...]:
     """Remarks on one trial: of its reader, its segmenter and its residual."""
-    flags = [*trial.flags, *segmentation.flags]
-    left_out = _left_out(trial, segmentation, log)
-    flags += [left_out] if left_out is not None else []
+    flags = [*trial.flags, *segmentation.flags, *_left_out(trial, segmentation, log)]
     if share > RESIDUAL_SHARE:
         words = f"the largest residual is {100 * share:.1f} % of the force range"
         flags.append(Flag("residual_large", words, {"max_residual_fraction": share}))
@@ -166,8 +163,7 @@ def summarise_trial(
     totals: ResidualTotals,
 ) -> TrialFit:
     """Residuals of one trial under its specimen's model; ``totals`` are updated."""
-    data = log.data
-    include = data.include
+    data, include = log.data, log.data.include
     force, predicted = data.force_N[include], fitted[include]
     totals.add(force, predicted)
     residual = force - predicted

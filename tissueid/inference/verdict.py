@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tissueid.documents.identification import MisfitAlarm, MisfitCheck, NoiseFit
+from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
@@ -60,14 +60,12 @@ def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_
         need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
         if amplitude < need:
             words = f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N"
-            flags.append(
-                Flag("amplitude_small", words, {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need})
-            )
-    if (tau < INSTRUMENT_TAU_S).any():
-        words = (
-            f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is stated"
-        )
-        flags.append(Flag("compliance_unknown", words, {"tau_s": float(tau.min())}))
+            values = {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need}
+            flags.append(Flag("amplitude_small", words, values))
+    shortest = float(tau.min(initial=np.inf))
+    if shortest < INSTRUMENT_TAU_S:
+        words = f"{shortest:.3g} s may be a force filter's, a time skew's or the frame's: none is stated"
+        flags.append(Flag("compliance_unknown", words, {"tau_s": shortest}))
     return flags
 
 
@@ -89,19 +87,13 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
         words = f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound"
         flags.append(Flag("bound_active", words))
     if not tissue.model.contact_loss_is_unique(tissue.theta):
-        words = (
-            f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
-            "contact loss"
-        )
+        fitted = f"fitted to {tissue.model.depth_mm:.3g} mm"
+        words = f"{fitted}, the free surface has several positions after contact loss"
         flags.append(Flag("contact_loss_ambiguous", words))
     if optimisers["agree"] is False:
-        words = (
-            f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
-            "better was kept"
-        )
-        flags.append(
-            Flag("optimisers_disagree", words, {"relative_difference": optimisers["relative_difference"]})
-        )
+        apart = optimisers["relative_difference"]
+        words = f"two optimisers ended apart by {apart:.2g} of the misfit; the better was kept"
+        flags.append(Flag("optimisers_disagree", words, {"relative_difference": apart}))
     if not optimisers["lm_converged"] and not tissue.bounded:
         count = len(tissue.parameters)
         flags.append(Flag("not_converged", f"Levenberg-Marquardt did not converge on {count} parameters"))
@@ -119,18 +111,9 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
         f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
         f"range), {times} noise"
     )
-    return [
-        Flag(
-            "discrepancy",
-            words,
-            {
-                "rms_N": noise.sigma_N,
-                "measured_N": measured,
-                "ratio": ratio,
-                "samples_per_independent": noise.samples_per_independent,
-            },
-        )
-    ]
+    values = {"rms_N": noise.sigma_N, "measured_N": measured, "ratio": ratio}
+    values["samples_per_independent"] = noise.samples_per_independent
+    return [Flag("discrepancy", words, values)]
 
 
 def unidentified(parameters: Sequence[Estimate]) -> list[Flag]:
@@ -163,39 +146,27 @@ def specimen_flags(
     flags += _optimum_flags(tissue, optimisers)
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED and noise is not None:
-        words = f"neighbouring residuals are correlated ({acf:.2f}): " + (
-            "standard errors for white noise are too small"
-            if noise == "white"
-            else "noise with memory, or a lacking model"
-        )
+        why = "noise with memory, or a lacking model"
+        if noise == "white":
+            why = "standard errors for white noise are too small"
+        words = f"neighbouring residuals are correlated ({acf:.2f}): {why}"
         flags.append(Flag("residual_correlated", words, {"residual_acf1": acf}))
     return tuple(flags)
 
 
-def _inside(value: float, interval: tuple[float, float] | None, margin: float) -> bool:
-    if interval is None:
-        return False
-    spare = margin * (interval[1] - interval[0])
-    return interval[0] + spare <= value <= interval[1] - spare
+def _inside(value: float, interval: tuple[float, float] | None) -> bool:
+    return interval is not None and interval[0] <= value <= interval[1]
 
 
-def outside(
-    parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty], *, margin: float = 0.0
-) -> tuple[str, ...]:
-    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
-
-    ``margin``: share of an interval's width that the value must keep from its ends.
-    """
+def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
+    """Identified parameters whose value lies outside an interval of theirs, or whose intervals part."""
     totals = any(one.ci95_total is not None for one in found.values())
     out = []
     for one in parameters:
         if one.value is None or one.name not in found:
             continue
         own = found[one.name]
-        good = _inside(one.value, own.ci95, margin)
-        if totals or own.ci95_total is not None:
-            good &= _inside(one.value, own.ci95_total, margin)
-        if not good:
+        if not _inside(one.value, own.ci95) or (totals and not _inside(one.value, own.ci95_total)):
             out.append(one.name)
     return tuple(out)
 
@@ -252,20 +223,14 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
     return tuple(flags)
 
 
-def _where(check: MisfitCheck) -> str:
-    """The place of a check in a sentence."""
-    return _PLACES.get(check.name, f"in the check of {check.name}")
-
-
 def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
     """The alarm, where it is raised."""
     if alarm is None or not alarm.raised:
         return []
     raised = [check for check in alarm.checks if check.raised]
-    words = (
-        f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
-        "checks): no interval holds"
-    )
+    where = _PLACES.get(raised[0].name, f"in the check of {raised[0].name}")
+    count = f"{len(raised)} of {len(alarm.checks)} checks"
+    words = f"the residual contradicts the model {where} ({count}): no interval holds"
     return [Flag("misfit", words, {"checks": [check.name for check in raised]})]
 
 
@@ -345,12 +310,8 @@ def _trend(order: NDArray[np.float64], log_gain: NDArray[np.float64], what: str)
         f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from {what} {first} "
         f"to {what} {last} ({order.size} logs, p = {line.pvalue:.1g})"
     )
-    values = {
-        "change": change,
-        "per_run": float(line.slope),
-        "p": float(line.pvalue),
-        "runs": int(order.size),
-    }
+    slope, p = float(line.slope), float(line.pvalue)
+    values = {"change": change, "per_run": slope, "p": p, "runs": int(order.size)}
     return [Flag("order_effect", message, values)]
 
 

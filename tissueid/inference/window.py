@@ -154,37 +154,29 @@ def fitted_log(
     if contact is None:
         return None
     depth, force = contact_frame(trial, segmentation)
-    first = contact.index
+    first, begins = contact.index, _first_of_test(segmentation)
     turn = first_turn(segmentation, depth, first)
     last = max(usable_until(segmentation, depth.size), turn) if whole else turn
-    time = trial.time_s[first:last]
-    x = depth[first:last]
-    f = force[first:last]
-    begins = _first_of_test(segmentation)
+    time, x, f = trial.time_s[first:last], depth[first:last], force[first:last]
     include = np.arange(first, last) >= begins
-    inserted = False
     if contact.in_record or guard:
         include &= x >= GUARD_SD * contact.sd_mm
     exact = trial.protocol.kind == RENDERED
-    if contact.in_record and 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
+    inserted = contact.in_record and 0 < first < depth.size and bool(depth[first] > 0.0 >= depth[first - 1])
+    if inserted:
         # a rendered law starts from the surface, a tick before it is crossed
         share = 1.0 if exact else depth[first] / (depth[first] - depth[first - 1])
         start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
-        time = np.concatenate([[start], time])
-        x = np.concatenate([[0.0], x])
-        f = np.concatenate([[0.0], f])
-        include = np.concatenate([[False], include])
-        inserted = True
+        time, x, f = np.append(start, time), np.append(0.0, x), np.append(0.0, f)
+        include = np.append(False, include)
     steps = np.diff(time[1:] if inserted else time)
     positive = steps[steps > 0.0]
     depth_mm = float(x[include].max(initial=0.0))
     if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0 or np.ptp(f[include]) == 0.0:
         return None
-    inside = [
-        phase for phase in segmentation.phases if max(first, begins) < phase.stop and phase.start < last - 1
-    ]
+    earliest = max(first, begins)
+    inside = [one for one in segmentation.phases if earliest < one.stop and one.start < last - 1]
     speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
-    holds = [phase for phase in inside if phase.kind == "hold"]
     data = LogData(
         time_s=np.ascontiguousarray(time),
         depth_mm=np.ascontiguousarray(x),
@@ -202,7 +194,7 @@ def fitted_log(
         depth_mm=depth_mm,
         step_s=float(np.median(positive)),
         speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
-        has_hold=bool(holds),
+        has_hold=any(phase.kind == "hold" for phase in inside),
         n_samples=int(include.sum()),
     )
 

@@ -50,17 +50,16 @@ class YardstickLaw(ChannelLaw):
 
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:  # noqa: ARG002
         """Columns along a path, shape (linear, m) or (linear, n, m)."""
-        out = np.empty((self.linear, *path.depth_mm.shape))
-        curves = self.static.basis(path.depth_mm)
+        out, curves = np.empty((self.linear, *path.depth_mm.shape)), self.static.basis(path.depth_mm)
         out[:INSIDE] = curves
         many = path.depth_mm.shape[0] if path.depth_mm.ndim > 1 else None
-        present = presents(path.depth_mm / self.depth_mm)
+        u = path.depth_mm / self.depth_mm
+        present = presents(u)
         for j, (tau, part) in enumerate(zip(self.fixed_s, self.mark.parts, strict=True)):
             times = np.full((1,) if many is None else (1, many), tau)
             if j < len(self.mark.inside_s):
                 out[part.stiffness] = relaxation_states(path, curves, times)[:, 0]
             else:
-                u = path.depth_mm / self.depth_mm
                 out[part.stiffness] = present * relaxation_states(path, u, times)[0]
         return out
 
@@ -69,8 +68,8 @@ class YardstickLaw(ChannelLaw):
         x = path.depth_mm
         direct = linear[:INSIDE] @ self.static.slope(x) * self.depth_mm
         inside, outer = np.zeros((self.branches, x.size)), np.zeros((self.branches, x.size))
-        step = 1e-6
-        present, u = presents(x / self.depth_mm), x / self.depth_mm
+        step, u = 1e-6, x / self.depth_mm
+        present = presents(u)
         bend = (presents(u + step) - presents(u - step)) / (2.0 * step)
         for j, part in enumerate(self.mark.parts):
             weights = linear[part.stiffness]

@@ -10,7 +10,7 @@ ratio g) and the shapes of its relaxation, a sum of exponentials at fixed nodes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import cast
 
@@ -138,13 +138,12 @@ class ChannelModel:
     @cached_property
     def shape_specs(self) -> tuple[Shape, ...]:
         """Shapes in the order of theta."""
-        places = {spec.name for spec in self.parameters}
         known = {one.spec.name: one for one in (*self.static.shapes, *self.relaxation.shapes)}
         known["relaxation_ratio"] = _ratio(0)
         out = []
         for spec in self.parameters:
             base = spec.name.partition("_b")[0] if spec.name not in known else spec.name
-            if base in known and spec.name in places:
+            if base in known:
                 out.append(Shape(spec, known[base].starts))
         return tuple(out)
 
@@ -392,9 +391,7 @@ class ChannelModel:
         count, powers = len(self.static.coefficients), np.arange(float(max(theta.shape[1], 3)))
         good = np.asarray(np.isfinite(theta).all(axis=1))
         good &= (theta[:, self.shape_places] > 0.0).all(axis=1)
-        blocks: list[tuple[slice, FloatArray]] = [
-            (part.stiffness, np.ones(1)) for part in self.parts if part.ratio is None
-        ]
+        blocks = [(part.stiffness, np.ones(1)) for part in self.parts if part.ratio is None]
         if self.static.polynomial:
             # of its slope where it is convolved, else of F_s / x
             blocks.append((slice(0, count), 1.0 + powers[:count] if self.inside else np.ones(1)))
@@ -445,21 +442,18 @@ def branch_states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> Fl
 def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:
     if branch == 0:
         return spec
-    return ParameterSpec(
-        spec.name + branch_suffix(branch),
-        f"{spec.symbol}{branch + 1}",
-        spec.unit,
-        spec.lower,
-        spec.upper,
-        f"{spec.meaning} of branch {branch + 1}",
+    return replace(
+        spec,
+        name=spec.name + branch_suffix(branch),
+        symbol=f"{spec.symbol}{branch + 1}",
+        meaning=f"{spec.meaning} of branch {branch + 1}",
     )
 
 
 def _ratio(branch: int) -> Shape:
     (low, high), starts = RATIO
-    spec = ParameterSpec(
-        "relaxation_ratio", "g", "1", low, high, "relaxing over static force of a sudden push"
-    )
+    words = "relaxing over static force of a sudden push"
+    spec = ParameterSpec("relaxation_ratio", "g", "1", low, high, words)
     return Shape(_numbered(spec, branch), starts)
 
 
@@ -507,11 +501,7 @@ class DampedModel(ElasticModel):
         return np.full(1, np.nan), np.ones(1)
 
     def relaxing(
-        self,
-        theta: FloatArray,
-        depth_mm: float,
-        time_s: FloatArray,
-        speed_mm_s: float | None,
+        self, theta: FloatArray, depth_mm: float, time_s: FloatArray, speed_mm_s: float | None
     ) -> FloatArray:
         """Damping force at the end of a ramp, none once the tool stands still, (n,) -> (n,) [N]."""
         moving = self.loading(theta, np.array([depth_mm]), speed_mm_s or 1.0)[0]

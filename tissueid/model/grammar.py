@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -161,18 +161,13 @@ def described() -> list[dict[str, Any]]:
 
 
 def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
+    """A law with its parameters behind its equation."""
     parameters = [
         {"name": one.name, "symbol": one.symbol, "unit": one.unit, "meaning": one.meaning} for one in specs
     ]
-    return {
-        "key": about.key,
-        "kind": about.kind,
-        "equation": about.equation,
-        "parameters": parameters,
-        "source": about.source,
-        "purpose": about.purpose,
-        "refuses": about.refuses,
-    }
+    rest = asdict(about)
+    first = {key: rest.pop(key) for key in ("key", "kind", "equation")}
+    return {**first, "parameters": parameters, **rest}
 
 
 def stated_names() -> Mapping[str, bool]:

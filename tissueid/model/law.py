@@ -37,36 +37,34 @@ class Shape:
         return self.spec.unit == "s"
 
 
-class StaticLaw(Protocol):
-    """Force once everything has relaxed, by depth."""
+class Described(Protocol):
+    """A part of a contact model."""
 
     @property
     def about(self) -> About:
         """Its description."""
-        ...
+
+
+class StaticLaw(Described, Protocol):
+    """Force once everything has relaxed, by depth."""
 
     @property
     def coefficients(self) -> tuple[ParameterSpec, ...]:
         """Linear parameters."""
-        ...
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
         """Parameters that the force is not linear in."""
-        ...
 
     @property
     def polynomial(self) -> bool:
         """True where coefficients are those of x, x^2, ... and only their sum has to be positive."""
-        ...
 
     def basis(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """Columns of the coefficients at depths of 0 and more, (...) -> (p, ...)."""
-        ...
 
     def slope(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """Their derivatives by depth, (...) -> (p, ...)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,71 +84,47 @@ class KnownPower:
         return np.asarray(self.power * depth_mm ** (self.power - 1.0))[None]
 
 
-class StiffnessLaw(Protocol):
+class StiffnessLaw(Described, Protocol):
     """Stiffness that a relaxation acts on: by depth outside the convolution, or the static law inside it."""
-
-    @property
-    def about(self) -> About:
-        """Its description."""
-        ...
 
     @property
     def powers(self) -> int:
         """Powers of depth in K(x); 0 where the static law itself is convolved."""
-        ...
 
 
-class RelaxationLaw(Protocol):
+class RelaxationLaw(Described, Protocol):
     """Relaxation after a step, from 1 down."""
-
-    @property
-    def about(self) -> About:
-        """Its description."""
-        ...
 
     @property
     def branches(self) -> int:
         """Exponentials with a stiffness of their own; 0 where :meth:`value` is the relaxation."""
-        ...
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
         """Parameters of one branch, or of the relaxation."""
-        ...
 
     def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
         """Relaxation at times [s], (...) -> (...)."""
-        ...
 
 
-class DampingLaw(Protocol):
+class DampingLaw(Described, Protocol):
     """Damping in proportion to the static force, by the speed over that at which contact began."""
-
-    @property
-    def about(self) -> About:
-        """Its description."""
-        ...
 
     @property
     def shape(self) -> Shape:
         """Its one parameter."""
-        ...
 
     @property
     def variant(self) -> Variant:
         """Equation between chi and its parameter."""
-        ...
 
     @property
     def branches(self) -> int:
         """No exponentials."""
-        ...
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
         """None of a relaxation."""
-        ...
 
     def factor(self, value: Any) -> FloatArray:
         """Damping factor chi, (...) -> (...)."""
-        ...

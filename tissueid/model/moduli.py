@@ -17,6 +17,7 @@ strain.  Where the numbers leave the range in which a formula holds, :func:`Cont
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -94,6 +95,15 @@ def _check(a_over_h: float) -> None:
         raise ValueError(msg)
 
 
+def _bisected(grows: Callable[[float], float], value: float, high: float, halvings: int) -> float:
+    """Place between 0 and ``high`` at which a function that grows has a value."""
+    low = 0.0
+    for _ in range(halvings):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if grows(middle) < value else (low, middle)
+    return (low + high) / 2.0
+
+
 def layer_contact(
     depth_mm: float,
     thickness_mm: float,
@@ -120,13 +130,10 @@ def layer_contact(
         one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
         return profile(a) * curved[1] / one[1]
 
-    low, high = 0.0, MOST_A_OVER_H * thickness_mm
+    high = MOST_A_OVER_H * thickness_mm
     if depth_of(high) < depth_mm:
         _check(float("inf"))
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if depth_of(middle) < depth_mm else (low, middle)
-    a = (low + high) / 2.0
+    a = _bisected(depth_of, depth_mm, high, BISECTIONS)
     one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
     return a, 2.0 * a * (depth_mm * one[0] - profile(a) * curved[0])
 
@@ -243,14 +250,11 @@ def _half_space(formula: str, tip: Indenter, depth: float) -> tuple[float, float
 
 def _sneddon_sphere(radius: float, depth: float) -> tuple[float, float]:
     """Sneddon's sphere: a/2 ln[(R+a)/(R-a)] = d, solved by bisection in a/R = tanh(z)."""
-    low, high = 0.0, 1.0 + depth / radius
+    high = 1.0 + depth / radius
     # in z = atanh(a/R) the depth is R z tanh z, which grows with z
     while high * math.tanh(high) * radius < depth:
         high *= 2.0
-    for _ in range(80):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if middle * math.tanh(middle) * radius < depth else (low, middle)
-    z = (low + high) / 2.0
+    z = _bisected(lambda z: z * math.tanh(z) * radius, depth, high, 80)
     a = radius * math.tanh(z)
     return a, (a * a + radius * radius) * z - a * radius
 

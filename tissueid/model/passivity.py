@@ -61,12 +61,7 @@ def scaling_for(
         raise ValueError(msg)
     force = CLAMP_SHARE * clamp_N / peak
     tangent = largest_tangent(model, theta) * N_PER_MM_TO_N_PER_M
-    return Scaling(
-        force=force,
-        motion=motion,
-        device_stiffness_N_per_m=tangent * force / motion,
-        peak_force_N=force * peak,
-    )
+    return Scaling(force, motion, tangent * force / motion, force * peak)
 
 
 #: Ticks between a position sample and its force at the motor, where the device was not measured.
