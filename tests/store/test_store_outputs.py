@@ -90,6 +90,26 @@ def test_a_run_that_fails_leaves_the_old_set(tmp_path: Path) -> None:
     assert read_results(tmp_path)[0].specimens[0].specimen == "old"
 
 
+def test_an_interrupt_while_the_folder_is_made_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, "old")
+    make = Path.mkdir
+
+    def interrupted(folder: Path, *args: object, **kwargs: object) -> None:
+        make(folder, *args, **kwargs)  # type: ignore[arg-type]
+        if folder.parent.name == ".runs":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt), OutputSet(tmp_path):
+        pass
+    monkeypatch.undo()
+    assert len(list((tmp_path / ".runs").iterdir())) == 1
+    # nor is the folder held
+    write(tmp_path, "new")
+
+
 def test_a_finished_refresh_touches_nothing(tmp_path: Path) -> None:
     write(tmp_path, "a")
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}

@@ -259,18 +259,24 @@ class OutputSet:
             raise BundleError(msg) from error
         with ExitStack() as held:
             held.enter_context(FolderLock(self.out))
+            # before there is anything to abandon: an interrupt may come at any time
+            held.callback(self._abandon)
             if not _is_refreshed(self.out):
                 _refresh(self.out)
             self._previous = current_run(self.out)
-            self._folder = self._new_folder()
+            self._folder = self._next_folder()
+            self._folder.mkdir()
             self._held = held.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._held.close()
+
+    def _abandon(self) -> None:
+        """Remove what was not committed."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
-        self._held.close()
 
     def path(self, name: str) -> Path:
         """Place to write the file that will be public as ``name`` (a plain file name)."""
@@ -329,12 +335,10 @@ class OutputSet:
             raise RuntimeError(msg)
         return self._folder
 
-    def _new_folder(self) -> Path:
+    def _next_folder(self) -> Path:
         runs = self.out / _RUNS
         runs.mkdir(exist_ok=True)
         keep = self._previous.folder.name if self._previous else None
         _prune(self.out, keep=keep)
         taken = [int(folder.name) for folder in runs.iterdir() if folder.name.isdigit()]
-        folder = runs / f"{max(taken, default=0) + 1:06d}"
-        folder.mkdir()
-        return folder
+        return runs / f"{max(taken, default=0) + 1:06d}"
