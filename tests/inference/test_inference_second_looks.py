@@ -11,7 +11,7 @@ from inference_cases import draw, handle_for, handles_for, identified, small_rec
 
 from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.inference.estimates import estimate_tissue
-from tissueid.inference.second_looks import _slope, both_optimisers, relaxation_window
+from tissueid.inference.second_looks import _slope, both_optimisers, relaxation_window, settled
 from tissueid.inference.specimen import window_flags
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import branch_states
@@ -117,7 +117,7 @@ def test_the_papers_own_levenberg_marquardt_ends_at_the_same_optimum(degree):
 def test_both_optimisers_end_at_the_same_optimum(pooling):
     recipe = small_recipe(cv_both=0.1 if pooling != "shared" else 0.0)
     ours = identified(handles_for(draw(recipe, 2)), pooling=pooling)
-    said = both_optimisers(ours)
+    said, _ = both_optimisers(ours)
     assert said["agree"] is True
     assert said["lm_converged"]
     # steps end where they are a hundredth of a standard error
@@ -125,16 +125,21 @@ def test_both_optimisers_end_at_the_same_optimum(pooling):
     assert said["bound_active"] is False
 
 
-def test_an_optimum_that_was_missed_is_told():
+def test_an_optimum_that_was_missed_is_told_and_found():
     ours = identified(handles_for(draw(small_recipe(), 2)))
     away = 3.0 * np.sqrt(ours.optimum.covariance[0, 0])
     missed = replace(ours.optimum.point, log_times=ours.optimum.point.log_times + away)
     residual = ours.system.force - ours.system.predict(missed)
     value = float(residual @ residual) / ours.optimum.noise.sigma_N**2
     normal = replace(ours.optimum.normal, objective=value)
-    said = both_optimisers(replace(ours, optimum=replace(ours.optimum, point=missed, normal=normal)))
+    there = replace(ours, optimum=replace(ours.optimum, point=missed, normal=normal))
+    said, _ = both_optimisers(there)
     assert said["agree"] is False
     assert said["relative_difference"] < -0.01
+    # and the lower one is kept
+    kept, said = settled(there)
+    assert said["agree"] is True
+    np.testing.assert_allclose(kept.optimum.point.log_times, ours.optimum.point.log_times, atol=0.01 * away)
 
 
 def test_at_an_active_bound_disagreement_is_no_verdict():
@@ -146,7 +151,7 @@ def test_at_an_active_bound_disagreement_is_no_verdict():
     phases = (Phase("ramp", 0, N, 0.0, float(path.time_s[-1]), 5.0),)
     handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-6), phases, 0.05))
     ours = identified([handle], degrees=(1,), priors=Priors())
-    said = both_optimisers(ours)
+    said, _ = both_optimisers(ours)
     assert said["bound_active"] is True
     assert said["agree"] is not False
     assert estimate_tissue(ours).bounded

@@ -65,12 +65,9 @@ def nearest_inside(points: FloatArray, rows: FloatArray, walls: FloatArray) -> F
         try:
             dual, norm = nnls(matrix, last, maxiter=60 * len(rows))
         except RuntimeError:
-            dual, norm = np.zeros(0), np.float64(0.0)
-        if norm > 1e-12:
-            rest = matrix @ dual - last
-            out[i] -= rest[:-1] / rest[-1]
-        else:
-            out[i] = np.nan
+            dual, norm = np.zeros(len(rows)), np.float64(0.0)
+        rest = matrix @ dual - last
+        out[i] = out[i] - rest[:-1] / rest[-1] if norm > 1e-12 and rest[-1] < 0.0 else np.nan
     return out
 
 

@@ -21,7 +21,7 @@ from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, with_form, with_moduli
 from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
-from tissueid.inference.second_looks import both_optimisers, relaxation_window
+from tissueid.inference.second_looks import relaxation_window, settled
 from tissueid.inference.summaries import Summaries, second_pass
 from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
@@ -361,7 +361,7 @@ def _fit(
         handles = speed_handles(handles, request.candidates)
         identified, facts = identify_handles(handles, request, tick)
     tick("Levenberg-Marquardt")
-    optimisers = both_optimisers(identified)
+    identified, optimisers = settled(identified)
     tissue = estimate_tissue(identified)
     worth = 1.0
     if identified.discrepant and identified.quotable:
