@@ -158,7 +158,7 @@ def test_draws_are_brought_inside_no_further_than_needed():
     spread = np.diag([0.1, 0.1, 0.1, 1.0, 1.0])
     spread[3, 4] = spread[4, 3] = -0.5
     linear = np.array([3.0, 0.0, 0.0, 0.5, 0.5]) + rng.multivariate_normal(np.zeros(5), spread, 400)
-    found = _passive(law, linear)
+    found = _passive(law, linear, np.array([3.0, 0.0, 0.0, 0.5, 0.5]))
     # slopes, K at the surface and K at depth 1
     walls = law.cone @ linear.T
     inside = (walls >= 0.0).all(axis=0)
@@ -181,7 +181,7 @@ def test_draws_on_a_wall_keep_what_the_wall_does_not_hold():
     linear = np.array([1.0, 0.1, 0.0, 0.0]) + rng.standard_normal((300, 4)) * [0.01, 0.001, 1e-5, 0.0]
     # all of them on the wall of K, half of them behind it by rounding
     linear[:, 3] = np.where(np.arange(300) % 2, -1e-9, 0.0)
-    found = _passive(law, linear)
+    found = _passive(law, linear, np.array([1.0, 0.1, 0.0, 0.0]))
     np.testing.assert_allclose(found[:, 3], 0.0, atol=1e-12)
     assert found[:, 0].std() == pytest.approx(linear[:, 0].std(), rel=0.1)
 

@@ -130,9 +130,9 @@ def test_an_optimum_that_was_missed_is_told_and_found():
     away = 3.0 * np.sqrt(ours.optimum.covariance[0, 0])
     missed = replace(ours.optimum.point, log_times=ours.optimum.point.log_times + away)
     residual = ours.system.force - ours.system.predict(missed)
-    value = float(residual @ residual) / ours.optimum.noise.sigma_N**2
-    normal = replace(ours.optimum.normal, objective=value)
-    there = replace(ours, optimum=replace(ours.optimum, point=missed, normal=normal))
+    noise = replace(ours.optimum.noise, sigma_N=float(np.sqrt(np.mean(residual**2))))
+    normal = replace(ours.optimum.normal, objective=float(residual.size))
+    there = replace(ours, optimum=replace(ours.optimum, point=missed, normal=normal, noise=noise))
     said, _ = both_optimisers(there)
     assert said["agree"] is False
     assert said["relative_difference"] < -0.01

@@ -140,7 +140,7 @@ class _Fitting:
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
         found = [self.minimise(system, start, memory, LOOK_STEPS) for start in starts]
-        return system, min(found, key=lambda one: _badness(system, one))
+        return system, min(found, key=lambda one: badness(system, one))
 
     def learn_scatter(self, branches: int, degree: int) -> None:
         """Estimate how much logs differ, and where each stands."""
@@ -153,7 +153,7 @@ class _Fitting:
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
 
 
-def _badness(system: System, optimum: Optimum) -> float:
+def badness(system: System, optimum: Optimum) -> float:
     """Criterion smallest at the best optimum, the scale of the noise integrated."""
     freedom = system.force.size + system.within_freedom
     return float(freedom * 2.0 * np.log(optimum.noise.sigma_N) + prior_cost(optimum.prior, optimum.point))

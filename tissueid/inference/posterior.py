@@ -84,21 +84,26 @@ class Draws:
     gains: FloatArray  # (n, 2), force and displacement gain
 
 
-def _passive(law: ChannelLaw, linear: FloatArray) -> FloatArray:
-    """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance."""
+def _passive(law: ChannelLaw, linear: FloatArray, optimum: FloatArray) -> FloatArray:
+    """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance.
+
+    To ``optimum``, which is passive, where none is found.
+    """
     cone, out = law.cone, linear.copy()
     bad = (linear @ cone.T < -ON_WALL * np.abs(linear).max()).any(axis=1)
     if bad.any():
         root = root_of(np.atleast_2d(np.cov(linear.T)))
-        inside = nearest_inside(np.linalg.solve(root, linear[bad].T).T, cone @ root, np.zeros(len(cone)))
-        out[bad] = np.where(np.isfinite(inside), inside, 0.0) @ root.T
+        steps = np.linalg.solve(root, (linear[bad] - optimum).T).T
+        inside = nearest_inside(steps, cone @ root, -cone @ optimum)
+        out[bad] = optimum + np.where(np.isfinite(inside), inside, 0.0) @ root.T
     return out
 
 
 def _theta_of(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     """Theta of vectors, every one of them passive."""
     law, shared = target.law, target.shared(vectors)
-    return law.theta(shared[:, : law.times], _passive(law, shared[:, law.times + len(MACHINE) :]))
+    linear = _passive(law, shared[:, law.times + len(MACHINE) :], target.optimum.point.linear)
+    return law.theta(shared[:, : law.times], linear)
 
 
 def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import kelvin_voigt_law
-from tissueid.inference.engine import Identified, refit
+from tissueid.inference.engine import Identified, badness, refit
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import about_mean, free_of, minimise, prior_cost, whitener_of
@@ -33,6 +33,8 @@ START_GRID, START_OFF = 0.5, 0.05
 MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
 #: Steps of a fit that begins where Levenberg-Marquardt ended.
 RESTARTED = 100
+#: Twice the log density by which its optimum must be better.
+LOWER = 0.01
 #: Parameters and residuals are kept below this.
 BEYOND = 1e12
 #: ln tau is kept within this.
@@ -104,7 +106,8 @@ def settled(identified: Identified) -> tuple[Identified, dict[str, Any]]:
     if told["agree"] is True or told["relative_difference"] >= 0.0:
         return identified, told
     again = refit(identified, machine=identified.request.machine, start=reached, steps=RESTARTED)
-    if again.normal.objective >= (1.0 - AGREE_VALUE) * identified.optimum.normal.objective:
+    system = identified.system
+    if badness(system, again) > badness(system, identified.optimum) - LOWER:
         return identified, told
     lower = replace(identified, optimum=again)
     return lower, both_optimisers(lower)[0]
