@@ -24,10 +24,11 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
 )
 from tissueid.reproduce.recordings import Effort
-from tissueid.reproduce.speeds import SPEEDS_MM_MIN, tissue_of_table_1
+from tissueid.reproduce.speeds import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
 
 VARIANTS = ("A", "B")
 TASKS = ("sustained", "free-contact")
@@ -71,9 +72,11 @@ def table_3(readings: Readings, numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"table-3/virtual-mass-{variant}",
                 virtual_mass_bound(settings),
-                f"Virtual mass below which variant {variant} is unstable, its estimates true",
-                unit="kg",
-                where="Table 3",
+                said=Said(
+                    f"Virtual mass below which variant {variant} is unstable, its estimates true",
+                    unit="kg",
+                    where="Table 3",
+                ),
                 note='"the value of the mass has been selected to maintain the closed-loop stability": the '
                 "measured force holds the hand's inertia, which comes back through the virtual tool",
             )
@@ -101,7 +104,8 @@ def controlled_contact(
 
 def _settings(ledger: Ledger, readings: Readings) -> ControlSettings:
     """The loop of Table 3 beside the tissue of Table 2."""
-    tissue = tissue_of_table_1(ledger, readings)
+    branch = read_branch(ledger, readings)
+    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
     ledger.read(readings.words("device"))
     row = [ledger.printed(f"table-3/{place}") for place in range(1, 7)]
     if readings.device == "mass-stiffness-damping":
@@ -126,9 +130,7 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
         ledger.item(
             f"{key}-x{scale:g}",
             one.error_rms_mm,
-            f"Position error, {words}, tissue x{scale:g}, rms",
-            unit="mm",
-            where="Fig. 7",
+            said=Said(f"Position error, {words}, tissue x{scale:g}, rms", unit="mm", where="Fig. 7"),
             note=f"V' beyond its bound after {100.0 * one.violated_share:.2g} % of the ticks, by at most "
             f"{one.violation_max_W:.2g} W: the loop is sampled and its sensor one sample late",
         )
@@ -140,11 +142,10 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
     rows.append(
         ledger.claim(
             f"{key}-stable",
-            f"Stable at 100 times the stiffness, {words}: error x100 over error x1",
+            Said(f"Stable at 100 times the stiffness, {words}: error x100 over error x1", where="Fig. 7"),
             worse,
             lambda ratio: bounded and ratio <= MOST_WORSE,
             f"bounded, and at most {MOST_WORSE:g}",
-            where="Fig. 7",
         )
     )
     return rows

@@ -22,6 +22,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     near,
     points,
@@ -51,8 +52,7 @@ def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"restitution/{asked}",
                 _after_drop(damping_factor(asked), mass),
-                f"Restitution reached where e = {asked} is asked for",
-                where="Equation (1)",
+                said=Said(f"Restitution reached where e = {asked} is asked for", where="Equation (1)"),
                 note="below what is asked for: the factor as printed holds for e near 1; mass, stiffness and "
                 "speed do not enter",
             )
@@ -127,7 +127,7 @@ def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside
         ("free-inside", free, "N", inside, zero),
     )
     return [
-        ledger.claim(f"guidance/{key}", words, value, holds, rule, unit=unit, where="Fig. 4")
+        ledger.claim(f"guidance/{key}", Said(words, unit, "Fig. 4"), value, holds, rule)
         for key, words, unit, value, (rule, holds) in claims
     ]
 

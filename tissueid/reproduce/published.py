@@ -119,6 +119,15 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
+class Said:
+    """Words of a row of which the paper prints no number: its unit, and its place in the paper."""
+
+    words: str = ""
+    unit: str = ""
+    where: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Trace:
     """One line of a figure."""
 
@@ -179,9 +188,12 @@ def points(values: Iterable[float], places: int = 4) -> tuple[float, ...]:
 def _catalogue() -> dict[str, Published]:
     numbers = {}
     for depth, (peak, tau) in _TABLE_1.items():
-        held = f"held at {depth} mm"
-        numbers[f"table-1/peak-{depth}mm"] = Published("Table 1", peak, "N", f"Peak force, {held}")
-        numbers[f"table-1/tau-{depth}mm"] = Published("Table 1", tau, "s", f"Relaxation time, {held}")
+        numbers[f"table-1/peak-{depth}mm"] = Published(
+            "Table 1", peak, "N", f"Peak force, held at {depth} mm"
+        )
+        numbers[f"table-1/tau-{depth}mm"] = Published(
+            "Table 1", tau, "s", f"Relaxation time, held at {depth} mm"
+        )
     numbers["table-2/stiffness"] = Published("Table 2", 63.62, "N/mm", "Stiffness of the branch, K")
     numbers["table-2/tau"] = Published("Table 2", 0.021, "s", "Relaxation time")
     for place, value in enumerate(_TABLE_3, start=1):
@@ -233,21 +245,16 @@ class Ledger:
     def item(
         self,
         key: str,
-        recomputed: Value | None,
-        words: str = "",
+        recomputed: float | tuple[float, float] | None,
         *,
-        unit: str = "",
-        where: str = "",
         against: str | None = None,
-        interval: Interval = None,
+        said: Said | None = None,
+        interval: tuple[float, float] | None = None,
         judge: Judgement | None = None,
         note: str | None = None,
     ) -> Item:
-        """A row of the comparison; its kind follows from what this ledger handed out.
-
-        ``unit`` and ``where`` count where the paper prints no number.
-        """
-        beside = against or key
+        """A row of the comparison; its kind follows from what this ledger handed out."""
+        beside, said = against or key, said or Said()
         printed = self._numbers.get(beside)
         agrees = None
         if printed is not None and judge is not None and recomputed is not None:
@@ -255,9 +262,9 @@ class Ledger:
         return Item(
             item=key,
             paper=self.paper,
-            where=where if printed is None else printed.where,
-            words=words if words or printed is None else printed.words,
-            unit=unit if printed is None else printed.unit,
+            where=said.where if printed is None else printed.where,
+            words=said.words if said.words or printed is None else printed.words,
+            unit=said.unit if printed is None else printed.unit,
             published=None if printed is None else printed.value,
             recomputed=recomputed,
             interval=interval,
@@ -282,14 +289,14 @@ class Ledger:
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
-        return replace(self.item(key, None, words, note=note), kind=Kind.GIVEN)
+        return replace(self.item(key, None, said=Said(words), note=note), kind=Kind.GIVEN)
 
     def claim(
-        self, key: str, words: str, value: float, holds: Callable[[float], bool], rule: str,
-        *, where: str, unit: str = "", note: str | None = None,
+        self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,
+        *, note: str | None = None,
     ) -> Item:  # fmt: skip
         """A sentence of the paper without a number, and whether what is computed bears it out."""
-        row = self.item(key, value, words, unit=unit, where=where, note=note)
+        row = self.item(key, value, said=said, note=note)
         return replace(row, agrees=holds(value), rule=rule)
 
 

@@ -29,6 +29,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     overlaps,
     points,
@@ -140,9 +141,7 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
             Ledger(SADEGHNEJAD, numbers).item(
                 f"table-2/{name}",
                 None,
-                f"Coefficient {name} of the static force",
-                unit=unit,
-                where="Table 2",
+                said=Said(f"Coefficient {name} of the static force", unit=unit, where="Table 2"),
                 note="the cell did not survive in the text that this was made from",
             )
             for name, unit in (("a1", "N/mm"), ("a2", "N/mm2"), ("a3", "N/mm3"))
@@ -160,10 +159,8 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
     return ledger.item(
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,
-        "Viscosity K tau",
-        unit="N s/mm",
-        where="Table 2",
         interval=interval,
+        said=Said("Viscosity K tau", unit="N s/mm", where="Table 2"),
         note="known ten times better than K and tau by themselves",
     )
 
@@ -211,8 +208,8 @@ def specimen_scatter(
         ledger.item(
             f"figure-5/nrmsd-by-{name}",
             tuple(100.0 * float(q) for q in np.quantile(column, CENTRAL)),  # type: ignore[arg-type]
-            f"NRMSD of a held-out specimen by {name}, central 68 %",
             against="figure-5/nrmsd",
+            said=Said(f"NRMSD of a held-out specimen by {name}, central 68 %"),
             judge=overlaps(),
             note=f"median {100.0 * float(np.median(column)):.3g} %; scatter between specimens gives it, not "
             "the model's form",

@@ -22,6 +22,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     near,
     points,
@@ -187,8 +188,8 @@ def _mean(numbers: Numbers) -> Item:
     return ledger.item(
         "table-2/mean-of-table-1",
         mean,
-        "Relaxation time of Table 2 as the mean of Table 1's",
         against="table-2/tau",
+        said=Said("Relaxation time of Table 2 as the mean of Table 1's"),
         judge=rounded(3),
     )
 
@@ -202,9 +203,7 @@ def _share_left(readings: Readings, numbers: Numbers) -> Item:
     return ledger.item(
         "figure-2/drop-8mm",
         force,
-        "Force that relaxes after the ramp to 8 mm",
-        unit="N",
-        where="Fig. 2",
+        said=Said("Force that relaxes after the ramp to 8 mm", unit="N", where="Fig. 2"),
         note=f"{over}: a curve that falls over 30 s needs a second, slower branch"
         if readings.relaxation == "time"
         else over,

@@ -22,6 +22,7 @@ from tissueid.reproduce.published import (
     Ledger,
     Numbers,
     Readings,
+    Said,
     Trace,
     points,
 )
@@ -86,12 +87,6 @@ def cubic_through_peaks(ledger: Ledger, branch: Branch) -> tuple[float, ...]:
     return tuple(float(a) for a in np.linalg.lstsq(columns, rest, rcond=None)[0])
 
 
-def tissue_of_table_1(ledger: Ledger, readings: Readings) -> Tissue:
-    """The branch of Table 2 beside the cubic through the peaks of Table 1."""
-    branch = read_branch(ledger, readings)
-    return Tissue(cubic_through_peaks(ledger, branch), branch)
-
-
 #: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].
 HARDENING = (0.0, 0.0, 0.43)
 #: Depth at which a tissue that is indented infinitely slowly ruptures [mm].
@@ -103,16 +98,17 @@ DRAWN = 161
 def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
     """Fig. 3: six speeds to 8 mm, and whether force grows with speed."""
     ledger = Ledger(SADEGHNEJAD, numbers)
-    tissue = tissue_of_table_1(ledger, readings)
+    branch = read_branch(ledger, readings)
+    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
     depth = np.linspace(0.0, float(DEPTHS_MM[-1]), DRAWN)
     curves = np.array([tissue.force(depth, speed) for speed in SPEEDS_MM_MIN])
     items = [
         ledger.item(
             f"figure-3/increment-{speed:.0f}",
             float(curve[-1] - curves[0, -1]),
-            f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min",
-            unit="N",
-            where="Fig. 3",
+            said=Said(
+                f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min", unit="N", where="Fig. 3"
+            ),
             note="the paper prints no numbers on the axes of this figure",
         )
         for speed, curve in zip(SPEEDS_MM_MIN[1:], curves[1:], strict=True)
@@ -120,12 +116,15 @@ def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
     items.append(
         ledger.claim(
             "figure-3/grows",
-            "Force at a given displacement grows with speed: least growth from speed to speed, from 1 mm on",
+            Said(
+                "Force at a given displacement grows with speed: least growth from speed to speed, "
+                "from 1 mm on",
+                unit="N",
+                where="Fig. 3",
+            ),
             float(np.diff(curves[:, depth >= 1.0], axis=0).min()),
             lambda least: least > 0.0,
             "greater than zero everywhere",
-            unit="N",
-            where="Fig. 3",
         )
     )
     traces = tuple(
@@ -191,21 +190,21 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
                 ledger.item(
                     f"figure-4/{name}-{speed:.0f}",
                     peak,
-                    f"Peak force at {speed:.0f} mm/min, {words}",
-                    unit="N",
-                    where="Fig. 4",
+                    said=Said(f"Peak force at {speed:.0f} mm/min, {words}", unit="N", where="Fig. 4"),
                     note="the paper prints no numbers on the axes of this figure",
                 )
             )
         items.append(
             ledger.claim(
                 f"figure-4/{name}-falls",
-                f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
+                Said(
+                    f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
+                    unit="N",
+                    where="Fig. 4",
+                ),
                 peaks[-1] - peaks[0],
                 lambda change: change < 0.0,
                 "less than zero",
-                unit="N",
-                where="Fig. 4",
                 note=f"x F_s'/F_s is {hardens:.2f} at 6 mm; under constant work the peak falls with speed "
                 "where it is above 1",
             )
@@ -231,17 +230,20 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
 def _by_seven(readings: Readings, numbers: Numbers) -> Item:
     """Peak at a fixed depth by (7) alone."""
     ledger = Ledger(SADEGHNEJAD, numbers)
-    tissue = tissue_of_table_1(ledger, readings)
+    branch = read_branch(ledger, readings)
+    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
     slow, fast = (tissue.force(np.array([RUPTURE_DEPTH_MM]), SPEEDS_MM_MIN[k])[0] for k in (0, -1))
     return ledger.claim(
         "figure-4/by-equation-7",
-        "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from "
-        "10 to 500 mm/min, (7) changes the force by",
+        Said(
+            "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from "
+            "10 to 500 mm/min, (7) changes the force by",
+            unit="N",
+            where="Fig. 4",
+        ),
         float(fast - slow),
         lambda change: change < 0.0,
         "less than zero",
-        unit="N",
-        where="Fig. 4",
         note="equation (7) alone lets force grow with speed at every depth; a fall needs a criterion of "
         "rupture, and under constant work a static curve that hardens",
     )
