@@ -21,7 +21,7 @@ from tissueid.inference.engine import Identified, badness, refit
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import about_mean, free_of, minimise, prior_cost, whitener_of
-from tissueid.inference.prior import prior_rows, time_bounds
+from tissueid.inference.prior import PriorRows, prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
 from tissueid.quantities import RelaxationWindow
@@ -105,12 +105,21 @@ def settled(identified: Identified) -> tuple[Identified, dict[str, Any]]:
     told, reached = both_optimisers(identified)
     if told["agree"] is True or told["relative_difference"] >= 0.0:
         return identified, told
-    again = refit(identified, machine=identified.request.machine, start=reached, steps=RESTARTED)
-    system = identified.system
-    if badness(system, again) > badness(system, identified.optimum) - LOWER:
+    system, t = identified.system, identified.law.counts[0]
+    times = np.append(np.clip(reached.log_times[:t], *time_bounds(system)), reached.log_times[t:])
+    start = replace(reached, log_times=times)
+    again = refit(identified, machine=identified.request.machine, start=start, steps=RESTARTED)
+    better = badness(system, again) < badness(system, identified.optimum) - LOWER
+    if not better or _outside(again.prior, again.point):
         return identified, told
     lower = replace(identified, optimum=again)
     return lower, both_optimisers(lower)[0]
+
+
+def _outside(prior: PriorRows, point: Point) -> bool:
+    """True where a point lies beyond a wall by more than rounding."""
+    rounding = AGREE_VALUE * (np.abs(prior.cone) @ np.abs(point.shared))
+    return bool((prior.cone @ point.shared < prior.least - rounding).any())
 
 
 def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
@@ -151,8 +160,7 @@ def both_optimisers(identified: Identified) -> tuple[dict[str, Any], Point]:
     at_bound, prior = bool(problem.free.shape[1] < identified.law.linear), identified.optimum.prior
     point = problem.point(reached)
     # Levenberg-Marquardt knows no bounds: lower and not passive is no other optimum
-    rounding = AGREE_VALUE * (np.abs(prior.cone) @ np.abs(point.shared))
-    kept_out = difference < 0.0 and bool((prior.cone @ point.shared < prior.least - rounding).any())
+    kept_out = difference < 0.0 and _outside(prior, point)
     told = {
         "method": "Levenberg-Marquardt (lmfit) and constrained Gauss-Newton",
         "lm_sum_of_squares_N2": lm_value * variance,
