@@ -126,6 +126,9 @@ _CAUTION = {
         "Intervals are rough, or there are none; stating the machine in [calibration] narrows what a "
         "total interval has to search.", "Take fewer --branches, or state the machine.",
         "have rough intervals"),
+    "unloading_disagrees": FlagKind("Unloading", "taking unloading in moves a relaxation time or K",
+        "One law does not hold on both ways: a contact that shrinks, adhesion or damage is another law.",
+        "Quote the fit of loading and holds, without --unloading.", "have an unloading of another law"),
     "unloading_not_settled": FlagKind("Unloading", "the fit of unloading did not converge",
         "Numbers of a fit with unloading are rough.", "Fit without --unloading.",
         "have an unloading that did not settle"),

@@ -14,7 +14,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents import plain, typed
 from tissueid.documents.identification import Model, Nrmsd
 from tissueid.documents.measured import Measured, Spread
-from tissueid.documents.quantities import Cycle
+from tissueid.documents.quantities import Cycle, UnloadingMiss
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
@@ -246,6 +246,8 @@ class SpecimenFit(Shown):
         Every ``unit`` in the JSON is written in these; keys keep their names.
     unloading : mapping or None
         How the fit of unloading went; ``None`` where only loading was fitted.
+    unloading_predicted : UnloadingMiss or None
+        Unloading as the fit of loading and holds predicts it; ``None`` where no tool turned back.
     cycles : tuple of Cycle
     measured : tuple of Spread
         What was measured, no model, with the spread between logs.
@@ -275,6 +277,7 @@ class SpecimenFit(Shown):
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
     unloading: Mapping[str, Any] | None = None
+    unloading_predicted: UnloadingMiss | None = None
     cycles: tuple[Cycle, ...] = ()
     measured: tuple[Spread, ...] = ()
     quoted: QuotedNumbers | None = None
@@ -312,6 +315,7 @@ class SpecimenFit(Shown):
             "measured": plain(self.measured),
             "quoted": None if self.quoted is None else self.quoted.as_json(),
             "unloading": None if self.unloading is None else dict(self.unloading),
+            "unloading_predicted": plain(self.unloading_predicted),
             "optimisers": dict(self.optimisers),
             "selection": [dict(row) for row in self.selection],
             **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),

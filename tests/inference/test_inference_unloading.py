@@ -101,6 +101,47 @@ def test_the_default_fit_does_not_know_of_unloading():
     assert with_it.trials[0].curve.depth_mm[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_unloading_of_the_law_is_predicted_and_that_of_another_is_missed():
+    (trial,) = as_trials(draw(RETRACT, 1))
+    turned = (trial.time_s > 4.0) & (trial.displacement_mm > 0.0)
+    fits = []
+    # the same tissue, and one that gives a third less on the way back
+    for share in (1.0, 2.0 / 3.0):
+        changed = replace(trial, force_N=np.where(turned, share * trial.force_N, trial.force_N))
+        options = FitOptions(branches=1, stiffness_degree=0)
+        handles = [handle_for(changed, segment(changed))]
+        fits.append(fit_with_state("synthetic", handles, options=options, machine=False).fit)
+    same, less = (fit.unloading_predicted for fit in fits)
+    assert same.logs == less.logs == 1
+    assert 30 <= same.samples <= turned.sum()
+    assert same.nrmsd == same.nrmsd_worst < 0.01
+    retract = trial.force_N[turned & (trial.displacement_mm < 3.99)]
+    in_contact = retract[retract > 1.0] / np.ptp(trial.force_N)
+    assert less.mean == pytest.approx(-in_contact.mean() / 3.0, rel=0.25)
+    assert less.nrmsd > abs(less.mean) > 5.0 * same.nrmsd
+
+
+def test_unloading_that_moves_the_relaxation_time_is_said():
+    (trial,) = as_trials(draw(RETRACT, 1))
+    late = (trial.time_s > 4.0) & (trial.force_N > 1.0)
+    stiffer = replace(trial, force_N=np.where(late, 0.6 * trial.force_N, trial.force_N))
+    said = []
+    for one in (trial, stiffer):
+        wanted = FitOptions(branches=1, stiffness_degree=0, unloading=True, static="partial")
+        fit = fit_with_state("synthetic", [handle_for(one, segment(one))], options=wanted, machine=False).fit
+        assert fit.unloading_predicted is None
+        said.append([flag for flag in fit.flags if flag.code == "unloading_disagrees"])
+    assert said[0] == []
+    ((flag,),) = said[1:]
+    assert flag.values["standard_errors"] > 2.6
+    assert abs(flag.values["whole"] / flag.values["loading"] - 1.0) > 0.05
+
+
+def test_a_recording_that_ends_in_its_hold_has_no_unloading():
+    plan = replace(RETRACT, logs=(Log("held", (Move(4.0, 240.0), Hold(3.0))),))
+    assert fitted(plan, 0, unloading=False).unloading_predicted is None
+
+
 def test_branches_and_degree_are_chosen_on_the_surface_too():
     fit = fitted(RETRACT, 5, branches=None, stiffness_degree=None)
     (row,) = [row for row in fit.selection if row["chosen"]]

@@ -20,7 +20,7 @@ from tissueid.documents.base import (
 )
 from tissueid.documents.inspect import Refusal, Units
 from tissueid.documents.measured import Measured, Spread
-from tissueid.documents.quantities import Cycle, Quoted, Unloading
+from tissueid.documents.quantities import Cycle, Quoted, Unloading, UnloadingMiss
 from tissueid.documents.study import Population, Priors, Study, Tip
 
 
@@ -380,6 +380,8 @@ class Specimen(Document, frozen=True):
     #: determines it
     relaxation_window: RelaxationWindow | None = None
     measured: tuple[Spread, ...] | None = None  # Measured, no model, with the spread between logs
+    #: Unloading that was not fitted, as loading and holds predict it; null where no tool turned back
+    unloading_predicted: UnloadingMiss | None = None
 
 
 class Exit(Document, frozen=True):

@@ -126,6 +126,19 @@ class Quoted(Document, frozen=True):
     assumptions: Assumptions  # Tip, thickness and Poisson's ratio behind the moduli
 
 
+class UnloadingMiss(Document, frozen=True):
+    """Unloading as the fit of loading and holds predicts it, against the measured force in contact.
+
+    Each log's force is taken over the range of its own; a law without adhesion pulls nowhere.
+    """
+
+    logs: PositiveCount
+    samples: PositiveCount
+    nrmsd: NonNegative  # Root mean square, a fraction
+    nrmsd_worst: NonNegative  # Of the log that is predicted worst
+    mean: float  # Measured less predicted, a fraction: negative where the tissue gives less than is predicted
+
+
 class Unloading(Document, frozen=True):
     """Fit of unloading: rounds, and residuals of a direct simulation with contact loss."""
 

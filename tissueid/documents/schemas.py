@@ -34,7 +34,7 @@ ROOTS: Mapping[str, str] = {
     "measured-contrast": "contrast.MeasuredContrast",
     "outputs": "folder.Outputs",
     "population": "population.Population",
-    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading",
+    "quantities": "quantities.Quoted quantities.Cycle quantities.Unloading quantities.UnloadingMiss",
     "reproduction": "reproduction.Reproduction",
     "rupture": "rupture.Rupture",
     "scene": "scene.Scene",

@@ -324,9 +324,10 @@ def theta_covariance(identified: Identified) -> FloatArray:
     free = free_of(prior.cone[optimum.active][:, shared])
     inner = free.T @ hessian @ free
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    scaled = inner / scale / scale[:, None]
-    inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / scale / scale[:, None]
-    covariance = free @ inverse @ free.T
+    values, vectors = np.linalg.eigh(inner / scale / scale[:, None])
+    kept = values > 1e-14 * np.abs(values).max(initial=0.0)
+    # by a root, so that what is nearly flat leaves it symmetric and positive
+    root = free @ (vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None])
     theta = law.theta(optimum.point.log_times, optimum.point.linear, exact=True)[0]
     change = np.zeros((theta.size, len(shared)))
     for k in range(len(shared)):
@@ -334,7 +335,8 @@ def theta_covariance(identified: Identified) -> FloatArray:
         moved = optimum.point.shared.copy()
         moved[shared[k]] += step
         change[:, k] = (law.theta(moved[:t], moved[t + 3 :], exact=True)[0] - theta) / step
-    return np.asarray(change @ covariance @ change.T)
+    root = change @ root
+    return np.asarray(root @ root.T)
 
 
 def estimate_tissue(identified: Identified) -> TissueEstimate:

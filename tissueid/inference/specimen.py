@@ -26,6 +26,7 @@ from tissueid.inference.summaries import Summaries, second_pass
 from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
+from tissueid.inference.unloading import unloading_disagrees, unloading_miss
 from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.inference.window import FittedLog
 from tissueid.inference.yardstick_law import YardstickLaw
@@ -228,6 +229,7 @@ class _Found:
     window: RelaxationWindow | None
     options: FitOptions
     tick: Callable[[str], None]
+    moved: tuple[Flag, ...] = ()  # numbers that unloading moves
 
     def at(self, point: Point) -> FittedSpecimen:
         """The fit as it is told with the tissue of a point."""
@@ -246,13 +248,15 @@ class _Found:
         )
         quoted_of = partial(self._quoted, told)
         quoted, said = quoted_of(here) if found.quotable else (None, [])
-        flags, unloading = (*self._flags(here, told, point), *said), None
-        if self.followed is not None:
+        flags, unloading, missed = (*self._flags(here, told, point), *said), None, None
+        if self.followed is None:
+            missed = unloading_miss(found, self.handles, point)
+        else:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
-            flags = (*flags, *more)
+            flags = (*flags, *more, *self.moved)
         fit = replace(
             self._told(here, told), depth_mm=self._reached_mm(adjustments, point), flags=_one_form(flags),
-            unloading=unloading, quoted=quoted,
+            unloading=unloading, quoted=quoted, unloading_predicted=missed,
         )  # fmt: skip
         return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
 
@@ -352,7 +356,7 @@ def _fit(
     tick: Callable[[str], None],
 ) -> FittedSpecimen:
     """Identify a specimen, and describe it at its optimum."""
-    followed = None
+    followed, loading = None, handles
     if options.unloading:
         identify = partial(identify_handles, request=request, tick=tick)
         followed = follow_surfaces(unloading_handles(handles), identify, tick)
@@ -363,9 +367,7 @@ def _fit(
     tick("Levenberg-Marquardt")
     identified, optimisers = settled(identified)
     tissue = estimate_tissue(identified)
-    worth = 1.0
-    if identified.discrepant and identified.quotable:
-        worth = sandwich_covariance(SpecimenTarget(identified, machine=request.machine))[1]
+    worth = _worth(identified)
     relaxes = identified.quotable and tissue.model.branches > 0
     found = _Found(
         specimen=specimen,
@@ -379,8 +381,29 @@ def _fit(
         window=relaxation_window(handles, identified, tick) if relaxes else None,
         options=options,
         tick=tick,
+        moved=() if followed is None else _moved_by_unloading(loading, identified, tick),
     )
     return found.at(identified.optimum.point)
+
+
+def _worth(found: Identified) -> float:
+    """Samples that count as an independent one where the law misses more than the noise."""
+    if not (found.discrepant and found.quotable):
+        return 1.0
+    return sandwich_covariance(SpecimenTarget(found, machine=found.request.machine))[1]
+
+
+def _moved_by_unloading(
+    handles: Sequence[LogHandle], whole: Identified, tick: Callable[[str], None]
+) -> tuple[Flag, ...]:
+    """Flag of numbers that a fit of loading and holds in the same order has elsewhere."""
+    tick("loading and holds alone")
+    order = replace(whole.request, branches=(whole.law.branches,), degrees=(whole.law.degree,))
+    if any(handle.own_window(handle.load()) is None for handle in handles):
+        return ()
+    loaded, _ = identify_handles(handles, order, tick)
+    said = unloading_disagrees(loaded, whole, _worth(loaded))
+    return () if said is None else (said,)
 
 
 def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:

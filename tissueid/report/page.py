@@ -30,6 +30,7 @@ from tissueid.report.methods_words import citation, methods_view, subscripted
 from tissueid.report.parts import Section
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
+from tissueid.report.specimen_lines import unloading_words
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import paper_view, uncertainty_view
 from tissueid.report.wording import (
@@ -226,6 +227,7 @@ def _view(
         "summary": [_without_error(parameters.get(name), specimen) for name in FEW],
         "quoted": quoted_tables(specimen.quoted),
         "cycles": cycle_table(specimen.cycles),
+        "unloading": unloading_words(specimen.unloading_predicted),
         "methods": methods_view(specimen, run),
         "rendering": rendering_view(rendering, specimen),
     }

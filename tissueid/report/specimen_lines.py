@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from tissueid.digits import together, with_error
 from tissueid.documents.identification import Estimate, Selection, Specimen
 from tissueid.documents.measured import Spread
-from tissueid.documents.quantities import Cycle, Quantity
+from tissueid.documents.quantities import Cycle, Quantity, UnloadingMiss
 from tissueid.flags import FLAGS, harm_rank, warning_line
 from tissueid.quantities import DEPTH_TEST
 from tissueid.report.uncertainty_words import reported_order, window_words
@@ -303,7 +303,20 @@ def quoted_lines(document: Specimen) -> list[str]:
         lines += [_drainage(one) for one in quoted.model if one.name == DEPTH_TEST]
     if document.cycles:
         lines.append(_loops(document.cycles))
-    return lines
+    missed = unloading_words(document.unloading_predicted)
+    return [*lines, f"unloading   {missed}"] if missed else lines
+
+
+def unloading_words(missed: UnloadingMiss | None) -> str:
+    """Unloading as loading and holds predict it; empty where no tool turned back."""
+    if missed is None:
+        return ""
+    side = "below" if missed.mean < 0.0 else "above"
+    worst = f", {100 * missed.nrmsd_worst:.1f} at worst" if missed.logs > 1 else ""
+    return (
+        f"not fitted; loading and holds predict it to {100 * missed.nrmsd:.1f} % of the range"
+        f"{worst} (measured {100 * abs(missed.mean):.1f} % {side} it)"
+    )
 
 
 def _drainage(slope: Quantity) -> str:
