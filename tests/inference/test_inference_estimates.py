@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inference_cases import by_name, draw, handles_for, identified, small_recipe
@@ -112,6 +114,13 @@ def test_theta_is_in_the_order_of_the_model_and_passive(pooling):
     np.testing.assert_allclose([one.stderr for one in found], stderr, rtol=1e-9)
     assert tissue.model.is_passive(tissue.theta)
     assert np.linalg.eigvalsh(tissue.covariance / stderr / stderr[:, None]).min() >= -1e-9
+
+
+def test_a_covariance_is_symmetric_where_directions_are_nearly_flat():
+    one = Log("one", (Move(4.0, 240.0), Hold(1.0)))
+    recipe = replace(small_recipe(branches=(GROWING,), sigma_N=1e-9), logs=(one,))
+    tissue = estimate(recipe, 0, "shared", branches=3, degree=2)
+    assert (tissue.covariance == tissue.covariance.T).all()
 
 
 def profiled(recipe, seed=1, branch=0, **asked):
