@@ -31,7 +31,7 @@ from tissueid.inference.choice import (
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import Optimum, minimise, prior_cost, whitener_of
+from tissueid.inference.optimum import Optimum, criterion, minimise, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import MACHINE, SHAPE, Effects, Point, System
@@ -155,8 +155,7 @@ class _Fitting:
 
 def badness(system: System, optimum: Optimum) -> float:
     """Criterion smallest at the best optimum, the scale of the noise integrated."""
-    freedom = system.force.size + system.within_freedom
-    return float(freedom * 2.0 * np.log(optimum.noise.sigma_N) + prior_cost(optimum.prior, optimum.point))
+    return criterion(system, optimum.noise.sigma_N, optimum.prior, optimum.point)
 
 
 def scatter_of(system: System, optimum: Optimum) -> Scatter:

@@ -25,6 +25,8 @@ WHITE = Memory()
 MOST_STEPS, STILL, NO_GAIN = 40, 0.01, 1e-3
 #: Damping: where it starts, how it changes, and where it gives up.
 DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
+#: Rise of the criterion, the frame's deflection followed, with which a step is taken back, and damping then.
+WORSE, BACK = 1.0, 64.0
 #: Curvature of a direction that has none: the relaxation time of a branch without stiffness.
 FLAT = 1e-6
 #: Constraint slack, relative to the row's size, that counts as active.
@@ -142,6 +144,12 @@ def prior_cost(prior: PriorRows, point: Point) -> float:
     """Twice the negative log prior of shared and own parameters."""
     off = prior.rows @ point.shared - prior.target
     return float(off @ off + (prior.own * point.own**2).sum())
+
+
+def criterion(system: System, noise_N: float, prior: PriorRows, point: Point) -> float:
+    """Twice the negative log density of a point, the scale of the noise integrated."""
+    freedom = system.force.size + system.within_freedom
+    return float(freedom * 2.0 * np.log(noise_N) + prior_cost(prior, point))
 
 
 def _bound(loose: Reduced, inverse: FloatArray, point: Point) -> Reduced:
@@ -309,19 +317,28 @@ def minimise(
         return prior, noise_N, normal_equations(system, point, parts, white, noise_N, prior)
 
     damping, converged = DAMPING, False
+    prior, noise_N, normal = equations(point)
     for _ in range(steps):
-        prior, noise_N, normal = equations(point)
+        frame = system.deflection
         moved, damping, gain = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
         if moved is None:
             converged = True
             break
+        new_prior, new_noise_N, new_normal = equations(moved)
+        if sigma_N:
+            more = new_normal.objective - normal.objective
+        else:
+            more = criterion(system, new_noise_N, new_prior, moved) - criterion(system, noise_N, prior, point)
+        if more > WORSE or (frame.settled and not system.settled):
+            # taken with the deflection of the point before, with its own it is no step down
+            system.deflection, damping = frame, damping * BACK
+            continue
         largest = _change(normal, point, moved, frozen == 0.0)
-        point = moved
+        point, prior, noise_N, normal = moved, new_prior, new_noise_N, new_normal
         # what shared parameters no longer gain, those of the logs may
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
-    prior, noise_N, normal = equations(point)
     hessian = normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
     return Optimum(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,6 +82,14 @@ class Derivatives:
     own: FloatArray
 
 
+class Deflection(NamedTuple):
+    """Deflection of the frame as it is iterated along all points."""
+
+    guess: FloatArray  # force that it is iterated from [N]
+    soft: FloatArray  # share of a change of force that is left, the frame giving way to it
+    settled: bool
+
+
 def _shape(u: FloatArray) -> FloatArray:
     """Bernstein polynomials of degree 2 that vanish at the largest depth, (2, ..., m)."""
     left = 1.0 - u
@@ -144,7 +153,17 @@ class System:
         # force at all points, from which the frame's deflection is iterated: measured, then predicted
         self.guess = np.concatenate([np.interp(one.time_s, one.mid_s, one.force_N) for one in logs])
         self.soft = np.ones(self.guess.size)
+        self.settled = True
         self.onset = np.array([_onset(one) for one in logs]) / depth_mm
+
+    @property
+    def deflection(self) -> Deflection:
+        """State of the frame, to return to."""
+        return Deflection(self.guess, self.soft, self.settled)
+
+    @deflection.setter
+    def deflection(self, state: Deflection) -> None:
+        self.guess, self.soft, self.settled = state
 
     def under(self, law: ChannelLaw) -> System:
         """The same logs under another law."""
@@ -278,6 +297,7 @@ class System:
 
     def follow(self, point: Point) -> None:
         """Iterate the frame's deflection from this point's force from now on."""
+        self.settled = True
         if not self._yields(point):
             self.guess = self.tip_force(point)[0]
             return
@@ -292,7 +312,8 @@ class System:
                 break
         else:
             # of a point without a settled deflection nothing is kept
-            self.guess = self.guess if moved <= UNSETTLED else start
+            self.settled = moved <= UNSETTLED
+            self.guess = self.guess if self.settled else start
 
     def _compliance(self, point: Point) -> FloatArray:
         """Deflection of the frame over the largest depth by a force at the tip [1/N], (m,)."""
