@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
-from tissueid.inference.system import MACHINE, SHAPE, Derivatives, Point, System
+from tissueid.inference.system import MACHINE, SHAPE, Deflection, Derivatives, Point, System
 
 #: Noise without memory.
 WHITE = Memory()
@@ -216,6 +216,16 @@ class Optimum:
     active: NDArray[np.bool_]  # (c,), constraints that hold with equality
 
 
+class _At(NamedTuple):
+    """The quadratic model at a point, and the deflection of the frame there."""
+
+    point: Point
+    prior: PriorRows
+    noise_N: float
+    normal: Normal
+    frame: Deflection
+
+
 def _step(
     normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray, centred: bool
 ) -> Point:
@@ -308,64 +318,65 @@ def minimise(
     parameters = min(system.law.freedom + point.own.size, system.force.size // 2)
     floor = max(least_sigma_N, 1e-9 * float(np.abs(system.force).max()), 1e-15)
 
-    def equations(point: Point) -> tuple[PriorRows, float, Normal]:
-        """Priors, noise [N] and the quadratic model at a point."""
+    def at(point: Point) -> _At:
+        """The quadratic model at a point, the frame's deflection followed to it."""
         parts = system.derivatives(point, machine=machine, follow=True)
         left = system.force - parts.force
         noise_N = sigma_N or max(_scale_of(system, left, white, memory, parameters), floor)
         prior = prior_at(point)
-        return prior, noise_N, normal_equations(system, point, parts, white, noise_N, prior)
+        normal = normal_equations(system, point, parts, white, noise_N, prior)
+        return _At(point, prior, noise_N, normal, system.deflection)
 
-    damping, converged = DAMPING, False
-    prior, noise_N, normal = equations(point)
+    damping, converged, here = DAMPING, False, at(point)
     for _ in range(steps):
-        frame = system.deflection
-        moved, damping, gain = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
+        moved, damping, gain = _descend(system, here, white, damping, frozen)
         if moved is None:
             converged = True
             break
-        new_prior, new_noise_N, new_normal = equations(moved)
-        if sigma_N:
-            more = new_normal.objective - normal.objective
-        else:
-            more = criterion(system, new_noise_N, new_prior, moved) - criterion(system, noise_N, prior, point)
-        if more > WORSE or (frame.settled and not system.settled):
-            # taken with the deflection of the point before, with its own it is no step down
-            system.deflection, damping = frame, damping * BACK
+        there = at(moved)
+        if _is_astray(system, here, there, scaled=not sigma_N):
+            system.deflection, damping = here.frame, damping * BACK
             continue
-        largest = _change(normal, point, moved, frozen == 0.0)
-        point, prior, noise_N, normal = moved, new_prior, new_noise_N, new_normal
+        largest = _change(here.normal, here.point, moved, frozen == 0.0)
+        here = there
         # what shared parameters no longer gain, those of the logs may
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
-    hessian = normal.hessian.copy()
+    hessian = here.normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
     return Optimum(
-        point=point,
-        normal=normal,
-        prior=prior,
-        noise=Noise(noise_N, memory),
+        point=here.point,
+        normal=here.normal,
+        prior=here.prior,
+        noise=Noise(here.noise_N, memory),
         covariance=covariance_of(hessian),
         converged=converged,
-        active=_active(prior, point.shared),
+        active=_active(here.prior, here.point.shared),
     )
 
 
+def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:
+    """True of a step down with the deflection of the point before that is none with its own.
+
+    ``scaled``: the noise follows the residuals.
+    """
+    if here.frame.settled and not there.frame.settled:
+        return True
+    if not scaled:
+        return there.normal.objective - here.normal.objective > WORSE
+    before, after = (criterion(system, one.noise_N, one.prior, one.point) for one in (here, there))
+    return after - before > WORSE
+
+
 def _descend(
-    system: System,
-    point: Point,
-    normal: Normal,
-    prior: PriorRows,
-    white: Whitener,
-    noise_N: float,
-    damping: float,
-    frozen: FloatArray,
+    system: System, here: _At, white: Whitener, damping: float, frozen: FloatArray
 ) -> tuple[Point | None, float, float]:
     """A point with a smaller objective or ``None``, the damping that reached it, and the gain."""
+    normal, prior = here.normal, here.prior
     while damping < HOPELESS:
-        moved = _step(normal, prior, point, damping, frozen, system.centred)
-        e = white(system.force - system.predict(moved)) / noise_N
+        moved = _step(normal, prior, here.point, damping, frozen, system.centred)
+        e = white(system.force - system.predict(moved)) / here.noise_N
         value = float(e @ e) + prior_cost(prior, moved)
         if value <= normal.objective * (1.0 + 1e-12) and np.isfinite(value):
             if normal.objective - value <= 1e-7 * max(1.0, 1e-6 * normal.objective):
