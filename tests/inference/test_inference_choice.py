@@ -76,9 +76,9 @@ def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3):
     return Tried(branches, degree, optimum, SimpleNamespace(law=law, logs=[None] * logs), np.array(errors))
 
 
-def named(name, errors):
+def named(name, errors, sigma_N=1.0):
     law = ChannelLaw.of(parsed(name).model(8.0, 0.01, 10.0))
-    return tried(law.branches, law.degree, errors, law)
+    return tried(law.branches, law.degree, errors, law, sigma_N)
 
 
 NEAR, FAR = [1.0, 1.1, 0.9, 1.0], [2.0, 2.1, 2.0, 1.9]
@@ -104,6 +104,16 @@ def test_what_misses_all_logs_is_no_candidate_though_it_predicts_alike():
     # of one log the prediction itself tells
     alone = [tried(1, 2, NEAR, sigma_N=2.0, logs=1), tried(2, 2, NEAR, logs=1)]
     assert describing(alone) == alone
+
+
+def test_a_law_that_lacks_a_branch_in_all_logs_is_no_candidate_beside_another_kind():
+    paper = tried(3, 2, FAR, sigma_N=1.0)
+    fewer, more = (named(f"polynomial * tangent * prony:{n}", NEAR, s) for n, s in ((1, 1.8), (2, 1.0)))
+    assert choice_of(paper, [fewer, more], choose=True).chosen is more
+    # a law of another kind may miss as much, and one branch is taken where it describes as well
+    assert choice_of(paper, [fewer], choose=True).chosen is fewer
+    alike = named("polynomial * tangent * prony:1", NEAR, 1.1)
+    assert choice_of(paper, [alike, more], choose=True).chosen is alike
 
 
 def test_of_as_many_parameters_the_papers_law_is_kept_and_unasked_always():

@@ -289,6 +289,14 @@ def describing(tried: Sequence[Tried], most: float = MISSES) -> list[Tried]:
     return [one for one in tried if one.optimum.noise.sigma_N <= most * least]
 
 
+def _describing_in_kind(laws: Sequence[Tried]) -> list[Tried]:
+    """Laws that describe their logs nearly as well as the same law with another number of branches."""
+    kinds: dict[str, list[Tried]] = {}
+    for one in laws:
+        kinds.setdefault(one.name.rpartition(":")[0] or one.name, []).append(one)
+    return [one for kind in kinds.values() for one in describing(kind)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """The law that is fitted, beside those that are not."""
@@ -309,7 +317,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
         chosen = paper
     else:
         # the yardstick is the mark: it is chosen only where it alone was asked for
-        as_good = chosen_among(describing(laws, MISSES_OF_LAWS))[2]
+        as_good = chosen_among(describing(_describing_in_kind(laws), MISSES_OF_LAWS))[2]
         chosen = min(
             as_good, key=lambda one: (one.law.freedom, one is not paper, -rival_of(one, as_good[0]).gain)
         )
