@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, nearest_inside, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
+from tissueid.inference.ridges import Ridge, ridges_of
 from tissueid.inference.system import MACHINE, SHAPE, Point
 from tissueid.priors import CalibrationPrior
 
@@ -179,6 +181,37 @@ class SpecimenTarget:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
+        if self.straight or not self.ridges:
+            return x
+        at, times = self.machine_places, self.law.times
+        # a time that goes with the machine is still on its own ridge
+        by_machine = np.linalg.solve(self.root[at, : at.size].T, self.root[:times, : at.size].T)
+        along = x.copy()
+        along[..., :times] -= (x[..., at] - self.mode[at]) @ by_machine
+        for one in self.ridges:
+            x += one.at(along[..., one.place])
+        return x
+
+    @cached_property
+    def ridges(self) -> tuple[Ridge, ...]:
+        """Ridges of a single log whose machine is open."""
+        if not (self.alone and self.open):
+            return ()
+        return ridges_of(self, partial(_quantile, self._machine_priors[0]))
+
+    def vector_of(self, point: Point) -> FloatArray:
+        """Coordinates of a point of a single log, (size,)."""
+        x, first = self.mode.copy(), self.law.times + len(MACHINE)
+        x[: self.n_shared] = point.shared
+        ln_scale = self._amplitudes(point.log_times[: self.law.counts[0]])
+        at = self.places["contact"]
+        x[at] = point.own[0, 0]
+        for one in self.law.blocks:
+            part = slice(first + one.at.start, first + one.at.stop)
+            if one.branch >= 0 and self.law.relaxation.branches and self.law.counts[0]:
+                x[part] *= np.exp(ln_scale[one.branch])
+            if one.polynomial:
+                x[part] = _shifted(x[part], self.mode[at] - x[at], int(one.branch < 0))
         return x
 
     def _straight(self, z: FloatArray) -> FloatArray:
