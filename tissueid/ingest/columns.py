@@ -16,15 +16,22 @@ from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
-from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
+from tissueid.ingest.vocabulary import (
+    CHANNELS,
+    SIDEWAYS_RANK,
+    SYMBOL_RANK,
+    Channel,
+    plain_words,
+    rank_of,
+)
+from tissueid.units import INTERNAL_UNITS, WIDE_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
 
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)
-_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|[uµμn]m|[kmuµμ]?N|s|sec)")
+_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec)")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: A longer text is no name, and would cost the patterns above the square of its length.
@@ -84,6 +91,7 @@ def split_name(name: str) -> tuple[str, str | None]:
     """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
     if len(name) > _LONGEST_NAME:
         return name, None
+    name = name.translate(WIDE_BRACKETS)
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
@@ -144,8 +152,8 @@ class _Head:
             if rank is not None:
                 found.append((rank, column))
         found.sort(key=lambda item: (item[0], item[1].index))
-        # of two letters either may be meant
-        return [] if len(found) > 1 and found[0][0] == SYMBOL_RANK else found
+        # of two letters, or two sideways axes, either may be meant
+        return [] if len(found) > 1 and found[0][0] in {SYMBOL_RANK, SIDEWAYS_RANK} else found
 
     def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
         """Columns whose name fits as well as the best or better, but whose unit is of something else."""
@@ -188,6 +196,17 @@ def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOption
         else any(head.may_be(column, channel) for column in head.columns)
         for channel in CHANNELS
     )  # fmt: skip
+
+
+def channel_columns(names: Sequence[str], options: ReadOptions) -> tuple[int, ...]:
+    """The columns of time, displacement and force by their names alone; empty where one is missing."""
+    head = _Head.of(names, (), options)
+    best = [
+        head.named(options.columns[channel]) if channel in options.columns
+        else [column for _, column in head.candidates(channel)]
+        for channel in CHANNELS
+    ]  # fmt: skip
+    return tuple(columns[0].index for columns in best) if all(best) else ()
 
 
 def choose_columns(
@@ -236,7 +255,7 @@ def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) 
 def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -> InputError:
     wanted = head.options.quantity(channel)
     for column in head.columns:
-        if column.unit and head.may_be(column, channel):
+        if column.unit and head.may_be(column, channel) and quantity_of(column.unit) != wanted:
             message = (
                 f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"
