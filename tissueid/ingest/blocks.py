@@ -101,7 +101,7 @@ def specimen_columns(
         _holds_force(names[start:stop], units[start:stop], options) for start, stop in spans
     ):
         return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
-    spans = _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
+    spans = _repeats(names) or _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
     if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
         return []
     if all(_named(above[start:stop]) for start, stop in spans):
@@ -114,6 +114,16 @@ def specimen_columns(
 
 def _is(name: str, channel: Channel) -> bool:
     return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
+
+
+def _repeats(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Columns of groups that repeat the same names in the same order, whatever stands first in them."""
+    words = [plain_words(name) for name in names]
+    named = [i for i, word in enumerate(words) if word]
+    starts = [i for i in named if words[i] == words[named[0]]]
+    spans = list(pairwise([*starts, len(names)]))
+    groups = {tuple(word for word in words[start:stop] if word) for start, stop in spans}
+    return spans if len(spans) > 1 and len(groups) == 1 else []
 
 
 def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:

@@ -166,11 +166,10 @@ def _side_by_side(
 ) -> Iterator[tuple[str, Cells, int]]:
     """The trials of a sheet: one, or one a specimen where several stand side by side."""
     specimens = []
-    if found.names and found.units is not None:
+    if found.names is not None:
         head = _head(cells[: found.first])
-        specimens = specimen_columns(
-            head[found.names - 1], head[found.names], head[found.units], file.options
-        )
+        names, units = found.head(head)
+        specimens = specimen_columns(head[found.names - 1] if found.names else (), names, units, file.options)
     if len(specimens) < 2:
         yield sheet, cells, 0
         return
