@@ -26,12 +26,13 @@ from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.jpk import JPK_FORCE
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.quality import capacity_in, quality_flags
+from tissueid.ingest.quality import capacity_in, quality_flags, zero_dt
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, open_input
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.session import SESSION_LOG
 from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
+from tissueid.signal_noise import between_ticks
 from tissueid.trial import Axes, Source, Trial
 
 _faults: dict[str, None] = {}
@@ -395,13 +396,16 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         metadata=table.metadata,
     )
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
+    time_s, tick_s = between_ticks(table.time_s)
+    repeats = zero_dt(table.time_s, np.diff(table.time_s)) if tick_s > 0.0 else None
     no_test = no_specimen(file.path, table.sheet)
     flags = (
         *table.flags,
         *_normalised(axes),
         *(() if no_test is None else (no_test,)),
+        *(() if repeats is None else (repeats,)),
         *quality_flags(
-            table.time_s,
+            time_s,
             table.displacement_mm,
             table.force_N,
             capacity_N=capacity_in(table.metadata, decimal=table.decimal),
@@ -409,7 +413,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     )
     return Trial(
         specimen=_specimen(file, table),
-        time_s=table.time_s,
+        time_s=time_s,
         displacement_mm=table.displacement_mm,
         force_N=table.force_N,
         protocol=table.protocol or protocol_of(table.metadata, file.path, decimal=table.decimal),
