@@ -36,6 +36,12 @@ _AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|s
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: A longer text is no name, and would cost the patterns above the square of its length.
 _LONGEST_NAME = 250
+#: Times that are named by their unit alone.
+_NAMED_BY_UNIT = re.compile(
+    r"seconds?|secs?|ms|msecs?|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?", re.IGNORECASE
+)
+#: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
+_CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
 _UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
 #: Words of strain and stress in the nine languages, accents stripped.
 _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
@@ -94,9 +100,13 @@ def split_name(name: str) -> tuple[str, str | None]:
     name = name.translate(WIDE_BRACKETS)
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
+        if match[1] and _CLOCK_FORM.fullmatch(inside):
+            return match[1], None
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
             return match[1], inside
         return name, None
+    if _NAMED_BY_UNIT.fullmatch(name):
+        return name, name
     for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]

@@ -26,7 +26,8 @@ _SENSE_AFTER = (
 _NAMES: dict[Channel, dict[int, str]] = {
     "time": {
         0: (  # the time of the test
-            r"(?:total |test |running |measured )?time(?: measurement)?|seconds|secs?|zeit|pruf ?zeit"
+            r"(?:total |test |running |measured )?time(?: measurement)?|seconds?|secs?|ms|msecs?"
+            r"|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?|zeit|pruf ?zeit"
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
             r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
