@@ -89,8 +89,8 @@ KNOWN_WORDS = frozenset(
 )
 #: Letters that number repeats ("Load-a"), though they may be years, bits or days.
 REPEATS = frozenset("abcde")
-#: Brackets as East Asian keyboards write them.
-WIDE_BRACKETS = str.maketrans("（）［］【】", "()[][]")
+#: Brackets as East Asian keyboards write them, and others around units.
+OTHER_BRACKETS = str.maketrans("（）［］【】{}<>", "()[][]()()")
 _BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
 #: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
 _UNIT_SHAPED = re.compile(r"[^\W\d_][\w²³]*(?:(?:\s?[/*·]\s?|\^|\*\*|\s)-?[\w²³]+){0,4}|%|µ\w+")
@@ -99,7 +99,7 @@ _LONGEST_UNIT = 24
 
 def bare_unit(text: str) -> str:
     """The unit without brackets, padding or a final full stop: ``"(sec) "`` gives ``"sec"``."""
-    text = text.translate(WIDE_BRACKETS)
+    text = text.translate(OTHER_BRACKETS)
     match = _BRACKETS.match(text)
     return (match[1] if match else text).strip().rstrip(".")
 

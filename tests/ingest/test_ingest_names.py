@@ -33,6 +33,12 @@ def written(path: Path, head: str, rows: str = ROWS) -> Path:
         ("Time-s,Extension-um,Load-mN", (1e-3, 1e-3)),
         ("time_s,height_measured_m,force_N", (1e3, 1)),
         ("Time s,Extension mm,Load kN", (1, 1e3)),
+        ("Time.s,Extension.mm,Load.kN", (1, 1e3)),
+        ("Time..s.,Extension..um.,Load..mN.", (1e-3, 1e-3)),
+        ("Time <s>,Extension <um>,Load <mN>", (1e-3, 1e-3)),
+        ("Time {s},Extension {mm},Load {kgf}", (1, 9.80665)),
+        ("t_s,z_mm,weight_g", (1, 9.80665e-3)),
+        ("経過時間(s),ストローク(mm),荷重(kN)", (1, 1e3)),
         ("Temps (s),Course_Traverse (mm),Effort (N)", (1, 1)),
         ("Temps (s),Déplacement de la traverse (mm),Force (N)", (1, 1)),
         ("Temps (s),Position traverse (mm),Charge (N)", (1, 1)),
@@ -376,6 +382,13 @@ GROUPS = "Force (g),Distance (mm),Time (sec)"
         ("liver 1,,,liver 2,,", f"{GROUPS},{GROUPS}", ["liver 1", "liver 2"]),
         ("liver 1,liver 1,liver 1,liver 2,liver 2,liver 2", f"{GROUPS},{GROUPS}", ["liver 1", "liver 2"]),
         ("", f"{GROUPS},{GROUPS}", ["1", "2"]),
+        ("", f"{GROUPS},Force (g).1,Distance (mm).1,Time (sec).1", ["1", "2"]),
+        ("", "Force 1 (g),Distance 1 (mm),Time 1 (s),Force 2 (g),Distance 2 (mm),Time 2 (s)", ["1", "2"]),
+        (
+            "",
+            "L1 Force (g),L1 Distance (mm),L1 Time (s),L2 Force (g),L2 Distance (mm),L2 Time (s)",
+            ["1", "2"],
+        ),
     ],
 )
 def test_specimens_side_by_side_whose_time_stands_last_are_all_read(
@@ -395,3 +408,29 @@ def test_specimens_side_by_side_whose_time_stands_last_are_all_read(
     cells = [[None if c == "" else c if k == 0 else float(c) for c in line] for k, line in enumerate(lines)]
     both = read_trials(workbook(tmp_path / "a.xlsx", {"S": cells}))
     assert [trial.time_s.size for trial in both] == [30, 20]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Time (s),Load (N),Extension (mm),Time (s),Load (N),Position (mm)",
+        "Time (s),Load 1 (N),Load 2 (N),Extension (mm),Position (mm),Strain (%)",
+    ],
+)
+def test_other_sensors_of_one_specimen_are_no_second_specimen(tmp_path: Path, head: str) -> None:
+    rows = "".join(
+        f"{k / 10:.1f},{1 + k * 0.25:.3f},{k * 0.05:.3f},{k / 10:.1f},{k * 0.25:.3f},{k * 0.06:.3f}\n"
+        for k in range(30)
+    )
+    assert read(written(tmp_path / "a.csv", head, rows)).source.sheet is None
+
+
+@pytest.mark.parametrize("stamps", ["Date/Time,Elapsed Time (s)", "Time,t [s]"])
+def test_a_time_with_a_unit_is_taken_before_a_stamp_of_whole_seconds(tmp_path: Path, stamps: str) -> None:
+    rows = "".join(
+        f"3/4/2019 2:53:{10 + k // 10:02d} PM,{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n"
+        for k in range(30)
+    )
+    trial = read(written(tmp_path / "a.csv", f"{stamps},Displacement (mm),Load (N)", rows))
+    assert trial.time_s[29] == 2.9
+    assert codes(trial) == ["column_choice"]

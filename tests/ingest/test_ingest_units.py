@@ -96,3 +96,25 @@ def test_units_of_another_table_are_not_those_of_the_columns(tmp_path: Path) -> 
     above = read(put(tmp_path / "b.csv", f"Units,N,um\n\nTime,Extension,Load\n{ROWS}"))
     assert above.force_N[2] == 1.5
     assert codes(above) == ["units_assumed"] * 3
+
+
+@pytest.mark.parametrize("line", ["{name} unit: {unit}", "{name} unit,{unit}", "{name} units = {unit}"])
+def test_units_that_the_header_states_column_by_column_are_read(tmp_path: Path, line: str) -> None:
+    stated = {"Time": "msec", "Displacement": "um", "Force": "mN"}
+    header = "\n".join(line.format(name=name, unit=unit) for name, unit in stated.items())
+    trial = read(put(tmp_path / "a.csv", f"{header}\n\nTime,Displacement,Force\n{ROWS}"))
+    assert trial.flags == ()
+    assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx(
+        (2e-4, 1e-4, 1.5e-3)
+    )
+
+
+@pytest.mark.parametrize("row", ["0.0000,NaN,NaN", "n/a,n/a,n/a"])
+def test_missing_numbers_under_the_names_are_no_units(tmp_path: Path, row: str) -> None:
+    head = f"Time (s),Extension (mm),Load (N)\n{row}\n"
+    path = put(tmp_path / "a.csv", head + ROWS)
+    if row.startswith("0"):
+        error = refusal(path)
+        assert (error.code, error.line) == ("not_finite", 2)
+    else:
+        assert codes(read(path)) == ["rows_skipped"]

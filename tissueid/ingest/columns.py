@@ -24,7 +24,7 @@ from tissueid.ingest.vocabulary import (
     plain_words,
     rank_of,
 )
-from tissueid.units import INTERNAL_UNITS, WIDE_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
+from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -32,6 +32,8 @@ _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)
 _AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec)")
+_AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
+_NUMBERED = re.compile(r"([)\]])\.\d+$")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: A longer text is no name, and would cost the patterns above the square of its length.
@@ -97,7 +99,8 @@ def split_name(name: str) -> tuple[str, str | None]:
     """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
     if len(name) > _LONGEST_NAME:
         return name, None
-    name = name.translate(WIDE_BRACKETS)
+    # pandas numbers names that repeat, and R has dots for what is no letter
+    name = _NUMBERED.sub(r"\1", name.translate(OTHER_BRACKETS))
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
         if match[1] and _CLOCK_FORM.fullmatch(inside):
@@ -107,7 +110,7 @@ def split_name(name: str) -> tuple[str, str | None]:
         return name, None
     if _NAMED_BY_UNIT.fullmatch(name):
         return name, name
-    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE):
+    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
     return name, None
@@ -161,9 +164,12 @@ class _Head:
             rank = self.rank(column, channel, loose=measured == wanted)
             if rank is not None:
                 found.append((rank, column))
-        found.sort(key=lambda item: (item[0], item[1].index))
+        # a clock or a stamp has no unit; the time of a test has
+        united = channel == "time" and any(column.unit for _, column in found)
+        found.sort(key=lambda item: (united and not item[1].unit, item[0], item[1].index))
         # of two letters, or two sideways axes, either may be meant
-        return [] if len(found) > 1 and found[0][0] in {SYMBOL_RANK, SIDEWAYS_RANK} else found
+        doubtful = [rank in {SYMBOL_RANK, SIDEWAYS_RANK} for rank, _ in found]
+        return [] if sum(doubtful) > 1 and doubtful[0] else found
 
     def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
         """Columns whose name fits as well as the best or better, but whose unit is of something else."""

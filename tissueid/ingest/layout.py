@@ -15,7 +15,7 @@ from functools import lru_cache
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import channel_columns, has_channels, split_name
-from tissueid.ingest.numbers import decimal_evidence, looks_numeric
+from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
@@ -195,6 +195,8 @@ _ROWS_OF_HEAD = 3
 _LONGEST_WORD = 12
 #: What a line of units over the names begins with.
 _UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unites?|unidad(?:es)?|单位|単位")
+#: A line of the header that states the unit of one column.
+_UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S{1,12})")
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 #: A tail of nothing but numbers holds no results.
@@ -323,6 +325,7 @@ def _stands_as_units(rows: Sequence[Row], names: int, at: int, options: ReadOpti
         index < len(cells)
         and 0 < len(cells[index].strip()) <= _LONGEST_WORD
         and " " not in cells[index].strip()
+        and is_word(cells[index])
         for index in under
     )
 
@@ -341,6 +344,16 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
         if len(stated) >= 2 and all(quantity == options.quantity(channel) for channel, quantity in stated):
             return index
     return None
+
+
+def _stated_units(header: Sequence[Row], names: Row) -> Row:
+    """Units that lines of the header state, each of one column by its name: ``Force unit: mN``."""
+    stated = {}
+    for row in header:
+        match = _UNIT_OF_NAME.fullmatch(" ".join(_filled(row)))
+        if match is not None and isinstance(quantity_of(match[2]), str):
+            stated[plain_words(match[1])] = match[2]
+    return tuple(stated.get(plain_words(name), "") for name in names) if stated else ()
 
 
 def _is_units_key(cell: str) -> bool:
@@ -382,6 +395,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
+    if found.names is not None and found.units is None:
+        units = _stated_units(rows[: found.names], names)
     below_names = b"".join(raw[found.first : len(rows)])
     results = None
     if not _ONLY_NUMBERS.fullmatch(below_names):

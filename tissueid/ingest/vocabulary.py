@@ -35,7 +35,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
-            r"|temps ecoule|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
+            r"|temps ecoule|経過時間|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
         ),
     },
     "displacement": {
@@ -119,7 +119,11 @@ _LOOSE_WORDS = {
         # strain in other languages, and letters of an indenter: with a unit of length alone
         r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
-    "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn)\b|载荷"),
+    "force": re.compile(
+        r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn"
+        # what a scale shows, with a unit of force or weight alone
+        r"|weight|mass|gewicht|masse|poids|peso)\b|载荷"
+    ),
 }
 #: Rank of a loose name with the letter of a sideways axis.
 SIDEWAYS_RANK = 10
