@@ -18,6 +18,7 @@ import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.header import is_protocol_key
+from tissueid.ingest.markup import lines_of_markup
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
 
@@ -160,6 +161,7 @@ _MAGIC = (
     (b"PK\x03\x04", "a zip archive or workbook"),
     (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
 )
+MARKUP = "XML or HTML"
 _BOMS_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 #: A quoted number with its marks is a cell, not a row.
@@ -203,7 +205,7 @@ def foreign_kind(head: bytes) -> str | None:
     if re.match(rb"[\[{]\s*[\"{\[\]}]", start):
         return "JSON"
     if re.match(rb"<(?:\?xml|!doctype|html)", start, re.IGNORECASE):
-        return "XML or HTML"
+        return MARKUP
     return None
 
 
@@ -234,6 +236,8 @@ def decode_text(data: bytes, place: Place) -> Text:
         place.refuse("empty_file", "the file is empty; export the test again")
     head = data[:HEAD_BYTES]
     kind = foreign_kind(head)
+    if kind == MARKUP and (lines := lines_of_markup(data)) is not None:
+        return decode_text(lines, place)
     if kind is not None:
         refuse_foreign(kind, place)
     _refuse_long_lines(data, place)
