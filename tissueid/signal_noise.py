@@ -87,3 +87,40 @@ def running_median(values: FloatArray) -> FloatArray:
     windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
     result: FloatArray = np.median(windows, axis=1)
     return result
+
+
+#: A clock is coarser than the sampling where so many rows repeat the time of the row before.
+COARSE_SHARE = 0.2
+#: Fewer rows show no sampling.
+FEWEST_ROWS = 60
+#: Rows are sampled evenly where a line leaves no tick by more than a step and this share of a tick.
+EVEN_SLACK = 0.2
+
+
+def between_ticks(time_s: FloatArray) -> tuple[FloatArray, float]:
+    """The times, those of rows that share a tick of a coarse clock spread up to the next, and the tick [s].
+
+    Rows sampled evenly throughout lie on one line that stays within all ticks; where there is none, those of
+    each tick are spread evenly.  Times of a clock that is fine enough stay as they are, with a tick of 0.
+    """
+    repeats = np.diff(time_s) == 0.0
+    if time_s.size < FEWEST_ROWS or np.mean(repeats) < COARSE_SHARE or repeats.all():
+        return time_s, 0.0
+    starts = np.flatnonzero(np.concatenate(([True], ~repeats)))
+    count = np.diff(np.append(starts, time_s.size))
+    ticks = np.diff(time_s[starts])
+    shared = ticks[count[:-1] > 1]
+    if shared.size < 2:
+        return time_s, 0.0
+    tick = float(np.median(shared))
+    rows = np.arange(time_s.size)
+    # the first tick and the last may be cut
+    step = float(time_s[starts[-1]] - time_s[starts[1]]) / float(starts[-1] - starts[1])
+    even = time_s[0] + step * rows
+    even += float(np.max(time_s - even))
+    # the first row of a tick may lie a step into it
+    if float(np.max(even - time_s)) <= (1.0 + EVEN_SLACK) * tick + step:
+        return np.asarray(even), tick
+    # across a pause the rows were no slower
+    reach = np.minimum(np.append(ticks, tick), tick)
+    return np.asarray(time_s + (rows - np.repeat(starts, count)) * np.repeat(reach / count, count)), tick

@@ -25,13 +25,8 @@ INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
 #: Spellings seen in exports that pint does not know, or takes for something else.
 _SPELLINGS: Mapping[str, str] = MappingProxyType(
     {
-        "Sec": "s",
         "S": "s",
-        "sek": "s",
-        "Sek": "s",
-        "seg": "s",
-        "secs": "s",
-        "mins": "min",
+        "g": "force_gram",
         "秒": "s",
         "分": "min",
         "毫米": "mm",
@@ -47,22 +42,32 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "мм": "mm",
         "Н": "N",
         "кН": "kN",
-        "inches": "inch",
-        "in": "inch",
-        "gf": "force_gram",
-        # masses, where a force is printed: their weight under standard gravity
-        "g": "force_gram",
-        "kg": "force_kilogram",
-        "lb": "force_pound",
-        "lbs": "force_pound",
         "cm³": "cm**3",
         "%": "percent",
-        "MM": "mm",
-        "KN": "kN",
-        "Newton": "newton",
-        "Newtons": "newton",
     }
 )
+#: Words that mean one unit however they are capitalised; ``MN``, ``Ms`` and ``G`` may mean two.
+#: Masses, where a force is printed, are their weight under standard gravity.
+_WORDS: Mapping[str, str] = {
+    "s": "sec secs sek seg second seconds",
+    "ms": "msec msecs millis millisecond milliseconds",
+    "us": "usec usecs µsec micros microsecond microseconds",
+    "min": "min mins minute minutes",
+    "hour": "hr hrs hour hours",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "cm": "cm centimeter centimeters centimetre centimetres",
+    "um": "um micron microns micrometer micrometers micrometre micrometres",
+    "inch": "in inch inches",
+    "thou": "mil mils thou",
+    "newton": "newton newtons",
+    "kN": "kn kilonewton kilonewtons",
+    "mN": "millinewton millinewtons",
+    "force_gram": "gf gram grams gram-force grams-force gram_force",
+    "force_kilogram": "kg kgf kgs kp kilogram kilograms kilogram-force kilopond",
+    "force_pound": "lb lbs lbf pound pounds pound-force pounds-force",
+    "force_ounce": "oz ozf ounce ounces ounce-force",
+}
+_FOLDED = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 #: What machines print most: what it measures, and pint's factor.
 KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = MappingProxyType(
     {
@@ -84,6 +89,8 @@ KNOWN_WORDS = frozenset(
 )
 #: Letters that number repeats ("Load-a"), though they may be years, bits or days.
 REPEATS = frozenset("abcde")
+#: Brackets as East Asian keyboards write them, and others around units.
+OTHER_BRACKETS = str.maketrans("（）［］【】{}<>", "()[][]()()")
 _BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
 #: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
 _UNIT_SHAPED = re.compile(r"[^\W\d_][\w²³]*(?:(?:\s?[/*·]\s?|\^|\*\*|\s)-?[\w²³]+){0,4}|%|µ\w+")
@@ -92,6 +99,7 @@ _LONGEST_UNIT = 24
 
 def bare_unit(text: str) -> str:
     """The unit without brackets, padding or a final full stop: ``"(sec) "`` gives ``"sec"``."""
+    text = text.translate(OTHER_BRACKETS)
     match = _BRACKETS.match(text)
     return (match[1] if match else text).strip().rstrip(".")
 
@@ -107,12 +115,13 @@ def _registry() -> Any:
 @cache
 def _parsed(unit: str) -> Any | None:
     """Bare unit as pint takes it, or ``None`` where it knows nothing of the name."""
-    if len(unit) > _LONGEST_UNIT or not _UNIT_SHAPED.fullmatch(unit):
+    spelled = _SPELLINGS.get(unit) or _FOLDED.get(unit.casefold())
+    if len(unit) > _LONGEST_UNIT or (spelled is None and not _UNIT_SHAPED.fullmatch(unit)):
         return None
     import pint
 
     try:
-        return _registry().parse_units(_SPELLINGS.get(unit, unit))
+        return _registry().parse_units(spelled or unit)
     # what is shaped like a unit may be none that its parser has thought of
     except (pint.errors.PintError, ValueError, TypeError, AttributeError, AssertionError, ArithmeticError):
         return None

@@ -180,3 +180,16 @@ def test_samples_beside_a_contact_between_samples_are_compared_where_they_are(sh
     x = blocks.depth_mm[blocks.at]
     mean = (x[:, 0] + 4.0 * x[:, 1] + x[:, 2]) / 6.0
     np.testing.assert_allclose(blocks.force_N, 50.0 * mean, atol=1e-9)
+
+
+def test_rows_that_share_one_instant_are_no_straight_line():
+    """A logger that stood still for twelve rows: no slope is taken over no time."""
+    time = np.arange(2_000) * 0.01
+    for at in (300, 600, 1_500):
+        time[at : at + 12] = time[at]
+    depth = np.minimum(np.arange(2_000) * 0.01, 6.0)
+    data = LogData(time, depth, 5.0 * depth, np.ones(2_000, dtype=bool), np.zeros(2_000, dtype=np.int64))
+    with np.errstate(all="raise"):
+        blocks = log_blocks(data, step_s=0.01, contact_sd_mm=0.004, leads=False)
+    assert np.isfinite(blocks.time_s).all()
+    assert np.isfinite(blocks.depth_mm).all()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pint
 import pytest
-from ingest_files import codes, put, read, refusal
+from ingest_files import codes, put, read, refusal, workbook
 
 from tissueid.collection import TrialCache, collect
 from tissueid.ingest import ReadOptions, read_each, read_trials
@@ -33,6 +33,12 @@ def written(path: Path, head: str, rows: str = ROWS) -> Path:
         ("Time-s,Extension-um,Load-mN", (1e-3, 1e-3)),
         ("time_s,height_measured_m,force_N", (1e3, 1)),
         ("Time s,Extension mm,Load kN", (1, 1e3)),
+        ("Time.s,Extension.mm,Load.kN", (1, 1e3)),
+        ("Time..s.,Extension..um.,Load..mN.", (1e-3, 1e-3)),
+        ("Time <s>,Extension <um>,Load <mN>", (1e-3, 1e-3)),
+        ("Time {s},Extension {mm},Load {kgf}", (1, 9.80665)),
+        ("t_s,z_mm,weight_g", (1, 9.80665e-3)),
+        ("経過時間(s),ストローク(mm),荷重(kN)", (1, 1e3)),
         ("Temps (s),Course_Traverse (mm),Effort (N)", (1, 1)),
         ("Temps (s),Déplacement de la traverse (mm),Force (N)", (1, 1)),
         ("Temps (s),Position traverse (mm),Charge (N)", (1, 1)),
@@ -298,3 +304,133 @@ def test_words_over_columns_are_no_units_of_pint(word):
 def test_letters_that_number_repeats_are_no_units(letter):
     assert quantity_of(letter) is None
     assert split_name(f"Load-{letter}") == (f"Load-{letter}", None)
+
+
+FOUR = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f},{2 + k * 0.125:.3f}\n" for k in range(30))
+
+
+@pytest.mark.parametrize(
+    ("head", "displacement", "force"),
+    [
+        ("Time (s),Position Z (mm),Force X (N),Force Z (N)", "Position Z (mm)", "Force Z (N)"),
+        ("Time (s),Load Y (N),Load (Z) (N),Displacement (mm)", "Displacement (mm)", "Load (Z) (N)"),
+        ("Time (s),X displacement (mm),Z displacement (mm),Force (N)", "Z displacement (mm)", "Force (N)"),
+        ("Time (s),Displacement X (mm),Force (N),Comment", "Displacement X (mm)", "Force (N)"),
+        ("Time (s),Set position (mm),Actual position (mm),Force (N)", "Actual position (mm)", "Force (N)"),
+        (
+            "Time (s),Demand position (mm),Measured position (mm),Load (N)",
+            "Measured position (mm)",
+            "Load (N)",
+        ),
+        (
+            "Elapsed (s),Commanded travel (mm),Travel feedback (mm),Load (N)",
+            "Travel feedback (mm)",
+            "Load (N)",
+        ),
+        ("Time (s),Distance (mm),Soll Kraft (N),Kraft gefiltert (N)", "Distance (mm)", "Kraft gefiltert (N)"),
+    ],
+)
+def test_neither_a_sideways_axis_nor_what_was_asked_for_is_taken_for_what_was_measured(
+    tmp_path: Path, head: str, displacement: str, force: str
+) -> None:
+    rows = FOUR if not head.endswith("Comment") else ROWS.replace("\n", ",\n")
+    trial = read(written(tmp_path / "a.csv", head, rows))
+    assert (trial.source.columns["displacement"], trial.source.columns["force"]) == (displacement, force)
+
+
+def test_of_two_sideways_axes_either_may_be_meant(tmp_path: Path) -> None:
+    error = refusal(written(tmp_path / "a.csv", "Time (s),Force X (N),Force Y (N),Displacement (mm)", FOUR))
+    assert error.code == "no_columns"
+    assert "--columns" in error.message
+
+
+@pytest.mark.parametrize("value", ["0.0000", "-1.2500"])
+def test_a_sensor_that_was_not_attached_is_not_taken_for_the_travel(tmp_path: Path, value: str) -> None:
+    rows = ROWS.replace("\n", f",{value}\n")
+    path = written(tmp_path / "a.csv", "Time (s),Position (mm),Force (N),Extension (mm)", rows)
+    error = refusal(path)
+    assert error.code == "no_columns"
+    assert "--columns displacement='Position (mm)'" in error.message
+    answered = read(path, ReadOptions(columns={"displacement": "Position (mm)"}))
+    assert answered.displacement_mm[2] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "unit"),
+    [
+        (1_552_000_000_000, 100, "ms"),
+        (1_552_000_000_000_000_000, 100_000_000, "ns"),
+        (0, 100_000_000, "UNIT"),
+    ],
+)
+def test_a_stamp_that_is_no_seconds_is_asked_about(tmp_path: Path, first: int, step: int, unit: str) -> None:
+    rows = "".join(f"{first + k * step},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+    path = written(tmp_path / "a.csv", "%time,position_mm,force_N", rows)
+    error = refusal(path)
+    assert error.code == "implausible_range"
+    assert f"--units time={unit}" in error.message
+    trial = read(path, ReadOptions(units={"time": "ms" if unit == "ms" else "ns"}))
+    assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-6)
+
+
+GROUPS = "Force (g),Distance (mm),Time (sec)"
+
+
+@pytest.mark.parametrize(
+    ("above", "head", "sheets"),
+    [
+        ("liver 1,,,liver 2,,", f"{GROUPS},{GROUPS}", ["liver 1", "liver 2"]),
+        ("liver 1,liver 1,liver 1,liver 2,liver 2,liver 2", f"{GROUPS},{GROUPS}", ["liver 1", "liver 2"]),
+        ("", f"{GROUPS},{GROUPS}", ["1", "2"]),
+        ("", f"{GROUPS},Force (g).1,Distance (mm).1,Time (sec).1", ["1", "2"]),
+        ("", "Force 1 (g),Distance 1 (mm),Time 1 (s),Force 2 (g),Distance 2 (mm),Time 2 (s)", ["1", "2"]),
+        (
+            "",
+            "L1 Force (g),L1 Distance (mm),L1 Time (s),L2 Force (g),L2 Distance (mm),L2 Time (s)",
+            ["1", "2"],
+        ),
+    ],
+)
+def test_specimens_side_by_side_whose_time_stands_last_are_all_read(
+    tmp_path: Path, above: str, head: str, sheets: list[str]
+) -> None:
+    rows = "".join(
+        f"{k * 10:.1f},{k * 0.05:.3f},{k / 10:.1f},"
+        + (f"{k * 20:.1f},{k * 0.1:.3f},{k / 5:.1f}\n" if k < 20 else ",,\n")
+        for k in range(30)
+    )
+    path = put(tmp_path / "a.csv", f"{above}\n{head}\n{rows}")
+    first, second = read_trials(path)
+    assert [first.source.sheet, second.source.sheet] == sheets
+    assert (first.time_s.size, second.time_s.size) == (30, 20)
+    assert (first.force_N[2], second.force_N[2]) == pytest.approx((20 * 9.80665e-3, 40 * 9.80665e-3))
+    lines = [line.split(",") for line in [head, *rows.splitlines()]]
+    cells = [[None if c == "" else c if k == 0 else float(c) for c in line] for k, line in enumerate(lines)]
+    both = read_trials(workbook(tmp_path / "a.xlsx", {"S": cells}))
+    assert [trial.time_s.size for trial in both] == [30, 20]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Time (s),Load (N),Extension (mm),Time (s),Load (N),Position (mm)",
+        "Time (s),Load 1 (N),Load 2 (N),Extension (mm),Position (mm),Strain (%)",
+    ],
+)
+def test_other_sensors_of_one_specimen_are_no_second_specimen(tmp_path: Path, head: str) -> None:
+    rows = "".join(
+        f"{k / 10:.1f},{1 + k * 0.25:.3f},{k * 0.05:.3f},{k / 10:.1f},{k * 0.25:.3f},{k * 0.06:.3f}\n"
+        for k in range(30)
+    )
+    assert read(written(tmp_path / "a.csv", head, rows)).source.sheet is None
+
+
+@pytest.mark.parametrize("stamps", ["Date/Time,Elapsed Time (s)", "Time,t [s]"])
+def test_a_time_with_a_unit_is_taken_before_a_stamp_of_whole_seconds(tmp_path: Path, stamps: str) -> None:
+    rows = "".join(
+        f"3/4/2019 2:53:{10 + k // 10:02d} PM,{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n"
+        for k in range(30)
+    )
+    trial = read(written(tmp_path / "a.csv", f"{stamps},Displacement (mm),Load (N)", rows))
+    assert trial.time_s[29] == 2.9
+    assert codes(trial) == ["column_choice"]

@@ -36,6 +36,10 @@ def read(path: Path, text: str, **options):
         "Time(s) Disp(mm) Force(N)\n",
         "Operator: A B\n\n  Time   Displacement   Force\n  (s)    (mm)    (N)\n",
         "Time (s) Displ. (mm) Force (N)\n",
+        "# Time (s) Displacement (mm) Force (N)\n",
+        "# time_s displacement_mm force_N\n",
+        "#  Time_s  Travel_mm  Load_N\n",
+        "% Time(s) Disp(mm) Force(N)\n",
     ],
 )
 def test_columns_by_spaces_are_columns_under_their_names(head: str, tmp_path: Path) -> None:
@@ -227,3 +231,78 @@ def test_lines_of_one_kind_are_looked_at_once(line: bytes) -> None:
 
     assert by_spaces(text).count(b"\n") == text.count(b"\n")
     assert with_seconds(text) == text
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "delimiter"),
+    [
+        ("Time", "{m:02d}:{s:02d}.{ms:03d}", ","),
+        ("Time", "{m:d}:{s:02d}.{ms:03d}", "\t"),
+        ("Time (mm:ss.0)", "{m:02d}:{s:02d},{ms:03d}", ";"),
+        ("Time", "14:{m:02d}:{s:02d}:{ms:03d}", ","),
+        ("Time (hh:mm:ss.fff)", "00:{m:02d}:{s:02d}.{ms:03d}", ","),
+    ],
+)
+def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(
+    tmp_path: Path, name: str, form: str, delimiter: str
+) -> None:
+    mark = "," if delimiter == ";" else "."
+
+    def row(t: float, x: float, f: float) -> str:
+        ms = 58_000 + round(1e3 * t)
+        stamp = form.format(m=ms // 60_000, s=ms // 1000 % 60, ms=ms % 1000)
+        return delimiter.join([stamp, *(f"{one:.4f}".replace(".", mark) for one in (x, f))]) + "\n"
+
+    text = table(row, delimiter.join([name, "Displacement (mm)", "Force (N)"]) + "\n")
+    trial = read(tmp_path / "a.csv", text)
+    assert trial.time_s - trial.time_s[0] == pytest.approx(TIME, abs=1e-9)
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-4)
+    assert [flag.code for flag in trial.flags] == ["units_assumed"]
+
+
+def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_path: Path) -> None:
+    text = table(lambda t, x, f: f"10:00:{t:06.3f},{100 * t:.0f},{x:.4f},{f:.4f}\n").replace(".000,", ",")
+    trial = read(tmp_path / "a.csv", "Time,Count,Displacement (mm),Force (N)\n" + text)
+    assert trial.time_s[-1] - trial.time_s[0] == pytest.approx(TIME[-1])
+    seconds = "".join(
+        f"10:{k // 60:02d}:{k % 60:02d},{k % 7},{k * 0.1:.2f},{k * 0.3:.2f}\n" for k in range(90)
+    )
+    whole = read(tmp_path / "b.csv", "Time,Count,Displacement (mm),Force (N)\n" + seconds)
+    assert whole.time_s[89] - whole.time_s[0] == 89.0
+
+
+def test_a_minus_that_is_no_hyphen_is_one(tmp_path: Path) -> None:
+    text = table(lambda t, x, f: f"{t:.3f};{-x:.4f};{-f:.4f}\n".replace(".", ",").replace("-", "\u2212"))
+    trial = read(tmp_path / "a.csv", "Time (s);Extension (mm);Load (N)\n" + text)
+    assert trial.force_N == pytest.approx(-FORCE, abs=1e-4)
+
+
+def test_units_with_a_micro_sign_are_not_chinese(tmp_path: Path) -> None:
+    head = "Index\tTime [s]\tForce A [µN]\tPos Z [µm]\n"
+    rows = table(lambda t, x, f: f"{100 * t:.0f}\t{t:.3f}\t{1e6 * f:.2f}\t{1e3 * x:.3f}\n")
+    path = tmp_path / "a.txt"
+    path.write_bytes((head + rows).encode("cp1252"))
+    (trial,) = read_trials(path)
+    assert trial.force_N == pytest.approx(FORCE, abs=1e-6)
+    assert trial.displacement_mm == pytest.approx(DEPTH, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_s"), [("millis", 1e3), ("ms", 1e3), ("Micros", 1e6), ("seconds", 1.0), ("time_msec", 1e3)]
+)
+def test_a_time_named_by_its_unit_has_it(tmp_path: Path, name: str, per_s: float) -> None:
+    text = table(lambda t, x, f: f"{per_s * t:.2f},{x:.4f},{f:.4f}\n", f"{name},position_mm,force_N\n")
+    trial = read(tmp_path / "a.csv", text)
+    assert trial.flags == ()
+    assert trial.time_s == pytest.approx(TIME, abs=1e-9)
+
+
+@pytest.mark.parametrize("first", [0, 5])
+def test_numbers_that_a_sheet_stores_as_text_are_refused_by_their_cell(tmp_path: Path, first: int) -> None:
+    rows: list[list[object]] = [["Time (s)", "Extension (mm)", "Load (N)"]]
+    for k, one in enumerate(zip(TIME.tolist(), DEPTH.tolist(), FORCE.tolist(), strict=True)):
+        as_text = k == first or first == 0
+        rows.append([f"{v:.4f}" for v in one] if as_text else [*one])
+    with pytest.raises(InputError, match="stored as text") as caught:
+        read_trials(workbook(tmp_path / "a.xlsx", {"S": rows}))
+    assert (caught.value.code, caught.value.line) == ("text_in_numbers", first + 2)

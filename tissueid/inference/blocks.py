@@ -168,12 +168,14 @@ def _corners(time: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArra
 
     def line(first: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         last = first + LINE_SAMPLES - 1
-        slope = (depth[last] - depth[first]) / (time[last] - time[first])
+        span = time[last] - time[first]
+        # rows that share one instant are no line
+        slope = np.divide(depth[last] - depth[first], span, out=np.zeros(first.size), where=span > 0.0)
         off = np.zeros(first.size)
         for k in range(1, LINE_SAMPLES - 1):
             straight = depth[first] + slope * (time[first + k] - time[first])
             off = np.maximum(off, np.abs(depth[first + k] - straight))
-        return slope, off <= tolerance
+        return slope, (off <= tolerance) & (span > 0.0)
 
     left, left_straight = line(i - LINE_SAMPLES + 1)
     right, right_straight = line(i + 1)

@@ -24,7 +24,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
@@ -101,19 +101,52 @@ def specimen_columns(
         _holds_force(names[start:stop], units[start:stop], options) for start, stop in spans
     ):
         return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
-    spans = _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
+    repeats = _repeats(names)
+    spans = repeats or _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
     if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
         return []
     if all(_named(above[start:stop]) for start, stop in spans):
         return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
     groups = {tuple(name.strip() for name in names[start:stop] if name.strip()) for start, stop in spans}
-    if len(spans) < 2 or len(groups) > 1:
+    if len(spans) < 2 or (len(groups) > 1 and not repeats):
         return []
     return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
 
 
 def _is(name: str, channel: Channel) -> bool:
     return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
+
+
+def _repeats(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Columns of groups that repeat the same names in the same order, but for one word or number a group."""
+    filled = [i for i, name in enumerate(names) if name.strip()]
+    words = [tuple(plain_words(names[i]).split()) for i in filled]
+    for size in range(len(CHANNELS), len(filled) // 2 + 1):
+        groups = [words[at : at + size] for at in range(0, len(words), size)]
+        if len(filled) % size == 0 and all(_same_but_for_a_word(groups[0], group) for group in groups[1:]):
+            return list(pairwise([*filled[::size], len(names)]))
+    return []
+
+
+def _same_but_for_a_word(one: Sequence[Row], other: Sequence[Row]) -> bool:
+    """True where names are equal, differ by the number of the group, or each by its word."""
+    differences = [_difference(a, b) for a, b in zip(one, other, strict=True)]
+    found = {difference for difference in differences if difference != ((), ())}
+    numbers = all(word.isdecimal() for pair in found for side in pair for word in side)
+    return not found or (len(found) == 1 and (numbers or len(set(differences)) == 1))
+
+
+def _difference(one: Row, other: Row) -> tuple[Row, Row]:
+    """Words of both names without those that they begin and end with alike."""
+    head = next(
+        (i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other))
+    )
+    one, other = one[head:], other[head:]
+    tail = next(
+        (i for i, (a, b) in enumerate(zip(one[::-1], other[::-1], strict=False)) if a != b),
+        min(len(one), len(other)),
+    )
+    return one[: len(one) - tail], other[: len(other) - tail]
 
 
 def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:

@@ -16,19 +16,34 @@ from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
-from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
+from tissueid.ingest.vocabulary import (
+    CHANNELS,
+    SIDEWAYS_RANK,
+    SYMBOL_RANK,
+    Channel,
+    plain_words,
+    rank_of,
+)
+from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]
 
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)
-_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|[uµμn]m|[kmuµμ]?N|s|sec)")
+_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|cm|[uµμn]m|[kmuµμ]?N|kgf|gf|lbf|s|sec|ms|msec)")
+_AFTER_DOT = re.compile(r"([^.].*[^.])\.{1,2}([^.\d]+)\.?")
+_NUMBERED = re.compile(r"([)\]])\.\d+$")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
 _SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: A longer text is no name, and would cost the patterns above the square of its length.
 _LONGEST_NAME = 250
+#: Times that are named by their unit alone.
+_NAMED_BY_UNIT = re.compile(
+    r"seconds?|secs?|ms|msecs?|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?", re.IGNORECASE
+)
+#: A form of clock times, which are read as seconds: ``hh:mm:ss.fff``.
+_CLOCK_FORM = re.compile(r"(?:h+:)?m+:s+(?:[.,:][f0sz#]+)?", re.IGNORECASE)
 _UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
 #: Words of strain and stress in the nine languages, accents stripped.
 _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
@@ -84,12 +99,18 @@ def split_name(name: str) -> tuple[str, str | None]:
     """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
     if len(name) > _LONGEST_NAME:
         return name, None
+    # pandas numbers names that repeat, and R has dots for what is no letter
+    name = _NUMBERED.sub(r"\1", name.translate(OTHER_BRACKETS))
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
+        if match[1] and _CLOCK_FORM.fullmatch(inside):
+            return match[1], None
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
             return match[1], inside
         return name, None
-    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE):
+    if _NAMED_BY_UNIT.fullmatch(name):
+        return name, name
+    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
     return name, None
@@ -143,9 +164,12 @@ class _Head:
             rank = self.rank(column, channel, loose=measured == wanted)
             if rank is not None:
                 found.append((rank, column))
-        found.sort(key=lambda item: (item[0], item[1].index))
-        # of two letters either may be meant
-        return [] if len(found) > 1 and found[0][0] == SYMBOL_RANK else found
+        # a clock or a stamp has no unit; the time of a test has
+        united = channel == "time" and any(column.unit for _, column in found)
+        found.sort(key=lambda item: (united and not item[1].unit, item[0], item[1].index))
+        # of two letters, or two sideways axes, either may be meant
+        doubtful = [rank in {SYMBOL_RANK, SIDEWAYS_RANK} for rank, _ in found]
+        return [] if sum(doubtful) > 1 and doubtful[0] else found
 
     def ruled_out(self, channel: Channel, found: Sequence[tuple[int, _Column]]) -> list[str]:
         """Columns whose name fits as well as the best or better, but whose unit is of something else."""
@@ -188,6 +212,17 @@ def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOption
         else any(head.may_be(column, channel) for column in head.columns)
         for channel in CHANNELS
     )  # fmt: skip
+
+
+def channel_columns(names: Sequence[str], options: ReadOptions) -> tuple[int, ...]:
+    """The columns of time, displacement and force by their names alone; empty where one is missing."""
+    head = _Head.of(names, (), options)
+    best = [
+        head.named(options.columns[channel]) if channel in options.columns
+        else [column for _, column in head.candidates(channel)]
+        for channel in CHANNELS
+    ]  # fmt: skip
+    return tuple(columns[0].index for columns in best) if all(best) else ()
 
 
 def choose_columns(
@@ -236,7 +271,7 @@ def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) 
 def _none_found(head: _Head, channel: Channel, place: Place, line: int | None) -> InputError:
     wanted = head.options.quantity(channel)
     for column in head.columns:
-        if column.unit and head.may_be(column, channel):
+        if column.unit and head.may_be(column, channel) and quantity_of(column.unit) != wanted:
             message = (
                 f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"

@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from tissueid.flags import Flag
-from tissueid.ingest.columns import has_channels, split_name
-from tissueid.ingest.numbers import decimal_evidence, looks_numeric
+from tissueid.ingest.columns import channel_columns, has_channels, split_name
+from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import is_comment_name, plain_words
+from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
 Row = tuple[str, ...]
 
-_BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
+_BRACKETED = re.compile(r"\s*[(\[（［【].*[)\]）］】]\s*")
 _STATISTICS = re.compile(
     r"mean|average|median|(?:sample )?standard deviation|std(?: dev)?|s d|sd|(?:mean|media|moyenne) [\d ]*sd"
     r"|coefficient of variation|c ?v|minimum|maximum|range|count"
@@ -190,6 +190,13 @@ _HEAD_LINES = 200
 _SCORED_LINES = 100
 #: Rows of numbers whose marks decide by themselves where they agree.
 _VOTING_ROWS = 40
+#: Lines between names and numbers in which units stand, and the longest word that may be one.
+_ROWS_OF_HEAD = 3
+_LONGEST_WORD = 12
+#: What a line of units over the names begins with.
+_UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unites?|unidad(?:es)?|单位|単位")
+#: A line of the header that states the unit of one column.
+_UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S{1,12})")
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 #: A tail of nothing but numbers holds no results.
@@ -207,7 +214,7 @@ class Anchor:
     def head(self, rows: Sequence[Row]) -> tuple[Row, Row]:
         """Names and units among the rows in which they were found; empty where there are none."""
         names = () if self.names is None else rows[self.names]
-        return names, () if self.units is None else rows[self.units]
+        return names, () if self.units is None else _without_key(rows[self.units])
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,11 +306,63 @@ def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anch
             return None  # what stands higher are results and their names
         if _numeric_share(rows[index]) > 0.0 or is_units_row(rows[index]):
             continue
-        following = [i for i in range(index + 1, first) if _filled(rows[i])]
-        units = following[0] if following and is_units_row(rows[following[0]]) else None
+        below = [i for i in range(index + 1, first) if _filled(rows[i])][:_ROWS_OF_HEAD]
+        units = next((i for i in below if is_units_row(rows[i])), None)
+        if units is None and below and _stands_as_units(rows, index, below[0], options):
+            units = below[0]
         if has_channels(rows[index], rows[units] if units is not None else (), options):
-            return Anchor(index, units, (units if units is not None else index) + 1)
+            after = (units if units is not None else index) + 1
+            above = _units_above(rows, index, options) if units is None else None
+            return Anchor(index, units if above is None else above, after)
     return None
+
+
+def _stands_as_units(rows: Sequence[Row], names: int, at: int, options: ReadOptions) -> bool:
+    """True where a row has a short word under each channel: units, be they known or not."""
+    cells = rows[at]
+    under = channel_columns(rows[names], options)
+    return bool(under) and all(
+        index < len(cells)
+        and 0 < len(cells[index].strip()) <= _LONGEST_WORD
+        and " " not in cells[index].strip()
+        and is_word(cells[index])
+        for index in under
+    )
+
+
+def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int | None:
+    """A row of units right above the names, or one of the header that says so by its first cell."""
+    columns = channel_columns(rows[names], options)
+    for index in _filled_above(rows, names) if columns else ():
+        if index < names - 1 and not _is_units_key(_opening(rows[index])):
+            continue
+        cells = _without_key(rows[index])
+        printed = [
+            (channel, cells[k]) for channel, k in zip(CHANNELS, columns, strict=True) if k < len(cells)
+        ]
+        stated = [(channel, quantity_of(cell)) for channel, cell in printed if cell.strip()]
+        if len(stated) >= 2 and all(quantity == options.quantity(channel) for channel, quantity in stated):
+            return index
+    return None
+
+
+def _stated_units(header: Sequence[Row], names: Row) -> Row:
+    """Units that lines of the header state, each of one column by its name: ``Force unit: mN``."""
+    stated = {}
+    for row in header:
+        match = _UNIT_OF_NAME.fullmatch(" ".join(_filled(row)))
+        if match is not None and isinstance(quantity_of(match[2]), str):
+            stated[plain_words(match[1])] = match[2]
+    return tuple(stated.get(plain_words(name), "") for name in names) if stated else ()
+
+
+def _is_units_key(cell: str) -> bool:
+    return _UNITS_KEY.fullmatch(plain_words(cell)) is not None
+
+
+def _without_key(row: Row) -> Row:
+    """A row of units without the word that announces it."""
+    return ("", *row[1:]) if row and _is_units_key(row[0]) else row
 
 
 def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) -> Anchor:
@@ -336,6 +395,8 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
+    if found.names is not None and found.units is None:
+        units = _stated_units(rows[: found.names], names)
     below_names = b"".join(raw[found.first : len(rows)])
     results = None
     if not _ONLY_NUMBERS.fullmatch(below_names):

@@ -14,8 +14,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
 
 from tissueid.errors import UsageError, printable
+from tissueid.ingest.markup import holds_rows
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.text import HEAD_BYTES, foreign_kind, refuse_foreign
+from tissueid.ingest.text import HEAD_BYTES, MARKUP, foreign_kind, refuse_foreign
 from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
 #: One letter would be a drive.
@@ -99,6 +100,8 @@ def _below(system: Any, top: str) -> Iterator[Path]:
 
 #: No recording is larger: 50 million rows of 40 characters.
 LARGEST_BYTES = 1 << 31
+#: No program saves so much of it as a page.
+LARGEST_MARKUP = 1 << 28
 _PIECE_BYTES = 1 << 24
 #: What may be opened though it is no text.
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
@@ -186,6 +189,8 @@ def _refuse_foreign(head: bytes, size: int, place: Place) -> None:
     if size <= HEAD_BYTES or head.startswith((*_WORKBOOKS, *_SESSIONS)):
         return
     kind = foreign_kind(head)
+    if kind == MARKUP and size <= LARGEST_MARKUP and holds_rows(head):
+        return
     if kind is not None:
         refuse_foreign(kind, place)
     if b"\n" not in head and b"\r" not in head and len(head) == HEAD_BYTES:

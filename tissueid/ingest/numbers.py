@@ -54,6 +54,11 @@ def looks_numeric(text: str) -> bool:
     return _looks_numeric(text) if len(text) <= _LONGEST_KEPT else _looks_numeric.__wrapped__(text)
 
 
+def is_word(text: str) -> bool:
+    """True where a cell holds letters and is meant as no number, not even as a missing one."""
+    return any(map(str.isalpha, text)) and not looks_numeric(text) and not _NOT_FINITE.fullmatch(text.strip())
+
+
 @lru_cache(maxsize=8192)
 def _looks_numeric(text: str) -> bool:
     return _NUMERIC_LOOK.fullmatch(text.strip()) is not None

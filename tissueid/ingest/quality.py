@@ -12,6 +12,7 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.header import stated
+from tissueid.signal_noise import between_ticks
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -409,7 +410,12 @@ def zero_dt(time_s: FloatArray, dt: FloatArray) -> Flag | None:
         return None
     first = float(time_s[at[0]])
     message = f"{at.size} rows repeat the time of the row before, first at {first:g} s"
-    return Flag("zero_dt", message, {"count": int(at.size), "first_s": first})
+    values = {"count": int(at.size), "first_s": first}
+    tick = between_ticks(time_s)[1]
+    if tick > 0.0:
+        message = f"{at.size} rows share a tick of the clock, {tick:g} s: spread evenly between ticks"
+        values["tick_s"] = tick
+    return Flag("zero_dt", message, values)
 
 
 def event_rows(time_s: FloatArray, dt: FloatArray) -> Flag | None:

@@ -20,17 +20,19 @@ from tissueid.errors import InputError, UsageError
 from tissueid.flags import Flag
 from tissueid.ingest.archive import archive_recipe
 from tissueid.ingest.blocks import MACH_1, MTS_793, SHIMADZU
+from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import BLUEHILL_CSV, CHIARO, COLUMNS_TEXT, TESTXPERT_TRA
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.jpk import JPK_FORCE
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.quality import capacity_in, quality_flags
+from tissueid.ingest.quality import capacity_in, quality_flags, zero_dt
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, open_input
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.session import SESSION_LOG
-from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words
+from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
+from tissueid.signal_noise import between_ticks
 from tissueid.trial import Axes, Source, Trial
 
 _faults: dict[str, None] = {}
@@ -207,6 +209,10 @@ def no_specimen(path: str, sheet: str | None) -> Flag | None:
 #: Longest travel [mm] and largest force [N] of a materials testing machine, with room to spare.
 TRAVEL_LIMIT_MM = 5_000.0
 FORCE_LIMIT_N = 5e6
+#: No clock shows so many seconds (stamps count from 1970, or 1904), and no recording lasts so long (3 years).
+STAMP_LIMIT_S = 1e11
+DURATION_LIMIT_S = 1e8
+_STAMP_UNITS = (("ms", 1e3), ("us", 1e6), ("ns", 1e9))
 
 
 def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
@@ -325,8 +331,54 @@ def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
     return None
 
 
+def _beyond_clocks(file: InputFile, table: Table) -> InputError | None:
+    """Refuse times that are no seconds: a stamp in ms, us or ns under a name that does not say so."""
+    first, last = float(table.time_s[0]), float(table.time_s[-1])
+    if abs(first) < STAMP_LIMIT_S and last - first < DURATION_LIMIT_S:
+        return None
+    units = [
+        unit for unit, per_s in _STAMP_UNITS if DURATION_LIMIT_S < abs(last) / per_s < STAMP_LIMIT_S / 10
+    ]
+    unit = units[0] if units and abs(first) >= STAMP_LIMIT_S else "UNIT"
+    likely = (
+        f"is it a stamp in {unit}? State its unit" if unit != "UNIT" else "is it in ms, us or ns? State it"
+    )
+    return Place(file.path, table.sheet).refusal(
+        "implausible_range",
+        f"the time in column {table.columns['time']!r} runs from {first:.10g} to {last:.10g} s, which is no"
+        f" recording: {likely} with --units time={unit}",
+    )
+
+
+def _stuck(file: InputFile, table: Table) -> InputError | None:
+    """Refuse a displacement or force that never changes where other columns may be it."""
+    chosen = {
+        flag.values["quantity"]: flag.values["alternatives"]
+        for flag in table.flags
+        if flag.code == "column_choice"
+    }
+    values = {"displacement": table.displacement_mm, "force": table.force_N}
+    channels: tuple[Channel, ...] = ("displacement", "force")
+    for channel in channels:
+        if channel not in chosen or np.ptp(values[channel]) > 0.0:
+            continue
+        # a letter is no better
+        others = [
+            one for one in chosen[channel] if rank_of(split_name(one)[0], channel, loose=True) != SYMBOL_RANK
+        ]
+        if not others:
+            continue
+        name = table.columns[channel]
+        return Place(file.path, table.sheet).refusal(
+            "no_columns",
+            f"column {name!r} is {values[channel][0]:g} in all {table.time_s.size} rows, as of a sensor that"
+            f" was not attached; take another, as with --columns {channel}={others[0]!r}",
+        )
+    return None
+
+
 def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
-    refusal = _beyond_machines(file, table)
+    refusal = _beyond_machines(file, table) or _beyond_clocks(file, table) or _stuck(file, table)
     if refusal is not None:
         return refusal
     taken = table.match or match
@@ -344,13 +396,16 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         metadata=table.metadata,
     )
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
+    time_s, tick_s = between_ticks(table.time_s)
+    repeats = zero_dt(table.time_s, np.diff(table.time_s)) if tick_s > 0.0 else None
     no_test = no_specimen(file.path, table.sheet)
     flags = (
         *table.flags,
         *_normalised(axes),
         *(() if no_test is None else (no_test,)),
+        *(() if repeats is None else (repeats,)),
         *quality_flags(
-            table.time_s,
+            time_s,
             table.displacement_mm,
             table.force_N,
             capacity_N=capacity_in(table.metadata, decimal=table.decimal),
@@ -358,7 +413,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     )
     return Trial(
         specimen=_specimen(file, table),
-        time_s=table.time_s,
+        time_s=time_s,
         displacement_mm=table.displacement_mm,
         force_N=table.force_N,
         protocol=table.protocol or protocol_of(table.metadata, file.path, decimal=table.decimal),

@@ -18,6 +18,7 @@ import charset_normalizer
 
 from tissueid.flags import Flag
 from tissueid.ingest.header import is_protocol_key
+from tissueid.ingest.markup import lines_of_markup
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
 
@@ -34,14 +35,21 @@ _NUMBER = rb"[+-]?(?:\d+(?:,\d+|\.\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?nan"
 _ROW = re.compile(rb"[ \t]*(?:%b)(?: +(?:%b))+[ \t]*\r?" % (_NUMBER, _NUMBER), re.IGNORECASE)
 #: Words of a line of names: ``Time (s)`` and ``(s)`` are one each.
 _NAME = re.compile(rb"[^\s(\[]+(?: ?[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]")
-_CLOCK = re.compile(
-    rb"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T])?(\d{1,2}):(\d{2}):(\d{2})([.,]\d{1,9})?"
-    rb"(?: ?([AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d{2}:?\d{2})?"
+#: Hours, minutes and seconds, or minutes and seconds with their fraction; milliseconds may follow a colon.
+_CLOCK = (
+    rb"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T])?(?:(\d{1,2}):(?=\d{2}:)|(?=\d{1,3}:\d{2}%b\d))"
+    rb"(\d{1,3}):(\d{2})(%b\d{1,9}|:\d{3})?(?: ?([AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d{2}:?\d{2})?"
 )
-_CELL_CLOCK = re.compile(
-    rb"(?:(?<=[,;\t|\"])|(?<=^))[ ]*" + _CLOCK.pattern + rb"[ ]*(?=[,;\t|\"\r]|$)", re.MULTILINE
+_CELL_CLOCK, _CELL_CLOCK_AMONG_COMMAS = (
+    re.compile(
+        rb"(?:(?<=[,;\t|\"])|(?<=^))[ ]*" + _CLOCK % (mark, mark) + rb"[ ]*(?=[,;\t|\"\r]|$)", re.MULTILINE
+    )
+    for mark in (rb"[.,]", rb"[.]")
 )
+_OTHER_DELIMITERS = re.compile(rb"[;\t|]")
 _DECIMAL_COMMA = re.compile(rb"(?:^|[;\t|])\"?[+-]?\d*,\d+")
+#: What a program writes before names that are no data of its own.
+_REMARK = re.compile(rb"^(?:#+|%+|//+)[ \t]*")
 DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
 
 
@@ -75,7 +83,7 @@ def _head(data: bytes) -> list[bytes]:
 
 def _named(line: bytes, columns: int) -> bytes:
     """A line of names or units, parted by tabs where it has as many words as there are columns."""
-    plain = line.strip()
+    plain = _REMARK.sub(b"", line.strip())
     if len(plain) > LONGEST_NAMES:
         return line
     for words in (re.split(rb"[ ]{2,}", plain), plain.split(), _NAME.findall(plain)):
@@ -91,22 +99,31 @@ def with_seconds(data: bytes) -> bytes:
     if first is None:
         return data
     offset = sum(len(line) + 1 for line in lines[:first])
-    other = _CELL_CLOCK.sub(b"", lines[first])
-    mark = b"," if re.search(rb"[;\t|]", other) and _DECIMAL_COMMA.search(other) else b"."
+    clock = _clock_in(lines[first])
+    other = clock.sub(b"", lines[first])
+    mark = b"," if _OTHER_DELIMITERS.search(other) and _DECIMAL_COMMA.search(other) else b"."
+    # whole seconds may be printed without the fraction that the others have
+    usual = max((len(found[3]) - 1 for line in lines[first:] for found in clock.findall(line)), default=0)
     days, last = 0.0, 0.0
 
     def seconds(match: re.Match[bytes]) -> bytes:
         nonlocal days, last
         hour, minute, second, fraction, half = match.groups()
-        hours = int(hour) % 12 + 12 * (half in b"Pp") if half else int(hour)
+        hours = int(hour or 0)
+        hours = hours % 12 + 12 * (half in b"Pp") if half else hours
         value = 3600.0 * hours + 60.0 * int(minute) + int(second)
         value += float(b"0." + fraction[1:]) if fraction else 0.0
         days += DAY_S * (value < last - HALF_DAY_S)
         last = value
-        digits = len(fraction) - 1 if fraction else 0
+        digits = max(len(fraction) - 1 if fraction else 0, usual)
         return f"{days + value:.{digits}f}".encode().replace(b".", mark)
 
-    return data[:offset] + _CELL_CLOCK.sub(seconds, data[offset:])
+    return data[:offset] + clock.sub(seconds, data[offset:])
+
+
+def _clock_in(line: bytes) -> re.Pattern[bytes]:
+    """The pattern of a clock time in a line: where commas part the cells, none begins a fraction."""
+    return _CELL_CLOCK if _OTHER_DELIMITERS.search(line) else _CELL_CLOCK_AMONG_COMMAS
 
 
 def _first_row(lines: Sequence[bytes]) -> int | None:
@@ -119,11 +136,11 @@ def _first_row(lines: Sequence[bytes]) -> int | None:
 
 
 def _is_clocked(line: bytes) -> bool:
-    cells = re.split(rb"[;\t|]", line) if re.search(rb"[;\t|]", line) else line.split(b",")
+    cells = _OTHER_DELIMITERS.split(line) if _OTHER_DELIMITERS.search(line) else line.split(b",")
     numbers = [
         cell for cell in cells if re.fullmatch(rb"[\s\"]*(?:%b)[\s\"]*" % _NUMBER, cell, re.IGNORECASE)
     ]
-    return len(_CELL_CLOCK.findall(line)) == 1 and len(numbers) >= 2
+    return len(_clock_in(line).findall(line)) == 1 and len(numbers) >= 2
 
 
 _PIECE_BYTES = 1 << 20
@@ -144,6 +161,7 @@ _MAGIC = (
     (b"PK\x03\x04", "a zip archive or workbook"),
     (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
 )
+MARKUP = "XML or HTML"
 _BOMS_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 #: A quoted number with its marks is a cell, not a row.
@@ -153,8 +171,10 @@ _CONTROL_FRACTION = 0.002
 _UTF16_FRACTION = 0.15
 #: Most NULs in the other byte, as a share.
 _UTF16_STRAY = 0.05
-#: ``mm²`` in latin-1 is ``mm˛`` in cp1250.
-_POWER_UNIT = re.compile(r"[kcm]?m[²³]")
+#: ``mm²`` in latin-1 is ``mm˛`` in cp1250, and ``µN`` is a Chinese character.
+_SIGNED_UNIT = re.compile(r"[kcm]?m[²³]|[µμ](?:m|N|s)")
+#: A minus sign that is no hyphen.
+_MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +205,7 @@ def foreign_kind(head: bytes) -> str | None:
     if re.match(rb"[\[{]\s*[\"{\[\]}]", start):
         return "JSON"
     if re.match(rb"<(?:\?xml|!doctype|html)", start, re.IGNORECASE):
-        return "XML or HTML"
+        return MARKUP
     return None
 
 
@@ -216,6 +236,8 @@ def decode_text(data: bytes, place: Place) -> Text:
         place.refuse("empty_file", "the file is empty; export the test again")
     head = data[:HEAD_BYTES]
     kind = foreign_kind(head)
+    if kind == MARKUP and (lines := lines_of_markup(data)) is not None:
+        return decode_text(lines, place)
     if kind is not None:
         refuse_foreign(kind, place)
     _refuse_long_lines(data, place)
@@ -318,7 +340,7 @@ def _known_words(decoded: str) -> int:
     return sum(
         is_specimen_key(piece)
         or is_protocol_key(piece)
-        or _POWER_UNIT.fullmatch(piece.strip()) is not None
+        or _SIGNED_UNIT.fullmatch(piece.strip()) is not None
         or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)
         for piece in pieces
         if len(piece) <= 80
@@ -328,7 +350,10 @@ def _known_words(decoded: str) -> int:
 def _plain(text: Text) -> Text:
     """The text without wrapped lines, columns by spaces and clock times."""
     text = _unwrapped(text)
-    data = with_seconds(by_spaces(text.data))
+    data = text.data
+    if text.codec == "utf-8" and _MINUS in data:
+        data = _MINUS_SIGN.sub(b"-", data)
+    data = with_seconds(by_spaces(data))
     return text if data is text.data else replace(text, data=data)
 
 

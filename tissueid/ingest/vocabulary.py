@@ -26,15 +26,16 @@ _SENSE_AFTER = (
 _NAMES: dict[Channel, dict[int, str]] = {
     "time": {
         0: (  # the time of the test
-            r"(?:total |test |running |measured )?time(?: measurement)?|seconds|secs?|zeit|pruf ?zeit"
+            r"(?:total |test |running |measured )?time(?: measurement)?|seconds?|secs?|ms|msecs?"
+            r"|millis(?:econds?)?|us|usecs?|micros(?:econds?)?|mins|minutes?|zeit|pruf ?zeit"
             r"|test ?zeit|versuchszeit|laufzeit|messzeit"
             r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
             r"|do) ensaio| total)?|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
             r"|(?:test ?)?tijd|tid|cas|zaman|sure|время|시간"
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
-            r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
-            r"|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
+            r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
+            r"|temps ecoule|経過時間|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
         ),
     },
     "displacement": {
@@ -118,13 +119,22 @@ _LOOSE_WORDS = {
         # strain in other languages, and letters of an indenter: with a unit of length alone
         r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
-    "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn)\b|载荷"),
+    "force": re.compile(
+        r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn"
+        # what a scale shows, with a unit of force or weight alone
+        r"|weight|mass|gewicht|masse|poids|peso)\b|载荷"
+    ),
 }
+#: Rank of a loose name with the letter of a sideways axis.
+SIDEWAYS_RANK = 10
+_SIDEWAYS = re.compile(r"\b[xy]\b")
 #: A name with one of these is a rate, a result or another quantity, never a channel.
 _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
     r"|average|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
-    r"|position [xy]|[xy] position|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
+    r"|position [xy]|[xy] position|command(?:ed)?|cmd|set ?point"
+    r"|set (?=force|load|pos|disp|dist|travel|depth)|demand(?:ed)?"
+    r"|desired|programmed|nominal|target|soll\w*|consigne|valor nominal)\b"
 )
 
 #: A longer text is no key, and would cost the patterns the square of its length.
@@ -173,7 +183,7 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
         if numbered and re.fullmatch(pattern, numbered[1]):
             return rank + _CHANNEL_PENALTY
     if loose and _LOOSE_WORDS[channel].search(words) and not _NOT_A_CHANNEL.search(words):
-        return _LOOSE_RANK
+        return SIDEWAYS_RANK if _SIDEWAYS.search(words) and channel != "time" else _LOOSE_RANK
     letter = name.strip()
     if letter in _SYMBOLS[channel] or (loose and letter.casefold() in _SYMBOLS[channel]):
         return SYMBOL_RANK

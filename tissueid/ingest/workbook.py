@@ -23,6 +23,7 @@ from tissueid.ingest.broken_rows import refuse_broken
 from tissueid.ingest.columns import Channels, ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
+from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
@@ -166,11 +167,10 @@ def _side_by_side(
 ) -> Iterator[tuple[str, Cells, int]]:
     """The trials of a sheet: one, or one a specimen where several stand side by side."""
     specimens = []
-    if found.names and found.units is not None:
+    if found.names is not None:
         head = _head(cells[: found.first])
-        specimens = specimen_columns(
-            head[found.names - 1], head[found.names], head[found.units], file.options
-        )
+        names, units = found.head(head)
+        specimens = specimen_columns(head[found.names - 1] if found.names else (), names, units, file.options)
     if len(specimens) < 2:
         yield sheet, cells, 0
         return
@@ -264,6 +264,8 @@ def _read_columns(
         elif not any(_shown(value) for value in values):
             continue
         elif not any(isinstance(cell, float | int) for cell in row):
+            if all(looks_numeric(_shown(value)) for value in values):
+                raise _bad_cell(values, wanted, number, place)
             skipped.append(number)
         elif number == len(cells) and any(_shown(value) == "" for value in values):
             message = f"row {number} is the last and incomplete: it was left out"
@@ -313,7 +315,7 @@ def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: 
             )
         message = (
             f"{_shown(value)[:40]!r} is stored as text or date, not as a number; go back to the original"
-            f" export"
+            " export, or save the sheet as CSV"
         )
         return place.refusal("text_in_numbers", message, line=number, column=index + 1)
     raise AssertionError  # called only where one value is no number

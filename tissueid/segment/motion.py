@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, quantum, white_noise_sd
 
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
@@ -177,6 +177,12 @@ SECOND_DIFFERENCE_VARIANCE = 6.0
 #: Share of the squared second differences that is averaged, and the normal variance within that share.
 TRIMMED = 0.9
 TRIMMED_VARIANCE = 0.6230
+#: ... of the change of the distance from a line, in the middle between neighbours: 1/4 + 9/4 + 9/4 + 1/4.
+THIRD_DIFFERENCE_VARIANCE = 5.0
+#: Travel is looked at over so many parts of a record, twice.
+MOVING_WINDOWS = 50
+#: A displacement is held between its samples where so many of its steps stand alone.
+APART_SHARE = 0.8
 #: Fewer samples are mostly corners.
 FEWEST_FOR_SPREAD = 60
 #: Resolution of the polyline as a share of the whole excursion: finer motion is not a phase.
@@ -230,7 +236,48 @@ def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
         bend = np.diff(depth_mm, n=2) ** 2 / SECOND_DIFFERENCE_VARIANCE
         inner = bend[bend <= np.quantile(bend, TRIMMED)]
         noise = max(noise, float(np.sqrt(inner.mean() / TRIMMED_VARIANCE)))
-    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm))
+    moving = _moving(depth_mm)
+    noise = max(noise, _timing_noise(time_s, depth_mm, moving))
+    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm), 1.01 * _held_step(depth_mm, moving))
+
+
+def _moving(depth_mm: FloatArray) -> NDArray[np.bool_]:
+    """Samples about which the tool travels at least half as far as about any other."""
+    reach = max(MOVE_SAMPLES, depth_mm.size // MOVING_WINDOWS)
+    if depth_mm.size <= 2 * reach:
+        return np.zeros(depth_mm.size, dtype=np.bool_)
+    padded = np.pad(depth_mm, reach, mode="edge")
+    far = np.abs(padded[2 * reach :] - padded[: -2 * reach])
+    return np.asarray((far >= 0.5 * far.max()) & (far.max() > 0.0))
+
+
+def _timing_noise(time_s: FloatArray, depth_mm: FloatArray, moving: NDArray[np.bool_]) -> float:
+    """Standard deviation of the displacement while the tool moves, to which stamps that jitter add [mm].
+
+    A change of the distance from the line between neighbours is blind to a bend.
+    """
+    step = np.diff(time_s)
+    span = step[:-1] + step[1:]
+    if int(moving.sum()) < FEWEST_FOR_SPREAD or float(span.min()) <= 0.0:
+        return 0.0
+    share = step[:-1] / span
+    off = depth_mm[1:-1] - depth_mm[:-2] * (1.0 - share) - depth_mm[2:] * share
+    change = np.abs(np.diff(off))[moving[1:-2] & moving[2:-1]]
+    if change.size < FEWEST_FOR_SPREAD:
+        return 0.0
+    return NORMAL_SD_OVER_MEDIAN * float(np.median(change)) / float(np.sqrt(THIRD_DIFFERENCE_VARIANCE))
+
+
+def _held_step(depth_mm: FloatArray, moving: NDArray[np.bool_]) -> float:
+    """Usual step of a displacement that was sampled slower than it was written, 0 where it was not [mm]."""
+    stepped = np.diff(depth_mm) != 0.0
+    apart = stepped[1:-1] & ~stepped[:-2] & ~stepped[2:]
+    of_moves = stepped[1:-1] & moving[1:-2]
+    if int(of_moves.sum()) < MOVE_SAMPLES or int((apart & of_moves).sum()) < APART_SHARE * int(
+        of_moves.sum()
+    ):
+        return 0.0
+    return float(np.median(np.abs(np.diff(depth_mm))[1:-1][of_moves]))
 
 
 def _tolerance(noise_mm: float, depth_mm: FloatArray) -> float:
@@ -244,7 +291,8 @@ def pieces(path: Path) -> list[Piece]:
     if path.tolerance_mm == 0.0:
         return [Piece(0, 0, last)]
     size = max(1, path.depth_mm.size // BLOCKS)
-    found = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)))
+    held = 1.01 * _held_step(path.depth_mm, _moving(path.depth_mm))  # means of blocks hide it
+    found = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)), held_mm=held)
     found = [
         Piece(
             piece.direction,
@@ -265,9 +313,9 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
     return np.asarray(np.add.reduceat(values, starts) / np.diff(np.append(starts, values.size)))
 
 
-def _coarse(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
+def _coarse(time_s: FloatArray, depth_mm: FloatArray, *, held_mm: float) -> list[Piece]:
     """Moves and standstills, their corners those of the polyline."""
-    tolerance = _tolerance(path_noise(time_s, depth_mm), depth_mm)
+    tolerance = _tolerance(max(path_noise(time_s, depth_mm), held_mm), depth_mm)
     knots = corners(time_s, depth_mm, tolerance=tolerance)
     return _absorb(_classify(time_s, depth_mm, knots, tolerance=tolerance))
 

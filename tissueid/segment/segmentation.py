@@ -160,6 +160,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
         few = _nothing(message, time_s.size, float(np.ptp(depth)))
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
+    depth = without_spikes(depth, noise=white_noise_sd(time_s, depth))
     path = Path.of(time_s, depth, force, noise)
     found = placed_stops(path, settled(path, pieces(path), options))
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
