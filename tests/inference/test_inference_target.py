@@ -13,10 +13,13 @@ from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise
 from tissueid.inference.prior import bernstein
 from tissueid.inference.reported import log_theta_prior, prior_table
+from tissueid.inference.sampling import sample
+from tissueid.inference.system import Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, _coordinate, _quantile
 from tissueid.model.channels import branch_states
 from tissueid.model.grammar import candidates
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
+from tissueid.synth import Hold, Log, Move
 
 #: Half the logs are short: they are kept sample by sample.
 SHORT = small_recipe(rate_Hz=50.0)
@@ -301,3 +304,41 @@ def test_the_table_names_every_prior_and_what_the_data_added():
     assert {"force_gain", "skew_s"}.isdisjoint(
         row.name for row in prior_table(target()[1], vectors, theta, None)
     )
+
+
+def held_behind_an_unknown_frame():
+    """One ramp of 1 mm/s to 5 mm and a hold of 20 s at 50 Hz; nothing is known of the machine."""
+    plan = small_recipe(rate_Hz=50.0, sigma_N=0.2, logs=(Log("one", (Move(5.0, 60.0), Hold(20.0))),))
+    ours = identified(handles_for(draw(plan, 1), sd_mm=0.02), machine=True)
+    return SpecimenTarget(ours)
+
+
+def test_a_vector_is_that_of_its_point_and_ridges_keep_volumes():
+    at = held_behind_an_unknown_frame()
+    assert len(at.ridges) == 2
+    for x in points(at, n=4):
+        one = at.point(x[None])
+        back = Point(one.log_times[0], one.machine[0], one.linear[0], one.own[0])
+        np.testing.assert_allclose(at.vector_of(back), np.where(np.arange(x.size) > at.places["contact"],
+                                   at.mode, x), rtol=1e-8, atol=1e-10)  # fmt: skip
+    # what drives them stays where it was: machine, times, and the noise
+    first, contact = at.law.times + 3, at.places["contact"]
+    for one in at.ridges:
+        assert (one.off[:, :first] == 0.0).all()
+        assert (one.off[:, contact + 1 :] == 0.0).all()
+        assert np.abs(one.at(at.mode[one.place])).max() < 1e-6 * np.abs(at.mode).max()
+        assert np.abs(one.off).max() > 0.0
+
+
+def test_draws_reach_the_end_of_the_frames_ridge(monkeypatch):
+    """One hold says of the frame little: nearly as good a fit lies far from the optimum, along a curve."""
+    found = []
+    for ridges in (None, ()):
+        at = held_behind_an_unknown_frame()
+        if ridges is not None:
+            at.__dict__["ridges"] = ridges
+        drawn = sample(at, draws=2_000, seed=0)
+        frame = at.vectors(drawn.chain.reshape(-1, at.size))[:, at.law.times]
+        found.append(float(np.quantile(frame, 0.975)))
+    with_ridges, without = found
+    assert with_ridges > 0.002 > 0.001 > without

@@ -74,10 +74,10 @@ def _along(target: SpecimenTarget, place: int, values: FloatArray, middle: float
     priors = partial(prior_rows, system, identified.scatter, identified.request.priors, machine=False)
 
     def best(start: Point) -> Point:
-        """Best linear parameters and contact, times and machine held."""
+        """All else at its best, the machine as it is."""
         return minimise(
             system, start, priors, memory=memory, sigma_N=found.noise.sigma_N, machine=False,
-            steps=PROFILE_STEPS, held=np.arange(target.law.times),
+            steps=PROFILE_STEPS, held=np.array([place]),
         ).point  # fmt: skip
 
     first = best(found.point)

@@ -132,14 +132,14 @@ def smoothed(log_weight: FloatArray) -> Weighed:
 
 #: Walkers, and steps of each from where importance sampling put it.
 WALKERS, STEPS = 128, 30
-#: Steps of a round where importance weights have too thick a tail, rounds at the most, and the effective
+#: Rounds at the most where importance weights are trusted; else steps of a round, rounds, and the effective
 #: draws of the walkers themselves that end them.
-ROUND, ROUNDS, WALKED = 60, 5, 400.0
+FEW_ROUNDS, ROUND, ROUNDS, WALKED = 5, 60, 8, 400.0
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
-#: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
-ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
+#: the largest Pareto shape with which importance weights are trusted.
+ENOUGH, TRUSTED = 100.0, 0.7
 #: Share of the normal within the walls below which rejection wastes its draws, and share of them that they
 #: are worth where the target is nearly normal.
 LEAST_LEFT, NEARLY = 0.05, 0.8
@@ -158,8 +158,8 @@ MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 30
 FAR = 1e3
 #: Shares of the moves where proposals are draws of the density itself, and the least of a uniform number.
 MOVES_EXACT, SMALLEST = (1.0, 0.0, 0.0), 1e-12
-#: R-hat of walkers that agree.
-ALIKE = 1.1
+#: R-hat of walkers that agree: that nothing but themselves has spread, and that weights have put in place.
+ALIKE, ALIKE_WEIGHED = 1.1, 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,9 +260,10 @@ def sample(
 
     walked, apart = _walked(sampler, state, weighed, draws, told, alone=poor)
     told(int(sampler.iteration), 1.0)
-    trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
-    # walkers that nothing but themselves has spread have to agree
-    converged = bool(trusted or (walked >= ENOUGH and (not poor or apart <= ALIKE)))
+    trusted = weighed.worth >= ENOUGH and weighed.pareto <= TRUSTED
+    # walkers that no importance weights vouch for have to agree
+    alike = ALIKE if poor else ALIKE_WEIGHED
+    converged = bool(trusted or (walked >= ENOUGH and apart <= alike))
     most = max(weighed.worth, walked)
     detail: dict[str, Any] = {
         "steps": int(sampler.iteration),
@@ -274,7 +275,7 @@ def sample(
     }
     if not converged:
         detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
-        if poor:
+        if np.isfinite(apart):
             detail["reason"] += f", walkers apart by R-hat {apart:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
     first = sampler.iteration - _counted(sampler, trusted=weighed.pareto <= TRUSTED)
@@ -312,8 +313,9 @@ def _walked(
     """Walk, and tell the effective draws of the coordinate that has the fewest, and the largest R-hat."""
     trusted = weighed.pareto <= TRUSTED
     steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
+    alike = ALIKE if alone else ALIKE_WEIGHED
     found, apart = 0.0, np.inf
-    for _ in range(ROUNDS_ALONE if alone else ROUNDS):
+    for _ in range(ROUNDS_ALONE if alone else FEW_ROUNDS if trusted else ROUNDS):
         # emcee prints what a density raises, and results may go to stdout
         with contextlib.redirect_stdout(sys.stderr):
             state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
@@ -322,7 +324,7 @@ def _walked(
         found = min(one.ess_bulk for one in coordinates.values())
         apart = max(one.r_hat for one in coordinates.values())
         progress(int(sampler.iteration), min(found / wanted, 1.0))
-        if (found >= wanted and not (alone and apart > ALIKE)) or (
+        if (found >= wanted and (trusted or apart <= alike)) or (
             trusted and weighed.worth >= draws and found >= HALF * draws
         ):
             break
