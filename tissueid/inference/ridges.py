@@ -39,7 +39,7 @@ class Ridge:
     off: FloatArray  # (g, size)
 
     def at(self, value: FloatArray) -> FloatArray:
-        """What is left of the tangent at values of the coordinate, (...,) -> (..., size)."""
+        """Rest beside the tangent at values of the coordinate, (...,) -> (..., size)."""
         i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
         width = self.values[i + 1] - self.values[i]
         share = np.clip((value - self.values[i]) / width, -BEYOND, 1.0 + BEYOND)[..., None]
