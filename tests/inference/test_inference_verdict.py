@@ -20,7 +20,7 @@ AGREE = {"agree": True, "relative_difference": 0.0, "lm_converged": True}
 
 def flags(
     *, tau=0.5, stiffness=30.0, interval=CLOSED, bounded=False, step=0.01, speeds=((1.0,), (5.0,)), hold=True,
-    sigma=0.1, acf=0.0, optimisers=AGREE, missing=(), slope=None,
+    sigma=0.1, acf=0.0, optimisers=AGREE, missing=(), slope=None, duration=30.0,
 ):  # fmt: skip
     parameters = tuple(
         Estimate(name, name, "s", None if name in missing else 1.0, None, name not in missing)
@@ -33,7 +33,10 @@ def flags(
     if slope is not None:
         tissue.model = kelvin_voigt(branches=1, stiffness_degree=1, depth_mm=4.0)
         tissue.theta = np.array([20.0, -1.0, 0.3, stiffness, slope, tau])
-    facts = [SimpleNamespace(speeds_mm_s=one, depth_mm=4.0, has_hold=hold, step_s=step) for one in speeds]
+    facts = [
+        SimpleNamespace(speeds_mm_s=one, depth_mm=4.0, has_hold=hold, step_s=step, duration_s=duration)
+        for one in speeds
+    ]
     trials = [SimpleNamespace(residual_acf1=acf) for _ in speeds]
     found = specimen_flags(tissue, facts, trials, sigma_N=sigma, optimisers=optimisers)
     return {flag.code: flag for flag in found}
@@ -49,6 +52,7 @@ ONE_SPEED = ((2.0,), (2.1,))
         ({"missing": ("viscosity_N_s_per_mm",)}, "not_identified", {"names": ["viscosity_N_s_per_mm"]}),
         ({"step": 0.26}, "tau_below_resolution", {"step_s": 0.26}),
         ({"tau": 0.1}, "compliance_unknown", {"tau_s": 0.1}),
+        ({"duration": 1.4}, "tau_exceeds_window", {"branch": 1, "tau_s": 0.5, "window_length_s": 1.4}),
         ({"speeds": ONE_SPEED, "hold": False}, "single_speed", {}),
         ({"bounded": True}, "bound_active", {}),
         ({"optimisers": APART}, "optimisers_disagree", {"relative_difference": -0.01}),
@@ -69,6 +73,9 @@ def test_a_flag_has_the_number_that_says_so(given, code, values):
         ({"speeds": ((2.0,), (4.0,)), "hold": False}, "single_speed"),
         ({"optimisers": AGREE | {"agree": None}}, "optimisers_disagree"),
         ({"acf": 0.4}, "residual_correlated"),
+        ({"duration": 1.6}, "tau_exceeds_window"),
+        # the end of what was seen is said already
+        ({"duration": 1.4, "interval": ProfileInterval(-1.0, 2.6, False, True)}, "tau_exceeds_window"),
     ],
 )
 def test_short_of_its_limit_there_is_no_flag(given, code):

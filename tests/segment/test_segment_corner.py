@@ -94,6 +94,24 @@ def test_every_ramp_that_goes_on_has_its_corner() -> None:
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
 
 
+def test_the_first_sample_of_the_next_move_is_no_overshoot_of_a_hold() -> None:
+    # steps of 1 mm at 2 mm/s, 50 samples/s; a move begins between two samples, 0.018 mm before the next one
+    time = np.arange(0.0, 12.0, 0.02)
+    edges = [0.0, 0.009, 0.509, 3.509, 4.009, 7.509, 8.009, 12.0]
+    found = divided(time, np.interp(time, edges, [0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0]))
+    assert kinds(found) == ["ramp", "hold"] * 3
+    assert [corner.overshoot_mm for corner in found.corners] == [0.0, 0.0, 0.0]
+    assert "corner_overshoot" not in codes(found)
+
+
+def test_braking_of_one_sampling_interval_is_no_slow_stop() -> None:
+    # 10 samples/s; 2 mm/s end between two of them, and the line of the ramp is left one sample earlier
+    time = np.arange(0.0, 100.0, 0.1)
+    found = divided(time, np.clip(2.0 * (time - 0.501), 0.0, 5.3))
+    assert only(found).duration_s <= 0.1
+    assert "corner_slow" not in codes(found)
+
+
 def stops(
     time: np.ndarray, depth: np.ndarray, phases: tuple[Phase, ...], tolerance_mm: float
 ) -> tuple[Corner, ...]:

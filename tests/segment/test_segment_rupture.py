@@ -125,9 +125,23 @@ def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
 ) -> None:
     trial = ramp(lambda x: 10.0 * np.maximum(x - 1.0, 0.0))
     dropped = Event("rupture", 8, float(trial.time_s[8]), values={"drop_fraction": 0.4})
-    monkeypatch.setattr(segmentation, "ruptures", lambda *_: [dropped])
+    # in air, and so only while it is not known where the contact lies
+    monkeypatch.setattr(segmentation, "ruptures", lambda *given: [dropped] if given[2][0] < 0.0 else [])
 
-    found = segment(trial, options=SegmentOptions(rupture=False))
+    for options in (SegmentOptions(), SegmentOptions(rupture=False)):
+        found = segment(trial, options=options)
+        assert abs(found.contact.displacement_mm - 1.0) < 0.05
 
-    assert segment(trial).contact is None
-    assert abs(found.contact.displacement_mm - 1.0) < 0.05
+
+@pytest.mark.parametrize("seed", [0, 8, 22, 25])
+def test_a_swing_of_correlated_noise_in_air_hides_no_contact(seed: int) -> None:
+    # AR(1) of 0.9 and 0.25 N in 30 N: swings far beyond what differences of neighbours say of the noise
+    trial = ramp(lambda x: 5.0 * x, sigma_N=0.0)
+    rng, noise, noises = np.random.default_rng(seed), 0.0, []
+    for fresh in rng.standard_normal(trial.time_s.size).tolist():
+        noise = 0.9 * noise + 0.25 * np.sqrt(1.0 - 0.9**2) * fresh
+        noises.append(noise)
+    found = segment(Trial("swings", trial.time_s, trial.displacement_mm, trial.force_N + noises))
+    assert found.contact is not None
+    assert "no_contact" not in codes(found)
+    assert "ramp" in kinds(found)

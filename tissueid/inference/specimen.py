@@ -427,7 +427,7 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
     if window is None or not window.effective:
         return ()
     words = (
-        f"tau follows the hold: {window.tau_s[-1]:.3g} s in {window.cut_s[-1]:.3g} s, "
+        f"one relaxation time follows the hold: {window.tau_s[-1]:.3g} s in {window.cut_s[-1]:.3g} s, "
         f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
     )
     return (Flag("form_dependent", words, {"slope": window.slope}),)

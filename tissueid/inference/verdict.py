@@ -14,6 +14,7 @@ from tissueid.documents.identification import MisfitAlarm, NoiseFit
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
+from tissueid.measured.relaxation import WINDOW_SHARE
 from tissueid.result import Estimate, Nrmsd, SpecimenFit, TrialFit
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
@@ -45,9 +46,13 @@ def _relaxing_N(tissue: TissueEstimate, branch: int, log: FittedLog) -> float:
 def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_N: float) -> list[Flag]:
     flags = []
     tau = tissue.model.times(tissue.theta)
-    h = min(log.step_s for log in facts)
+    h, seen_s = min(log.step_s for log in facts), max(log.duration_s for log in facts)
     for j, interval in enumerate(tissue.intervals):
         value = float(tau[j])
+        if interval.closed and value > WINDOW_SHARE * seen_s:
+            words = f"relaxation time {j + 1} is {value:.3g} s, over a third of the {seen_s:.3g} s seen"
+            values = {"branch": j + 1, "tau_s": value, "window_length_s": seen_s}
+            flags.append(Flag("tau_exceeds_window", words, values))
         if interval.open_low or interval.open_high:
             side, end = ("shortest", interval.low) if interval.open_low else ("longest", interval.high)
             words = f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here"

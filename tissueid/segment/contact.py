@@ -149,7 +149,7 @@ def find_contact(
     depth_mm = without_spikes(depth_mm, noise=0.0)
     move = next((piece for piece in loading if _meets(force_N, piece, noise_N)), None)
     if move is None:
-        reach = float(np.ptp(force_N))
+        reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
         message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
         return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
     # rest before the move tells the reading in air as well, an earlier move in air too

@@ -165,6 +165,10 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
     moves = _whole(path, found, breaks=options.rupture)
     contact, contact_flags = _located(path, moves, _shallow_from(path, moves), locate)
+    if contact is None and options.rupture:
+        # a swing of correlated noise in air may have been taken for a break that ends the move
+        moves = _whole(path, found, breaks=False)
+        contact, contact_flags = _located(path, moves, _shallow_from(path, moves), locate)
     surface = Surface.of(contact, depth, compression)
     creep = partial(held_from, path)
     phases = name_phases(path, found, surface, creeps=creep)

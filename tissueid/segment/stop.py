@@ -141,8 +141,10 @@ def speed_flags(phases: tuple[Phase, ...], stated_mm_s: float | None) -> list[Fl
 OVERSHOOT_SAID = 0.002
 #: A crosshead that brakes for longer is said [s]: relaxation begins while it does.
 SLOW_STOP_S = 0.1
-#: ... where it is also longer than this share of the ramp: slow ramps end slowly.
+#: ... where it is also longer than this share of the ramp: slow ramps end slowly ...
 SLOW_SHARE = 0.02
+#: ... and than so many sampling intervals: every stop falls between two samples.
+SLOW_STEPS = 1.5
 #: Area of an evenly slowing stop, in units of speed times squared time, is one over this.
 EVEN_STOP = 24.0
 #: Kinds in which the tool stands.
@@ -163,6 +165,8 @@ def corners_of(path: Path, phases: tuple[Phase, ...]) -> tuple[Corner, ...]:
 def _corner(path: Path, at: tuple[int, Phase, Phase]) -> Corner:
     number, before, after = at
     low, high = (before.start + before.stop - 1) // 2, after.stop - 1
+    if after.kind in STANDING and after.stop < path.time_s.size:
+        high -= 1  # the sample shared with the next move, in which that move may have begun
     slope_1, level_1 = travel_line(path.time_s, path.depth_mm, before.start, before.stop - 1)
     slope_2, level_2 = _middle_line(path, after, flat=after.kind in STANDING)
     edge = float(path.time_s[before.stop - 1])
@@ -252,8 +256,9 @@ def corner_flags(path: Path, phases: tuple[Phase, ...], corners: tuple[Corner, .
             break
     slow = max((_braking(phases[corner.phase], corner) for corner in stops), default=(0.0, 0.0, 0.0))
     braking_s, time_s, ramp_s = slow
-    if braking_s > max(SLOW_STOP_S, SLOW_SHARE * ramp_s):
-        message = f"the crosshead brakes for {braking_s:.3g} s before its stop at {time_s:.4g} s"
+    step_s = float(np.median(np.diff(path.time_s)))
+    if braking_s > max(SLOW_STOP_S, SLOW_SHARE * ramp_s, SLOW_STEPS * step_s):
+        message = f"the crosshead takes {braking_s:.3g} s to come to its stop at {time_s:.4g} s"
         flags.append(Flag("corner_slow", message, {"duration_s": braking_s, "time_s": time_s}))
     return flags
 
