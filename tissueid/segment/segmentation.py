@@ -220,7 +220,7 @@ def _located(
     path: Path,
     moves: list[Piece],
     start: int,
-    locate: Callable[[FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
+    locate: Callable[[FloatArray, FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
 ) -> tuple[Contact | None, list[Flag]]:
     """Contact on the moves from a sample on, and on what the record shows before them from there."""
     later = [
@@ -228,7 +228,7 @@ def _located(
         for piece in moves
         if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
     ]
-    contact, flags = locate(path.depth_mm[start:], path.force_N[start:], later)
+    contact, flags = locate(path.time_s[start:], path.depth_mm[start:], path.force_N[start:], later)
     return (None if contact is None else replace(contact, index=contact.index + start)), flags
 
 
