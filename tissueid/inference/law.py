@@ -44,7 +44,9 @@ def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
 def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
     """Convolution of the rate of ``value`` with exp(-t / tau), exact where it is linear in between.
 
-    ``value`` (m,) and (n, m) and (c, m); ``tau_s`` (j,) and (j, n).  Returns (j, m) (j, n, m) (c, j, m).
+    At rest at the first point of each log, whatever its depth: a preload has relaxed, as
+    :mod:`tissueid.segment.preload` takes it.  ``value`` (m,) and (n, m) and (c, m); ``tau_s`` (j,) and
+    (j, n).  Returns (j, m) (j, n, m) (c, j, m).
     """
     change = np.empty(value.shape)
     change[..., 0] = 0.0

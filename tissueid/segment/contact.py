@@ -11,6 +11,7 @@ from tissueid.flags import Flag
 from tissueid.segment.hinge import HingeFit, fit_contact
 from tissueid.segment.motion import Piece
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.preload import relaxing_stiffness, with_relaxed
 from tissueid.signal_noise import without_spikes
 from tissueid.trial import Contact
 
@@ -133,6 +134,7 @@ FEWEST_SAMPLES = 6
 
 
 def find_contact(
+    time_s: FloatArray,
     depth_mm: FloatArray,
     force_N: FloatArray,
     loading: list[Piece],
@@ -182,7 +184,8 @@ def find_contact(
             in_record=True,
         )
         return contact, _uncertain(contact, u)
-    return _start_in_contact(u, f, air, noise_N=noise, signs=signs)
+    relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, noise)
+    return _start_in_contact(u, f, air, noise_N=noise, signs=signs, relaxing=relaxing)
 
 
 def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
@@ -254,7 +257,13 @@ def _resting(u: FloatArray) -> int:
 
 
 def _start_in_contact(
-    u: FloatArray, f: FloatArray, air: HingeFit, *, noise_N: float, signs: tuple[int, int]
+    u: FloatArray,
+    f: FloatArray,
+    air: HingeFit,
+    *,
+    noise_N: float,
+    signs: tuple[int, int],
+    relaxing: float | None,
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
     compression, force_sign = signs
@@ -274,6 +283,10 @@ def _start_in_contact(
         if few < FEWEST_RESTING:
             # the whole ramp says more of the force it starts from than a sample or two before it
             ahead = max(ahead, fit.slope_N_per_mm * (start - contact_mm))
+        if contact_mm < start:
+            stiffness = (fit.secant_N_per_mm, fit.relaxing_share)
+            before, sd = with_relaxed(start - contact_mm, sd, ahead, stiffness, relaxing, back)
+            contact_mm = start - before
     else:
         slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
         believed = ahead > PRELOAD_SD * noise_N / np.sqrt(few)

@@ -158,6 +158,9 @@ class HingeFit:
     adequate: bool  # whether the shape describes the window within its noise
     excess: float  # chi-square of the best shape over its degrees of freedom
     at_start: float  # density of a contact at the first sample, as a share of the highest
+    #: Stiffness over a larger part, and the share of it that the branch has from the first sample on.
+    secant_N_per_mm: float = 0.0
+    relaxing_share: float = 0.0
 
 
 def fit_contact(
@@ -269,7 +272,7 @@ def _fit(
         misfit = replace(shape, noise_N=shape.noise_N * float(np.sqrt(excess)))
         # a misfit goes on from sample to sample: none of them places the contact within the step to the next
         sd = float(np.hypot(_fit(misfit, limits, mean, tempered=True)[0].sd_mm, shape.bins.spacing_mm / STEP))
-    early, slope = shape.slopes(found, mass, lengths_mm)
+    early, slope, relaxes = shape.slopes(found, mass, contact, lengths_mm)
     fit = HingeFit(
         contact_mm=mean,
         sd_mm=sd,
@@ -278,5 +281,7 @@ def _fit(
         adequate=adequate,
         excess=excess,
         at_start=begins if np.isfinite(begins) else 0.0,
+        secant_N_per_mm=slope,
+        relaxing_share=relaxes,
     )
     return fit, slope

@@ -269,16 +269,25 @@ class RampShape:
             static_N[:, :, -1] += zero_N
         return Posterior(log_density, misfit, static_N, branch * scale)
 
-    def slopes(self, found: Posterior, mass: FloatArray, length_mm: FloatArray) -> tuple[float, float]:
-        """Mean stiffness right at contact, and over the part of the window that noise is judged by [N/mm]."""
+    def slopes(
+        self, found: Posterior, mass: FloatArray, contact_mm: FloatArray, length_mm: FloatArray
+    ) -> tuple[float, float, float]:
+        """Mean stiffness right at contact, and over the part of the window that noise is judged by [N/mm].
+
+        Third, the share of the latter that the branch has over that part from the first sample on, below 1.
+        """
         window = self.window_mm
-        answer = []
+        answer, relaxes = [], 0.0
         for share in (EARLY_SHARE, SLOPE_SHARE):
             early = min(share * window, float(np.ptp(self.bins.depth_mm)))
-            rise = -np.expm1(-early / length_mm) * length_mm / early
-            answer.append(float((mass * (found.static_N[:, :, 0] + found.branch_N * rise)).sum()) / window)
+            branch = found.branch_N * (-np.expm1(-early / length_mm) * length_mm / early)
+            answer.append(float((mass * (found.static_N[:, :, 0] + branch)).sum()) / window)
+            relaxes = max(float((mass * branch).sum()) / window, 0.0)
         least = 1e-3 * float(np.ptp(self.bins.force_N)) / window
-        return max(answer[0], least), max(answer[1], least)
+        z = (np.maximum(self.start_mm - contact_mm, 0.0) / window)[:, None]
+        bend = z * (2.0 * found.static_N[:, :, 1] + 3.0 * z * found.static_N[:, :, 2])
+        static = max(float((mass * (found.static_N[:, :, 0] + bend)).sum()) / window, least)
+        return max(answer[0], least), max(answer[1], least), relaxes / (static + relaxes)
 
 
 def _log_normal_mass(x: FloatArray) -> FloatArray:

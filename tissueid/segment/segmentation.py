@@ -20,6 +20,7 @@ from tissueid.segment.endings import (
     loops_of,
     pull_off,
 )
+from tissueid.segment.memory import long_run_ratio, quiet_stretches, without_slow
 from tissueid.segment.motion import Path, Piece, leaves_line, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
@@ -90,6 +91,8 @@ FEWEST_SAMPLES = 5
 STRAIGHT_SHARE = 0.6
 #: Shorter moves can't spare a sample on which the force still rises.
 FEWEST_STRAIGHT = 50
+#: Share of the samples before contact that are air, for all that its place is not known.
+AIR_SHARE = 0.9
 #: Fewest different depths of a move that shows a contact.
 FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
@@ -163,20 +166,21 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     depth = without_spikes(depth, noise=white_noise_sd(time_s, depth))
     path = Path.of(time_s, depth, force, noise)
     found = placed_stops(path, settled(path, pieces(path), options))
-    locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
+    locate = partial(find_contact, signs=(compression, force_sign), options=options)
+    locate = partial(_lasting, path, quiet_stretches(time_s, force, found), locate)
     moves = _whole(path, found, breaks=options.rupture)
-    contact, contact_flags = _located(path, moves, _shallow_from(path, moves), locate)
+    contact, contact_flags = locate(moves, _shallow_from(path, moves))
     if contact is None and options.rupture:
         # a swing of correlated noise in air may have been taken for a break that ends the move
         moves = _whole(path, found, breaks=False)
-        contact, contact_flags = _located(path, moves, _shallow_from(path, moves), locate)
+        contact, contact_flags = locate(moves, _shallow_from(path, moves))
     surface = Surface.of(contact, depth, compression)
     creep = partial(held_from, path)
     phases = name_phases(path, found, surface, creeps=creep)
     test = _test_phase(path, phases, surface)
     if contact is not None and _lets_go(path, phases[:test], force_sign * contact.baseline_N):
         start = phases[test].start
-        again, again_flags = _located(path, moves, start, locate)
+        again, again_flags = locate(moves, start)
         if again is not None:
             contact, contact_flags = again, again_flags
             phases = name_phases(path, found, surface, creeps=creep, again=contact)
@@ -221,7 +225,7 @@ def _located(
     path: Path,
     moves: list[Piece],
     start: int,
-    locate: Callable[[FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
+    locate: Callable[[FloatArray, FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
 ) -> tuple[Contact | None, list[Flag]]:
     """Contact on the moves from a sample on, and on what the record shows before them from there."""
     later = [
@@ -229,8 +233,28 @@ def _located(
         for piece in moves
         if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
     ]
-    contact, flags = locate(path.depth_mm[start:], path.force_N[start:], later)
+    contact, flags = locate(path.time_s[start:], path.depth_mm[start:], path.force_N[start:], later)
     return (None if contact is None else replace(contact, index=contact.index + start)), flags
+
+
+def _lasting(
+    path: Path,
+    quiet: list[FloatArray],
+    locate: Callable[..., tuple[Contact | None, list[Flag]]],
+    moves: list[Piece],
+    start: int,
+) -> tuple[Contact | None, list[Flag]]:
+    """Contact under the noise that lasts over many samples, as standstills show it, else the air."""
+    ratio = long_run_ratio(quiet)
+    contact, flags = _located(path, moves, start, partial(locate, noise_N=path.noise_N * ratio))
+    if quiet or contact is None or not contact.in_record:
+        return contact, flags
+    air = slice(start, start + int(AIR_SHARE * (contact.index - start)))
+    left = without_slow(path.time_s[air], path.force_N[air])
+    ratio = 1.0 if left is None else long_run_ratio([left])
+    if ratio == 1.0:
+        return contact, flags
+    return _located(path, moves, start, partial(locate, noise_N=path.noise_N * ratio))
 
 
 def _whole(path: Path, found: list[Piece], *, breaks: bool) -> list[Piece]:

@@ -1,0 +1,80 @@
+"""A preload that was held and has relaxed: the contact's interval covers it, wherever the branches relax."""
+
+import numpy as np
+import pytest
+from told import codes
+
+from tissueid.segment import segment
+from tissueid.segment.motion import Piece
+from tissueid.segment.preload import LARGEST_SHARE, relaxing_stiffness, with_relaxed
+from tissueid.trial import Trial
+
+STEP_S = 0.01
+PRELOAD_MM, DEPTH_MM = 0.3, 5.0
+STATIC = (2.0, 0.3, 0.05)
+
+
+def held_preload(branches, *, hold_s=10.0, rest_s=5.0, noise=0.002, seed=0):
+    """Ramp of 1 mm/s from a relaxed preload at 0.3 mm, contact at 0; branches by closed form."""
+    ramp_s = DEPTH_MM - PRELOAD_MM
+    time = np.arange(0.0, rest_s + ramp_s + hold_s, STEP_S)
+    pushed, held = np.clip(time - rest_s, 0.0, ramp_s), np.maximum(time - rest_s - ramp_s, 0.0)
+    depth = PRELOAD_MM + pushed
+    force = sum(a * depth ** (k + 1) for k, a in enumerate(STATIC))
+    for tau, stiffness in branches:
+        force = force + stiffness * tau * -np.expm1(-pushed / tau) * np.exp(-held / tau)
+    force = force + noise * force.max() * np.random.default_rng(seed).normal(size=time.size)
+    return Trial("preload", time, depth, force)
+
+
+TISSUES = {
+    "tau 1 s": ((1.0, 1.5),),
+    "tau 5 s": ((5.0, 1.5),),
+    "two": ((0.3, 1.2), (5.0, 1.0)),
+    "tau 0.1 s": ((0.1, 1.5),),
+    "elastic": (),
+}
+
+
+@pytest.mark.parametrize("rest_s", [0.0, 5.0])
+@pytest.mark.parametrize("tissue", TISSUES)
+def test_the_contact_behind_a_relaxed_preload_lies_in_its_interval(tissue, rest_s):
+    found = [segment(held_preload(TISSUES[tissue], rest_s=rest_s, seed=seed)) for seed in range(12)]
+    assert all("preload" in codes(one) for one in found)
+    scores = np.array([one.contact.displacement_mm / one.contact.sd_mm for one in found])
+    # 12 intervals of 95 %: three or more miss with probability 0.02
+    assert (np.abs(scores) > 2.0).sum() <= 2
+    assert abs(np.median(scores)) < 1.5
+
+
+def test_a_contact_that_relaxing_tissue_hides_is_wide_and_that_of_elastic_tissue_is_not():
+    def sd_mm(branches, hold_s):
+        return segment(held_preload(branches, hold_s=hold_s)).contact.sd_mm
+
+    relaxing, elastic = TISSUES["tau 1 s"], TISSUES["elastic"]
+    assert sd_mm(relaxing, 10.0) > 0.15 * PRELOAD_MM
+    # a hold in which nothing relaxes tells that the ramp is the static curve; no hold tells nothing
+    assert sd_mm(elastic, 10.0) < 0.2 * PRELOAD_MM < sd_mm(elastic, 0.05)
+
+
+@pytest.mark.parametrize(("tau", "stiffness"), [(1.0, 1.5), (5.0, 1.5), (5.0, 0.0)])
+def test_a_hold_shows_the_stiffness_that_relaxes(tau, stiffness):
+    trial = held_preload(((tau, stiffness),), noise=0.0)
+    record = (trial.time_s, trial.displacement_mm, trial.force_N)
+    shown = relaxing_stiffness(record, Piece(1, 500, 970), 0.0)
+    # the rate at which it falls over its first tenth of the ramp's time, by speed
+    part = 0.1 * (DEPTH_MM - PRELOAD_MM) / tau
+    driven = stiffness * -np.expm1(-(DEPTH_MM - PRELOAD_MM) / tau)
+    assert shown == pytest.approx(driven * -np.expm1(-part) / part, rel=0.02, abs=1e-9)
+
+
+def test_no_hold_no_knowledge_of_what_relaxes():
+    trial = held_preload(((1.0, 1.5),), hold_s=0.05)
+    record = (trial.time_s, trial.displacement_mm, trial.force_N)
+    assert relaxing_stiffness(record, Piece(1, 500, 970), 0.0) is None
+    # 1 N under 2 N/mm: 0.5 / (1 - r) mm back, r uniform up to 0.75; moments by midpoints
+    before, sd = with_relaxed(0.5, 0.0, 1.0, (2.0, 0.0), None, 10.0)
+    back = 0.5 / (1.0 - LARGEST_SHARE * (np.arange(10_000) + 0.5) / 10_000)
+    assert before == pytest.approx(back.mean(), rel=1e-6)
+    assert sd == pytest.approx(back.std(), rel=1e-4)
+    assert with_relaxed(0.5, 0.01, 1.0, (2.0, 0.0), 0.0, 10.0) == pytest.approx((0.5, 0.01))

@@ -1,0 +1,86 @@
+"""How much more a mean of samples scatters than white noise of what neighbours differ by would let it.
+
+Differences of neighbours show the noise of single samples, and less of it where it goes on from sample to
+sample.  The contact is told by means over many samples: of those the long-run variance counts, the variance
+of a mean times its samples, in the limit of many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tissueid.arrays import FloatArray
+from tissueid.segment.motion import Piece
+from tissueid.signal_noise import quantum, white_noise_sd
+
+#: Last share of a standstill that counts as quiet, and powers of time that are taken off it as relaxation.
+LATE_SHARE = 1.0 / 3.0
+SLOW_POWERS = 3
+#: Fewest samples of a quiet stretch.
+FEWEST = 48
+#: Fewest means by which a variance and a correlation are judged.
+FEWEST_MEANS = 32
+#: Standard errors beyond which neighbouring means are correlated, and those beyond which a correlation that
+#: is left at the longest means counts.
+SURE = 3.5
+LEFT = 1.0
+#: Largest correlation of neighbouring means that is believed.
+LARGEST = 0.95
+#: Residuals below this share of the step of a quantised signal show the step, no noise.
+COARSE = 0.5
+
+
+def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Piece]) -> list[FloatArray]:
+    """Residuals (n,) of the force [N] while the tool stands, late enough for relaxation to be slow."""
+    stretches = []
+    for piece in found:
+        if piece.direction != 0:
+            continue
+        late = time_s[piece.stop] - LATE_SHARE * (time_s[piece.stop] - time_s[piece.start])
+        rows = slice(int(np.searchsorted(time_s, late)), piece.stop + 1)
+        left = without_slow(time_s[rows], force_N[rows])
+        if left is not None:
+            stretches.append(left)
+    return stretches
+
+
+def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
+    """The force without a polynomial of time, ``None`` where too few samples are left, or its step shows."""
+    span = float(np.ptp(time_s)) if time_s.size else 0.0
+    if time_s.size < FEWEST or span <= 0.0:
+        return None
+    slow = np.polynomial.legendre.legvander(2.0 * (time_s - time_s[0]) / span - 1.0, SLOW_POWERS)
+    basis, _ = np.linalg.qr(slow)
+    left = force_N - basis @ (basis.T @ force_N)
+    sd = float(np.sqrt(left @ left / (left.size - SLOW_POWERS - 1)))
+    return np.asarray(left) if sd > COARSE * quantum(force_N) and sd > 0.0 else None
+
+
+def long_run_ratio(stretches: Sequence[FloatArray]) -> float:
+    """Long-run sd of noise over what the differences of neighbours show, at least 1; 1 for white noise.
+
+    Residuals of quiet stretches, (n,) each.  Means over 1, 2, 4, .. samples are compared; beyond the longest
+    of which there are enough, their correlation is taken to fall as a power.
+    """
+    samples = sum(one.size for one in stretches)
+    differences = sum(one.size * white_noise_sd(np.arange(float(one.size)), one) ** 2 for one in stretches)
+    if differences <= 0.0:
+        return 1.0
+    size, correlated, ratio = 1, False, 1.0
+    while samples // size >= FEWEST_MEANS:
+        square, product, means = 0.0, 0.0, 0
+        for one in stretches:
+            whole = one[: one.size // size * size].reshape(-1, size).mean(axis=1)
+            square += float(whole @ whole)
+            product += float(whole[1:] @ whole[:-1])
+            means += whole.size
+        free = max(means - (SLOW_POWERS + 1) * len(stretches), 1)
+        # what is taken off leaves neighbours correlated by so much less
+        rho = product / square + (means - free) / means
+        correlated = correlated or rho > SURE / np.sqrt(means)
+        rho = min(rho, LARGEST) if rho > LEFT / np.sqrt(means) else 0.0
+        ratio = size * square / free * (1.0 + rho) / (1.0 - rho) * samples / differences
+        size *= 2
+    return max(float(np.sqrt(ratio)), 1.0) if correlated else 1.0
