@@ -1,4 +1,4 @@
-"""How much more a mean of samples scatters than white noise of what neighbours differ by would let it.
+"""Scatter of a mean of samples over that of white noise by which neighbours would differ as much.
 
 Differences of neighbours show the noise of single samples, and less of it where it goes on from sample to
 sample.  The contact is told by means over many samples: of those the long-run variance counts, the variance

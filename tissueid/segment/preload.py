@@ -1,4 +1,4 @@
-"""How far before its first sample a record that starts under a force may have met the tissue.
+"""Distance before its first sample at which a record that starts under a force may have met the tissue.
 
 A preload that was held has relaxed, so the static curve alone carries it, while the ramp that follows is
 stiffer by what its branches add.  Branches that relax slower than the ramp runs can't be told from a static
