@@ -22,6 +22,8 @@ from tissueid.rendering.tissue_block import Tissue
 
 #: A device's damping is a calibration value: only this share of it is counted on.
 DAMPING_SHARE = 0.95
+#: Shares by which a scale, and the one that is told, stay below the largest: both are borne, given back.
+ROUNDING, ROUNDED_DOWN = 1e-9, 0.9995
 #: Peak force at the device below which hardly anything is felt over friction [N].
 SMALLEST_PEAK_N = 0.1
 #: Stiffness beyond which a Falcon's own driver does not go [N/m].
@@ -196,7 +198,7 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
     offered = DAMPING_SHARE * demands.damping_N_s_per_m
     if need <= offered:
         return wanted
-    largest = wanted.force * offered / need
+    largest = wanted.force * offered / need * (1.0 - ROUNDING)
     numbers = (
         f"needs {need:.3g} N s/m of damping at {demands.delay_ticks:g} ticks, and {offered:.3g} N s/m of the "
         f"device's {demands.damping_N_s_per_m:.3g} may be counted on"
@@ -204,8 +206,8 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
     if asked:
         msg = (
             f"--force-scale {wanted.force:.4g} would be unstable: it {numbers}; the largest that fits at "
-            f"motion scale {wanted.motion:g} is {largest:.3g} (measured/{1.0 / max(largest, 1e-12):.4g}), or "
-            "raise --motion-scale"
+            f"motion scale {wanted.motion:g} is {ROUNDED_DOWN * largest:.4g} "
+            f"(measured/{1.0 / max(largest, 1e-12):.4g}), or raise --motion-scale"
         )
         raise DeviceError(msg)
     lowered = scaling_at(tissue, force=largest, motion=wanted.motion) if largest > 0.0 else wanted
