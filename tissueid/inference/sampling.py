@@ -258,11 +258,12 @@ def sample(
     def told(steps: int, share: float) -> None:
         tell(len(points) + WALKERS * steps, share)
 
-    walked, apart = _walked(sampler, state, weighed, draws, told, alone=poor)
-    told(int(sampler.iteration), 1.0)
-    trusted = weighed.worth >= ENOUGH and weighed.pareto <= TRUSTED
     # walkers that no importance weights vouch for have to agree
-    alike = ALIKE if poor else ALIKE_WEIGHED
+    alike, few = (ALIKE if poor else ALIKE_WEIGHED), weighed.pareto <= TRUSTED
+    rounds = ROUNDS_ALONE if poor else FEW_ROUNDS if few else ROUNDS
+    walked, apart = _walked(sampler, state, weighed, draws, told, rounds=rounds, alike=alike)
+    told(int(sampler.iteration), 1.0)
+    trusted = weighed.worth >= ENOUGH and few
     converged = bool(trusted or (walked >= ENOUGH and apart <= alike))
     most = max(weighed.worth, walked)
     detail: dict[str, Any] = {
@@ -278,7 +279,7 @@ def sample(
         if np.isfinite(apart):
             detail["reason"] += f", walkers apart by R-hat {apart:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
-    first = sampler.iteration - _counted(sampler, trusted=weighed.pareto <= TRUSTED)
+    first = sampler.iteration - _counted(sampler, trusted=few)
     kept_steps = np.linspace(first, sampler.iteration - 1, STEPS).astype(np.int64)
     chain = np.swapaxes(sampler.get_chain()[kept_steps], 0, 1)
     if poor and not np.abs(chain - target.centre).max() < FAR:
@@ -308,14 +309,14 @@ def _walked(
     draws: int,
     progress: Callable[[int, float], None],
     *,
-    alone: bool,
+    rounds: int,
+    alike: float,
 ) -> tuple[float, float]:
     """Walk, and tell the effective draws of the coordinate that has the fewest, and the largest R-hat."""
     trusted = weighed.pareto <= TRUSTED
     steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
-    alike = ALIKE if alone else ALIKE_WEIGHED
     found, apart = 0.0, np.inf
-    for _ in range(ROUNDS_ALONE if alone else FEW_ROUNDS if trusted else ROUNDS):
+    for _ in range(rounds):
         # emcee prints what a density raises, and results may go to stdout
         with contextlib.redirect_stdout(sys.stderr):
             state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)

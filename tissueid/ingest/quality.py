@@ -12,7 +12,6 @@ from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.header import stated
-from tissueid.signal_noise import between_ticks
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -403,18 +402,17 @@ _GAPS_AT_MOST = 0.02
 _GAPS_ALWAYS = 3
 
 
-def zero_dt(time_s: FloatArray, dt: FloatArray) -> Flag | None:
-    """Rows that repeat the time of the row before."""
+def zero_dt(time_s: FloatArray, dt: FloatArray, tick_s: float = 0.0) -> Flag | None:
+    """Rows that repeat the time of the row before; ``tick_s``: of a clock, where they are spread between."""
     at = np.flatnonzero(dt == 0.0)
     if not at.size:
         return None
     first = float(time_s[at[0]])
     message = f"{at.size} rows repeat the time of the row before, first at {first:g} s"
     values = {"count": int(at.size), "first_s": first}
-    tick = between_ticks(time_s)[1]
-    if tick > 0.0:
-        message = f"{at.size} rows share a tick of the clock, {tick:g} s: spread evenly between ticks"
-        values["tick_s"] = tick
+    if tick_s > 0.0:
+        message = f"{at.size} rows share a tick of the clock, {tick_s:g} s: spread evenly between ticks"
+        values["tick_s"] = tick_s
     return Flag("zero_dt", message, values)
 
 

@@ -397,7 +397,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     )
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
     time_s, tick_s = between_ticks(table.time_s)
-    repeats = zero_dt(table.time_s, np.diff(table.time_s)) if tick_s > 0.0 else None
+    repeats = zero_dt(table.time_s, np.diff(table.time_s), tick_s) if tick_s > 0.0 else None
     no_test = no_specimen(file.path, table.sheet)
     flags = (
         *table.flags,
