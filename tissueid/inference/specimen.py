@@ -22,7 +22,7 @@ from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, 
 from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.second_looks import relaxation_window, settled
-from tissueid.inference.summaries import Summaries, second_pass
+from tissueid.inference.summaries import Look, Summaries, second_pass
 from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
@@ -231,8 +231,8 @@ class _Found:
     tick: Callable[[str], None]
     moved: tuple[Flag, ...] = ()  # numbers that unloading moves
 
-    def at(self, point: Point) -> FittedSpecimen:
-        """The fit as it is told with the tissue of a point."""
+    def at(self, point: Point, looks: Sequence[Look] = ()) -> FittedSpecimen:
+        """The fit as it is told with the tissue of a point; ``looks``: at its recordings, from another."""
         found, theta = self.identified, self.identified.law.theta(point.log_times, point.linear)[0]
         here = replace(self.tissue, theta=theta)
         adjustments = adjustments_of(found, self.handles, point)
@@ -243,6 +243,7 @@ class _Found:
             self.tick,
             noise=self.noise,
             force_of=lambda i, log: force_along(found, self.handles[i], log, i, point),
+            looks=looks,
             depths_mm=self.options.depths_mm,
             tip=TipOf(self.options.geometry, self.options.header_tip),
         )
@@ -258,7 +259,8 @@ class _Found:
             self._told(here, told), depth_mm=self._reached_mm(adjustments, point), flags=_one_form(flags),
             unloading=unloading, quoted=quoted, unloading_predicted=missed,
         )  # fmt: skip
-        return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
+        moved = partial(self.at, looks=told.looks)
+        return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, moved)
 
     def _reached_mm(self, adjustments: Sequence[Adjustment], point: Point) -> float:
         """Depth that is claimed: the travel, or the tip's own where frame and contact took a tenth of it."""
@@ -294,7 +296,8 @@ class _Found:
         slope, drains = depth_test(geometry, *_equal_holds(told))
         step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
         frequencies = self.options.frequencies_Hz
-        plain = quoted_numbers(tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
+        holds = [one.holds for one in told.looks]
+        plain = quoted_numbers(tissue, holds, step_s=step, duration_s=length, frequencies_Hz=frequencies)
         numbers, said = with_moduli(with_form(plain, self.identified.rivals), tissue, geometry)
         if slope is None:
             return numbers, said
@@ -319,7 +322,7 @@ class _Found:
             n_samples=found.system.samples,
             nrmsd=told.nrmsd,
             trials=told.trials,
-            relaxation=told.relaxation,
+            relaxation=tuple(row for one in told.looks for row in one.relaxation),
             relaxation_window=self.window,
             optimisers=self.optimisers,
             selection=found.table,
@@ -417,8 +420,9 @@ def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
 
 def _equal_holds(told: Summaries) -> tuple[list[float], list[float]]:
     """Depths and times of drainage of the longest hold of each log, of holds as long as the longest."""
-    most = max((one.longest_s for one in told.holds), default=0.0)
-    known = [one for one in told.holds if one.drainage_s > 0.0 and one.longest_s >= EQUALLY_LONG * most]
+    holds = [one.holds for one in told.looks]
+    most = max((one.longest_s for one in holds), default=0.0)
+    known = [one for one in holds if one.drainage_s > 0.0 and one.longest_s >= EQUALLY_LONG * most]
     return [one.depth_mm for one in known], [one.drainage_s for one in known]
 
 

@@ -15,6 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.identification import NoiseFit
+from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle, Measure
 from tissueid.inference.estimates import REFERENCE_DEPTH, TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
@@ -148,14 +149,22 @@ class _Known:
     tip: TipOf
 
 
+class Look(NamedTuple):
+    """A recording by itself, whatever is fitted to it."""
+
+    cycles: tuple[Cycle, ...]
+    measured: Measured | None
+    relaxation: tuple[RelaxationRow, ...]
+    holds: HoldNumbers
+
+
 @dataclass(frozen=True, slots=True)
 class Summaries:
     """Summaries of a specimen's logs beside its tissue."""
 
     trials: tuple[TrialFit, ...]
-    relaxation: tuple[RelaxationRow, ...]
     cycles: tuple[Cycle, ...]
-    holds: tuple[HoldNumbers, ...]  # one a trial
+    looks: tuple[Look, ...]  # one a trial
     nrmsd: Nrmsd  # over all fitted samples
     blocks: tuple[ResidualBlocks, ...]  # one a log: what a check for misfit looks at
 
@@ -165,9 +174,8 @@ class _OneLog(NamedTuple):
 
     totals: ResidualTotals
     trial: TrialFit
-    relaxation: tuple[RelaxationRow, ...]
     cycles: tuple[Cycle, ...]
-    holds: HoldNumbers
+    look: Look
     blocks: ResidualBlocks
 
 
@@ -179,10 +187,14 @@ def second_pass(
     *,
     noise: NoiseFit,
     force_of: Callable[[int, FittedLog], FloatArray],
+    looks: Sequence[Look] = (),
     depths_mm: Sequence[float] = (),
     tip: TipOf = NO_TIP,
 ) -> Summaries:
-    """Load every log once more and keep what a report needs of it; the logs are looked at in threads."""
+    """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
+
+    ``looks``: of an earlier pass over the same logs.
+    """
     known = _Known(tissue, noise, depths_mm, tip)
     workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()
@@ -192,7 +204,8 @@ def second_pass(
             trial, log = handle.fitted()
             tick(f"residuals of {trial.name}")
             fitted = force_of(i, log)
-            running.append(pool.submit(_one_log, trial, handle.segmentation, log, fitted, adjustment, known))
+            told = (trial, handle.segmentation, log, fitted, adjustment, looks[i] if looks else None, known)
+            running.append(pool.submit(_one_log, *told))
             while len(running) > workers:
                 found.append(running.popleft().result())
         found += [one.result() for one in running]
@@ -202,11 +215,20 @@ def second_pass(
     rmse = float(np.sqrt(totals.squares / totals.count))
     return Summaries(
         trials=tuple(one.trial for one in found),
-        relaxation=tuple(row for one in found for row in one.relaxation),
         cycles=tuple(row for one in found for row in one.cycles),
-        holds=tuple(one.holds for one in found),
+        looks=tuple(one.look for one in found),
         nrmsd=over_force(rmse, totals.high - totals.low, abs(totals.force / totals.count)),
         blocks=tuple(one.blocks for one in found),
+    )
+
+
+def _look(trial: Trial, segmentation: Segmentation, known: _Known) -> Look:
+    """A recording as it shows itself."""
+    return Look(
+        cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
+        measured=measure(trial, segmentation, geometry=known.tip.of(trial)),
+        relaxation=relaxation_rows(trial, segmentation),
+        holds=hold_numbers(trial, segmentation),
     )
 
 
@@ -216,22 +238,20 @@ def _one_log(
     log: FittedLog,
     fitted: FloatArray,
     adjustment: Adjustment,
+    look: Look | None,
     known: _Known,
 ) -> _OneLog:
     """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = known.tissue.model, known.tissue.theta
+    look = look or _look(trial, segmentation, known)
     totals = ResidualTotals()
-    cycles = cycle_rows(trial, segmentation, depths_mm=known.depths_mm)
     blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
     summary = residual_summary(log, fitted, blocks, sigma_N=known.noise.sigma_N)
     told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
     return _OneLog(
         totals=totals,
-        trial=replace(
-            told, residual=summary, measured=measure(trial, segmentation, geometry=known.tip.of(trial))
-        ),
-        relaxation=relaxation_rows(trial, segmentation),
-        cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
-        holds=hold_numbers(trial, segmentation),
+        trial=replace(told, residual=summary, measured=look.measured),
+        cycles=with_model_viscosity(trial, segmentation, look.cycles, model, theta, adjustment),
+        look=look,
         blocks=blocks,
     )
