@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
 from tissueid.errors import UsageError
@@ -24,6 +27,15 @@ EXTRA_OF = {
 def installed(library: str) -> bool:
     """True where a library can be imported."""
     return find_spec(library) is not None
+
+
+def versions(libraries: Iterable[str]) -> dict[str, str]:
+    """Versions of those libraries that are installed."""
+    found = {}
+    for name in libraries:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def require(library: str) -> None:

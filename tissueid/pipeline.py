@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +30,7 @@ from tissueid.collection import (
 )
 from tissueid.decided import arithmetic_refusal
 from tissueid.errors import InputError, UsageError, exit_code
+from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
 from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
@@ -119,12 +118,6 @@ def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit
     return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
 
 
-@cache
-def _versions() -> Mapping[str, str]:
-    """Of the libraries in this process."""
-    return {name: version(name) for name in LIBRARIES}
-
-
 def run_provenance(
     options: IdentifyOptions, inputs: Any, record: Mapping[str, Any] | None, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -136,7 +129,7 @@ def run_provenance(
     fit, posterior = options.fit, options.posterior
     return {
         "tissueid": __version__,
-        "versions": dict(_versions()),
+        "versions": versions(LIBRARIES),
         "options": {
             "model": fit.model,
             "branches": fit.branches or "auto",
@@ -235,10 +228,10 @@ def _identity(
         if entry["specimen"] == specimen
     )
     said = "" if study is None else study.sha256
-    versions = [__version__, *(version(name) for name in LIBRARIES)]
+    libraries = [__version__, *versions(LIBRARIES).values()]
     posterior = None if options.posterior is None else replace(options.posterior, workers=1)
     asked = replace(options, posterior=posterior)
-    return hashlib.sha256(repr((own, said, versions, asked)).encode()).hexdigest()
+    return hashlib.sha256(repr((own, said, libraries, asked)).encode()).hexdigest()
 
 
 def with_model(options: IdentifyOptions, study: Study | None) -> IdentifyOptions:
