@@ -20,8 +20,8 @@ from scipy.optimize import minimize
 from tissueid.inference.window import fitted_log
 from tissueid.ingest import ReadOptions, read_trials
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import branch_states
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.states import branch_states
 from tissueid.pipeline import identify
 from tissueid.result import SpecimenFit
 from tissueid.segment import segment

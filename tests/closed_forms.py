@@ -6,7 +6,8 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import ChannelModel, branch_states
+from tissueid.model.channels import ChannelModel
+from tissueid.model.states import branch_states
 
 
 def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float) -> FloatArray:

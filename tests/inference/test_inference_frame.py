@@ -12,9 +12,10 @@ import tissueid
 from tissueid.inference.frame_effect import _moving_mean, beyond_calibration, machine_flag, tip_handles
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.manifest import FrameCurve
-from tissueid.model.channels import branch_states, loading_force
+from tissueid.model.channels import loading_force
 from tissueid.model.frame import linear_frame
 from tissueid.model.grammar import rebuilt
+from tissueid.model.states import branch_states
 from tissueid.pipeline import IdentifyOptions
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior
 from tissueid.synth import Branch, as_trials

@@ -14,9 +14,9 @@ from tissueid.inference.estimates import estimate_tissue
 from tissueid.inference.second_looks import _slope, both_optimisers, relaxation_window, settled
 from tissueid.inference.specimen import window_flags
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import branch_states
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.states import branch_states
 from tissueid.priors import Priors
 from tissueid.synth import Branch, Hold, Log, Move
 from tissueid.trial import Contact, Phase, Segmentation, Trial

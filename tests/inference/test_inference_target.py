@@ -16,8 +16,8 @@ from tissueid.inference.reported import log_theta_prior, prior_table
 from tissueid.inference.sampling import sample
 from tissueid.inference.system import Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, _coordinate, _quantile
-from tissueid.model.channels import branch_states
 from tissueid.model.grammar import candidates
+from tissueid.model.states import branch_states
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 from tissueid.synth import Hold, Log, Move
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.measured.exponentials import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, kernel_basis
-from tissueid.model.kernels import branch_sensitivity
+from tissueid.model.states import branch_sensitivity
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 LONG = 300 if JIT_OFF else 5000

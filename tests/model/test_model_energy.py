@@ -20,8 +20,9 @@ from passive_tissues import (
 from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import branch_states, minimum_on_unit
+from tissueid.model.channels import minimum_on_unit
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.states import branch_states
 
 PER_LEG = 40
 #: Work is summed by the trapezoidal rule, whose error is 1 / PER_LEG^2 of what a leg moves.

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import branch_states
 from tissueid.model.functionals import (
     complex_stiffness,
     delta_method,
@@ -18,6 +17,7 @@ from tissueid.model.functionals import (
 )
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.states import branch_states
 
 MODEL = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=4.0)
 THETA = MODEL.join(

@@ -13,15 +13,9 @@ from scipy.special import lambertw
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import DampedModel, path_ratio
 from tissueid.model.grammar import parsed
-from tissueid.model.impact import (
-    IMPACT_SIZE,
-    IMPACT_STATE,
-    damping_factor,
-    damping_factors,
-    impact_step,
-    pack_impact,
-)
+from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step, pack_impact
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.restitution import damping_factor, damping_factors
 from tissueid.model.servo_law import servo_law
 
 

@@ -1,4 +1,4 @@
-"""Compiled recursion of the branch state against closed forms, an ODE solver and itself."""
+"""Recursion of the branch state against closed forms, an ODE solver and itself."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, derivative, legs, sampled
 from scipy.integrate import solve_ivp
 
-from tissueid.model.kernels import branch_sensitivity, branch_state, step_weights
+from tissueid.model.kernels import step_weights
+from tissueid.model.states import branch_sensitivity, branch_states
 
 TAU_S = 0.021
 SPEED_MM_S = 250.0 / 60.0
+
+
+def branch_state(time: np.ndarray, depth: np.ndarray, tau_s: float) -> np.ndarray:
+    """State of one branch."""
+    return branch_states(time, depth, np.array([tau_s]))[0]
 
 
 def uneven_path(n: int = 60, seed: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -32,12 +38,12 @@ def test_ramp_and_hold_match_the_closed_form_when_the_corner_is_a_sample() -> No
     depth = np.minimum(SPEED_MM_S * time, 2.0)
     expected = ramp_hold_state(time, speed_mm_s=SPEED_MM_S, depth_mm=2.0, tau_s=TAU_S)
     # both are exact: only rounding over 780 steps remains
-    np.testing.assert_allclose(branch_state(time, depth, TAU_S, 0.0), expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(branch_state(time, depth, TAU_S), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_uneven_path_matches_an_ode_solver_leg_by_leg() -> None:
     time, depth = uneven_path(25)
-    actual, state = branch_state(time, depth, TAU_S, 0.0), 0.0
+    actual, state = branch_state(time, depth, TAU_S), 0.0
     for h, moved, expected in zip(np.diff(time), np.diff(depth), actual[1:], strict=True):
         if h == 0.0:
             state += moved
@@ -57,28 +63,28 @@ def test_a_step_may_be_cut_anywhere_without_changing_the_state() -> None:
     cut_time, cut_depth = (
         np.append(one[0], (one[:-1, None] + share * np.diff(one)[:, None]).ravel()) for one in (time, depth)
     )
-    cut = branch_state(cut_time, cut_depth, TAU_S, 0.0)
+    cut = branch_state(cut_time, cut_depth, TAU_S)
     # a step of 1e-2 tau at the end of a 40 tau record: times round at 1e-14 of the step
-    np.testing.assert_allclose(cut[::3], branch_state(time, depth, TAU_S, 0.0), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(cut[::3], branch_state(time, depth, TAU_S), rtol=1e-11, atol=1e-12)
 
 
 def test_steps_without_time_jump_and_very_large_ones_forget() -> None:
     depth = np.array([0.0, 0.5, 1.5, 1.2])
-    state = branch_state(np.array([0.0, 0.01, 0.01, 0.01]), depth, TAU_S, 0.0)
+    state = branch_state(np.array([0.0, 0.01, 0.01, 0.01]), depth, TAU_S)
     np.testing.assert_allclose(np.diff(state)[1:], [1.0, -0.3], rtol=1e-14)
     for h in (0.0, 5e-324, 1e-300):
         assert step_weights(h, 100.0) == (1.0, 1.0)
     time, depth = np.array([0.0, 1e6, 2e6, 1e12]), np.array([0.0, 5.0, 1.0, 6.0])
     # what remains is the steady state v tau of each leg
     expected = TAU_S * np.diff(depth) / np.diff(time)
-    np.testing.assert_allclose(branch_state(time, depth, TAU_S, 0.0)[1:], expected, rtol=1e-12)
+    np.testing.assert_allclose(branch_state(time, depth, TAU_S)[1:], expected, rtol=1e-12)
 
 
 def test_long_hold_ends_in_exact_zeros_without_denormals() -> None:
     time = np.concatenate([[0.0, 0.48], 0.48 + 0.01 * np.arange(1, 3001)])
     depth = np.minimum(SPEED_MM_S * time, 2.0)
     smallest = np.finfo(np.float64).tiny
-    for values in (branch_state(time, depth, TAU_S, 0.0), *branch_sensitivity(time, depth, TAU_S)):
+    for values in (branch_state(time, depth, TAU_S), *branch_sensitivity(time, depth, TAU_S)):
         assert values[-1] == 0.0
         assert not np.any((values != 0.0) & (np.abs(values) < smallest))
 
@@ -87,7 +93,7 @@ def test_long_hold_ends_in_exact_zeros_without_denormals() -> None:
 def test_sensitivity_matches_central_differences(tau: float) -> None:
     time, depth = uneven_path()
     _, found = branch_sensitivity(time, depth, tau)
-    expected = derivative(lambda shift: branch_state(time, depth, tau + shift, 0.0), 1e-4 * tau)
+    expected = derivative(lambda shift: branch_state(time, depth, tau + shift), 1e-4 * tau)
     # fourth order in 1e-4: truncation 1e-16, rounding of states up to 2 mm 2e-16 * 2 / 1e-4 = 5e-12 / tau
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=2e-11 / tau)
 
@@ -106,6 +112,6 @@ def test_sensitivity_of_a_short_step_keeps_its_digits(ratio: float) -> None:
 def test_state_is_bounded_by_the_largest_excursion(corners: list[tuple[float, float]], tau: float) -> None:
     # s = x - (1/tau) int exp(-(t-u)/tau) x du: between x - max x and x, for a path that starts at 0
     time, depth = sampled(corners, 5)
-    state = branch_state(time, depth, tau, 0.0)
+    state = branch_state(time, depth, tau)
     assert np.all(state <= depth + 1e-12)
     assert np.all(state >= depth - np.maximum.accumulate(depth) - 1e-12)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import ChannelModel, branch_states, loading_force
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
@@ -19,6 +19,7 @@ from tissueid.model.rupture import (
     stored_energy_in,
 )
 from tissueid.model.servo_law import servo_law
+from tissueid.model.states import branch_states
 from tissueid.rupture_law import CRITERIA
 
 #: 10 to 500 mm/min, the ends of paper A's rates.

@@ -202,7 +202,8 @@ def c_header(bundle: Bundle) -> bytes:
     normalised; UsageError: its force follows the speed over that at contact.
     """
     from tissueid import __version__
-    from tissueid.model.kernels import FLUSH_MM, MAX_DETACHED_ITERATIONS
+    from tissueid.model.kernels import MAX_DETACHED_ITERATIONS
+    from tissueid.model.states import FLUSH_MM
 
     law = carried_law(bundle)
     name, count = _identifier(bundle.specimen), law.tau_s.size

@@ -13,7 +13,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.model.kernels import MOST_BRANCHES
+from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
 from tissueid.store.bundle import Bundle
 

@@ -14,7 +14,7 @@ from tissueid.inference.noise import Whitener
 from tissueid.inference.prior import time_bounds
 from tissueid.inference.search import observed_columns
 from tissueid.inference.system import Point, System
-from tissueid.model.kernels import MOST_BRANCHES
+from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.yardstick import INSIDE, OUTSIDE, Yardstick, presents, yardstick_of
 
 #: Nodes of a decade among which the data choose, and share of the force of a node that is none.

@@ -9,6 +9,9 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 
+#: Branches that a servo steps at the most.
+MOST_BRANCHES = 12
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:

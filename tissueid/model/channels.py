@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
-from tissueid.model.kernels import branch_sensitivity, branch_state, surface_path
 from tissueid.model.law import DampingLaw, RelaxationLaw, Shape, StaticLaw, StiffnessLaw
+from tissueid.model.states import branch_sensitivity, branch_states
 
 
 def minimum_on_unit(q: FloatArray) -> FloatArray:
@@ -372,6 +372,9 @@ class ChannelModel:
         self, theta: FloatArray, time_s: FloatArray, tool_mm: FloatArray, *, relaxing: float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
         """Surface [mm] and force [N] of exponentials that a tool may leave, every K_j times ``relaxing``."""
+        # compiled: what needs no surface needs no compiler
+        from tissueid.model.kernels import surface_path
+
         static, stiffness, tau = self.split(theta)
         return surface_path(
             np.concatenate([[0.0], static]),
@@ -429,14 +432,6 @@ def loading_force(
     """Force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
     x = np.asarray(depth_mm, dtype=np.float64)
     return np.asarray(model.static_force(theta, x) + model.loading(theta, x, speed_mm_s))
-
-
-def branch_states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
-    """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
-    driver, out = np.ascontiguousarray(driver), np.zeros((tau.size, time_s.size))
-    for row, one in zip(out, tau, strict=True):
-        row[:] = branch_state(time_s, driver, float(one), 0.0)
-    return out
 
 
 def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:

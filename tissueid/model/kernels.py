@@ -16,10 +16,10 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel, tick_kernel, tick_part
+from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.impact import speed_ratio
+from tissueid.model.states import FLUSH_MM
 
-#: Magnitude below which a branch state counts as zero [mm]; far above the denormal range.
-FLUSH_MM = 1e-200
 #: Newton steps allowed for the detached surface; it converges in 3 or 4, bisection alone in 50.
 MAX_DETACHED_ITERATIONS = 60
 
@@ -33,65 +33,8 @@ def step_weights(h: float, tau: float) -> tuple[float, float]:
     return math.exp(-ratio), -math.expm1(-ratio) / ratio
 
 
-@kernel(error_model="python")
-def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: float) -> FloatArray:
-    """Spring elongation of one branch at every sample, (n,) [mm]; ``initial`` at the first."""
-    n = time_s.size
-    out = np.empty(n)
-    s = initial
-    out[0] = s
-    last_h = -1.0
-    a = 1.0
-    phi = 1.0
-    for i in range(1, n):
-        h = time_s[i] - time_s[i - 1]
-        if h != last_h:
-            a, phi = step_weights(h, tau)
-            last_h = h
-        s = a * s + phi * (depth_mm[i] - depth_mm[i - 1])
-        if abs(s) < FLUSH_MM:
-            s = 0.0
-        out[i] = s
-    return out
-
-
-@kernel(error_model="python")
-def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
-    """State of one branch from rest and its derivative by the relaxation time, (n,) [mm] and [mm/s]."""
-    n = time_s.size
-    state = np.zeros(n)
-    derivative = np.zeros(n)
-    s = 0.0
-    d = 0.0
-    for i in range(1, n):
-        h = time_s[i] - time_s[i - 1]
-        dx = depth_mm[i] - depth_mm[i - 1]
-        a, phi = step_weights(h, tau)
-        if h > 0.0:
-            da = a * h / (tau * tau)
-            ratio = h / tau
-            # (1 - a)/h - a/tau loses all digits for h << tau; the series takes over
-            if ratio < 1e-4:
-                dphi = ratio * (0.5 - ratio * (1.0 / 3.0 - ratio / 8.0)) / tau
-            else:
-                dphi = -math.expm1(-ratio) / h - a / tau
-        else:
-            da = 0.0
-            dphi = 0.0
-        d = a * d + da * s + dphi * dx
-        s = a * s + phi * dx
-        if abs(s) < FLUSH_MM:
-            s = 0.0
-        if abs(d) < FLUSH_MM:
-            d = 0.0
-        state[i] = s
-        derivative[i] = d
-    return state, derivative
-
-
 # -- the law as one flat block --------------------------------------------------------------------
 LAW_SIZE = 176
-MOST_BRANCHES = 12
 MOST_PIECES = 16
 _DEPTH = 0
 _BRANCHES = 1

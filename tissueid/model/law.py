@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
-from tissueid.model.impact import Variant
+from tissueid.model.restitution import Variant
 
 
 @dataclass(frozen=True, slots=True)

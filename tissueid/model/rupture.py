@@ -18,7 +18,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import ChannelModel, branch_states
+from tissueid.model.channels import ChannelModel
 from tissueid.model.kernels import (
     _BRANCHES,
     _DEPTH,
@@ -34,6 +34,7 @@ from tissueid.model.kernels import (
     _continued,
     _static,
 )
+from tissueid.model.states import branch_states
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 
 #: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.

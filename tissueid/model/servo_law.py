@@ -12,10 +12,10 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from tissueid.arrays import FloatArray
+from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.channels import ChannelModel, DampedModel, Part
 from tissueid.model.kernels import (
     LAW_SIZE,
-    MOST_BRANCHES,
     MOST_PIECES,
     OWN_SIZE,
     STATE_SIZE,

@@ -13,8 +13,9 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
-from tissueid.model.impact import Variant, damping_factor, pack_impact
+from tissueid.model.impact import pack_impact
 from tissueid.model.passivity import damping_bound
+from tissueid.model.restitution import Variant, damping_factor
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance import CONE, HYPERBOLOID, hyperboloid_constants

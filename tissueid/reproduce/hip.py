@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, damping_factor, impact_step, pack_impact
+from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step, pack_impact
+from tissueid.model.restitution import damping_factor
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
-from tissueid.model.impact import LEAST_RESTITUTION, Variant, damping_factors
 from tissueid.model.law import About, Shape
+from tissueid.model.restitution import LEAST_RESTITUTION, Variant, damping_factors
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
-from tissueid.model.impact import Variant
 from tissueid.model.law import About
 from tissueid.model.laws.impact import Impact
+from tissueid.model.restitution import Variant
 
 
 class ImpactExact(Impact):
