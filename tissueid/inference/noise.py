@@ -5,7 +5,10 @@ A Kalman filter of one state, whose gains do not depend on the data: one banded 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain as chain_of
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,8 +117,8 @@ def _gains(
         # one filter for all chains: it settles after some correlation times
         starts = np.flatnonzero(chain)
         longest = int(np.diff(np.append(starts, k)).max())
-        one = rows[:1].repeat(longest, axis=0).tolist()
-        table = _recursion(one, [True] + [False] * (longest - 1), q, settle=True)
+        one = repeat(rows[0].tolist(), longest)
+        table = _recursion(one, chain_of([True], repeat(False, longest - 1)), q, settle=True)
         since = np.arange(k) - np.repeat(starts, np.diff(np.append(starts, k)))
         out = table[np.minimum(since, len(table) - 1)]
     else:
@@ -123,7 +126,7 @@ def _gains(
     return out[:, 0], out[:, 1], out[:, 2], out[:, 3]
 
 
-def _recursion(rows: list[list[float]], starts: list[bool], q: float, *, settle: bool) -> FloatArray:
+def _recursion(rows: Iterable[list[float]], starts: Iterable[bool], q: float, *, settle: bool) -> FloatArray:
     """Riccati recursion of the filter, one row an observation; stops where it has settled, if allowed."""
     p, out = q, []
     for (a, v, c, d, e, w, x), opens in zip(rows, starts, strict=True):
