@@ -1,11 +1,9 @@
-"""Parts of a contact model, each one file in ``laws``: linear coefficients, and positive shapes."""
+"""Parts of a contact model, a file each kind in ``laws``: linear coefficients, and positive shapes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
-
-import numpy as np
+from typing import Any, Protocol
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
@@ -65,23 +63,6 @@ class StaticLaw(Described, Protocol):
 
     def slope(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """Their derivatives by depth, (...) -> (p, ...)."""
-
-
-@dataclass(frozen=True, slots=True)
-class KnownPower:
-    """Static law of a tip whose shape is known: c times a power of depth."""
-
-    power: ClassVar[float]
-    polynomial: ClassVar[bool] = False
-    shapes: ClassVar[tuple[Shape, ...]] = ()
-
-    def basis(self, depth_mm: FloatArray) -> FloatArray:
-        """The power of depth."""
-        return np.asarray(depth_mm**self.power)[None]
-
-    def slope(self, depth_mm: FloatArray) -> FloatArray:
-        """Its derivative."""
-        return np.asarray(self.power * depth_mm ** (self.power - 1.0))[None]
 
 
 class StiffnessLaw(Described, Protocol):

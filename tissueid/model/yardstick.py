@@ -20,8 +20,8 @@ from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, Part, branch_states
 from tissueid.model.law import About, Shape
-from tissueid.model.laws.prony import Prony
-from tissueid.model.laws.quadratic import Quadratic
+from tissueid.model.laws.relaxation import Prony
+from tissueid.model.laws.stiffness import Quadratic
 
 YARDSTICK = "yardstick"
 #: Increasing curves inside the convolution, and Bernstein polynomials of the present depth outside it.
