@@ -8,7 +8,9 @@ import pytest
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.selfcheck.truth import ProtocolLog, Truth, noise, recorded_force, simulated_trials
+from tissueid.selfcheck.protocol import Centre, Protocol
+from tissueid.selfcheck.tissue import tissue_check
+from tissueid.selfcheck.truth import ProtocolLog, Truth, noise, recorded_force
 from tissueid.synth.recipe import Branch
 from tissueid.synth.response import Path as SynthPath
 from tissueid.synth.response import tissue_force
@@ -63,9 +65,9 @@ def test_a_gain_scales_all_forces() -> None:
 def test_trials_are_what_a_machine_exports() -> None:
     truth = Truth(THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
-    trials = simulated_trials(
-        MODEL, truth, logs, reference_step_s=0.01, white_share=0.0, rng=np.random.default_rng(6)
-    )
+    centre = Centre(MODEL, THETA, sigma_N=0.3, phi=0.0, white_share=0.0, pooling="partial")
+    check = tissue_check(Protocol("two logs", logs, (SPEED, SPEED)), centre)
+    trials = check.trials(truth, np.random.default_rng(6))
     assert [trial.name for trial in trials] == ["hold", "later"]
     np.testing.assert_allclose(trials[1].time_s, TIME, atol=1e-12)
     np.testing.assert_array_equal(trials[1].displacement_mm, logs[1].depth_mm)

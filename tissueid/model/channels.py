@@ -100,11 +100,6 @@ class ChannelModel:
     name: str = field(default="", compare=False)  # as it was asked for
 
     @property
-    def key(self) -> str:
-        """Name of the model."""
-        return self.name
-
-    @property
     def inside(self) -> bool:
         """True where the static law itself is convolved."""
         return self.stiffness_law.powers == 0

@@ -21,13 +21,11 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.reproduce.published import (
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -111,10 +109,10 @@ def total_draws(posterior: Posterior) -> FloatArray:
 SIGMA_N = 1.0
 
 
-def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED) -> list[Item]:
+def identified_table(readings: Readings, effort: Effort) -> list[Item]:
     """Rows of Table 2: 18 ramps at six speeds and 4 holds, through reader, segmentation and fit."""
     effort.progress("Table 2: 18 ramps and 4 holds")
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Table 2")
     branch = read_branch(ledger, readings)
     protocol = replace(
         recipe("paper-a-22"),
@@ -138,10 +136,10 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
         ledger.item("table-2/tau", tau, interval=interval, judge=within_interval()),
         _viscosity(ledger, fit),
         *(
-            Ledger(SADEGHNEJAD, numbers).item(
+            Ledger(SADEGHNEJAD, "Table 2").item(
                 f"table-2/{name}",
                 None,
-                said=Said(f"Coefficient {name} of the static force", unit=unit, where="Table 2"),
+                said=Said(f"Coefficient {name} of the static force", unit),
                 note="the cell did not survive in the text that this was made from",
             )
             for name, unit in (("a1", "N/mm"), ("a2", "N/mm2"), ("a3", "N/mm3"))
@@ -160,7 +158,7 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,
         interval=interval,
-        said=Said("Viscosity K tau", unit="N s/mm", where="Table 2"),
+        said=Said("Viscosity K tau", "N s/mm"),
         note="known ten times better than K and tau by themselves",
     )
 
@@ -176,12 +174,10 @@ SHOWN = (0.1, 0.5, 0.9)
 DRAWN = 120
 
 
-def specimen_scatter(
-    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
-) -> tuple[list[Item], Figure]:
+def specimen_scatter(readings: Readings, effort: Effort) -> tuple[list[Item], Figure]:
     """NRMSD of held-out specimens by range and by mean, and three of them drawn."""
     effort.progress(f"Fig. 5: {effort.specimens} specimens")
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 5")
     branch = read_branch(ledger, readings)
     ramps = tuple(log for log in recipe("paper-a-22").logs if log.name.startswith("ramp"))
     cohort = replace(

@@ -25,7 +25,7 @@ from tissueid.documents import plain
 from tissueid.documents.selfcheck import Coverage, Inside, Parameter
 from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.protocol import Protocol
-from tissueid.selfcheck.records import DRAWS, Record, failures
+from tissueid.selfcheck.records import DRAWS, Record
 from tissueid.selfcheck.tissue import TissueCheck
 from tissueid.selfcheck.truth import prior_words
 
@@ -225,7 +225,7 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
         parameters=tuple(_parameter(name, good, bands, len(names)) for name in names),
         bands=bands,
         simulations=len(good),
-        failed=tuple(str(record.failed) for record in failures(records)),
+        failed=tuple(str(record.failed) for record in records if record.failed is not None),
     )
 
 
@@ -287,7 +287,7 @@ def check_document(
         "simulations": {
             "asked": asked.simulations,
             "done": len(records),
-            "failed": [str(record.failed) for record in failures(records)],
+            "failed": list(verdict.failed),
             "draws": DRAWS,
             "seed": asked.seed,
             "sampler": PosteriorOptions().sampler,
