@@ -17,19 +17,18 @@ there), and elsewhere how often a law is taken that ties.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from field import STATED
+from kept_records import asked_for, by_case, kept
 from scipy.stats import binom
-from threadpoolctl import threadpool_limits
 
 import tissueid as ti
 from tissueid.model.base import ContactPath
@@ -191,8 +190,7 @@ def chosen(name: str, number: int) -> dict[str, Any]:
 
 def choice_lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Table of one true law after another."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         apart = [one for one in mine if one["missed_N"] > TWICE * NOISE_N]
         near = [one for one in mine if one["missed_N"] <= TWICE * NOISE_N]
         taken, right = Counter(one["taken"] for one in mine), sum(one["right"] for one in apart)
@@ -203,32 +201,9 @@ def choice_lines(found: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def records(
-    cases: list[str], count: int, path: Path, minutes: float, judge: Callable[[str, int], dict[str, Any]]
-) -> Iterator[dict[str, Any]]:
-    """Records of a file, and new ones until the time is over."""
-    known = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            one = json.loads(line)
-            known[one["case"], one["number"]] = one
-    until = time.monotonic() + 60.0 * minutes
-    for number in range(count):
-        for name in cases:
-            one = known.get((name, number))
-            if one is None:
-                if time.monotonic() > until:
-                    continue
-                one = judge(name, number)
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(one) + "\n")
-            yield one
-
-
 def lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Table of one law after another."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         misfit = np.mean([bool({"misfit", "discrepancy"} & set(one["flags"])) for one in mine])
         converged = 100 * np.mean([one["converged"] for one in mine])
         yield (
@@ -249,19 +224,11 @@ def lines(found: list[dict[str, Any]]) -> Iterator[str]:
 
 def main() -> None:
     """Run what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--kind", choices=("recovery", "choice"), default="recovery")
-    parser.add_argument("--specimens", type=int, default=100)
-    parser.add_argument("--cases", nargs="*", help="names of models; all without")
-    parser.add_argument("--minutes", type=float, default=480.0, help="no specimen is begun after so long")
-    parser.add_argument("--records", type=Path, default=Path("laws-records.jsonl"))
-    parser.add_argument("--json", action="store_true", help="print records instead of tables")
-    asked = parser.parse_args()
+    asked = asked_for(
+        __doc__, ("recovery", "choice"), "recovery", specimens=100, records="laws-records.jsonl"
+    )
     recovery = asked.kind == "recovery"
-    cases = asked.cases or list(names() if recovery else AMONG)
-    with threadpool_limits(1):
-        judge = judged if recovery else chosen
-        found = list(records(cases, asked.specimens, asked.records, asked.minutes, judge))
+    found = kept(asked.cases or (names() if recovery else AMONG), asked, judged if recovery else chosen)
     table = lines if recovery else choice_lines
     print(json.dumps(found) if asked.json else "\n".join(table(found)), flush=True)
 

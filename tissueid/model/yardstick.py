@@ -122,9 +122,9 @@ class Yardstick(ChannelModel):
         return tuple(out)
 
     @cached_property
-    def parameters(self) -> tuple[ParameterSpec, ...]:
+    def layout(self) -> tuple[ParameterSpec | Shape, ...]:
         """Parts of the static curve, then of each node."""
-        specs = list(self.static.coefficients)
+        specs: list[ParameterSpec | Shape] = [*self.static.coefficients]
         for j, tau in enumerate(self.fixed_s.tolist()):
             if j < len(self.inside_s):
                 rows = [("inside", i + 1, "N", "") for i in range(INSIDE)]
