@@ -101,17 +101,22 @@ def _truth(model: ChannelModel, rng: np.random.Generator) -> dict[str, float]:
     return truth
 
 
+def _push(
+    model: ChannelModel, truth: dict[str, float], speed: float, length_s: float
+) -> tuple[np.ndarray, ...]:
+    """Times, travel and force without noise of a push from the air at a speed, and a hold."""
+    time_s = np.arange(0.0, length_s, 1.0 / RATE_HZ)
+    depth = np.interp(time_s, [AIR_S, AIR_S + DEPTH_MM / speed], [0.0, DEPTH_MM])
+    force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
+    return time_s, np.where(time_s < AIR_S, speed * (time_s - AIR_S), depth) + SURFACE_MM, force
+
+
 def simulated(name: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[np.ndarray, ...]]:
     """Truth and a recording."""
     model = _model(name)
     truth = _truth(model, rng)
-    time_s = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
-    end = AIR_S + DEPTH_MM / SPEED_MM_S
-    depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
-    force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
-    force = force + rng.normal(0.0, NOISE_N, time_s.size)
-    travel = np.where(time_s < AIR_S, SPEED_MM_S * (time_s - AIR_S), depth)
-    return truth, (time_s, travel + SURFACE_MM, force)
+    time_s, travel, force = _push(model, truth, SPEED_MM_S, LENGTH_S)
+    return truth, (time_s, travel, force + rng.normal(0.0, NOISE_N, time_s.size))
 
 
 def judged(name: str, number: int) -> dict[str, Any]:
@@ -139,7 +144,7 @@ def judged(name: str, number: int) -> dict[str, Any]:
             "in": total[0] <= truth[one["name"]] <= total[1],
         }
     return {
-        "case": name, "number": number, "parameters": rows, "nrmsd": document["nrmsd"]["range"],
+        "parameters": rows, "nrmsd": document["nrmsd"]["range"],
         "converged": document["sampler"]["converged"],
         "flags": sorted({flag["code"] for flag in document["flags"]}),
         "cpu_s": time.process_time() - started,
@@ -150,14 +155,10 @@ def _pushes(model: ChannelModel, truth: dict[str, float], noise: np.random.Gener
     """A push and a hold at each speed."""
     out = []
     for k, speed in enumerate(SPEEDS_MM_S):
-        end = AIR_S + DEPTH_MM / speed
-        time_s = np.arange(0.0, end + HOLD_S, 1.0 / RATE_HZ)
-        depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
-        force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
+        time_s, travel, force = _push(model, truth, speed, AIR_S + DEPTH_MM / speed + HOLD_S)
         if noise is not None:
             force = force + noise.normal(0.0, NOISE_N, time_s.size)
-        travel = np.where(time_s < AIR_S, speed * (time_s - AIR_S), depth)
-        out.append(ti.Trial(f"speed {k}", time_s, travel + SURFACE_MM, force))
+        out.append(ti.Trial(f"speed {k}", time_s, travel, force))
     return out
 
 
@@ -183,7 +184,7 @@ def chosen(name: str, number: int) -> dict[str, Any]:
     tied = bool(rows) and (rows[0]["chosen"] or rows[0]["score"] >= -max(rows[0]["stderr"], 0.02))
     taken = str(fit.result.model.name)
     return {
-        "case": name, "number": number, "taken": taken, "tied": tied, "missed_N": missed,
+        "taken": taken, "tied": tied, "missed_N": missed,
         "right": taken != "kelvin-voigt" and (taken == name or tied), "cpu_s": time.process_time() - started,
     }  # fmt: skip
 
