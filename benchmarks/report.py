@@ -105,18 +105,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "logs", Path(folder) / "out"
         run("-m", "tissueid", "synth", RECIPE, "-o", str(data), "--rate", f"{options.rate:g}", "-q")
-        fit_s, _, _ = run(
-            "-m",
-            "tissueid",
-            "fit",
-            str(data),
-            "-o",
-            str(out),
-            "--specimen-by",
-            "logs",
-            "-q",
-            *options.fit_option,
-        )
+        fit = ("fit", str(data), "-o", str(out), "--specimen-by", "logs", "-q", *options.fit_option)
+        fit_s, _, _ = run("-m", "tissueid", *fit)
         document = json.loads((out / "identification.json").read_bytes())
         samples = sum(one["n_samples"] for one in document["provenance"]["inputs"])
         times = measured(out, options.repeats)
