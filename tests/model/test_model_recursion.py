@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_forms import ramp_hold_state
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, derivative, legs, sampled
-from scipy.integrate import solve_ivp
 
 from tissueid.model.kernels import branch_sensitivity, branch_state, step_weights
 
@@ -24,31 +22,6 @@ def uneven_path(n: int = 60, seed: int = 4) -> tuple[np.ndarray, np.ndarray]:
     depth = np.abs(np.cumsum(rng.normal(0.0, 0.4, n + 1)))
     depth[0] = 0.0
     return np.concatenate([[0.0], np.cumsum(step)]), depth
-
-
-def test_ramp_and_hold_match_the_closed_form_when_the_corner_is_a_sample() -> None:
-    corner = 2.0 / SPEED_MM_S
-    time = np.concatenate([np.linspace(0.0, corner, 481), corner + np.geomspace(1e-4, 0.5, 300)])
-    depth = np.minimum(SPEED_MM_S * time, 2.0)
-    expected = ramp_hold_state(time, speed_mm_s=SPEED_MM_S, depth_mm=2.0, tau_s=TAU_S)
-    # both are exact: only rounding over 780 steps remains
-    np.testing.assert_allclose(branch_state(time, depth, TAU_S, 0.0), expected, rtol=1e-12, atol=1e-14)
-
-
-def test_uneven_path_matches_an_ode_solver_leg_by_leg() -> None:
-    time, depth = uneven_path(25)
-    actual, state = branch_state(time, depth, TAU_S, 0.0), 0.0
-    for h, moved, expected in zip(np.diff(time), np.diff(depth), actual[1:], strict=True):
-        if h == 0.0:
-            state += moved
-        else:
-            leg = solve_ivp(
-                lambda _t, s, v=moved / h: v - s / TAU_S, (0.0, h), [state],
-                method="LSODA", rtol=1e-12, atol=1e-13,
-            )  # fmt: skip
-            state = leg.y[0, -1]
-        # LSODA keeps 1e-12 per step of its own; some hundred of them may add up
-        assert expected == pytest.approx(state, rel=1e-9, abs=1e-10)
 
 
 def test_a_step_may_be_cut_anywhere_without_changing_the_state() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from passive_tissues import of_law
 from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
@@ -40,40 +41,6 @@ def forces_at(of: tuple[ChannelModel, np.ndarray], work: float, speeds_mm_s: Seq
 def stretched(stiffness, x: np.ndarray, state: np.ndarray) -> np.ndarray:
     """int_{x - s}^{x} K dy of a polynomial K."""
     return sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(stiffness))
-
-
-@pytest.mark.parametrize(("static", "ends_N"), [(HARDENING, [92.4, 73.9]), (TABLE_1, [166.0, 169.1])])
-def test_figure_4_under_constant_work_falls_where_the_tissue_hardens_and_rises_where_it_softens(
-    static: tuple[float, ...], ends_N: list[float]
-) -> None:
-    # the work of a static indentation to 6 mm, 139.3 N mm for the cubic
-    assert forces_at(tissue(static), static_work(static, 6.0), ENDS_MM_S) == pytest.approx(ends_N, abs=0.15)
-
-
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
-@pytest.mark.parametrize("speed", ENDS_MM_S)
-def test_work_of_a_ramp_is_the_closed_form(static: tuple[float, ...], speed: float) -> None:
-    model, theta = tissue(static)
-    x = np.linspace(0.0, 8.0, 8001)
-    work = rupture_measures(model, theta, ContactPath(x / speed, x))["work"]
-    length = speed * TAU_S
-    state = -length * np.expm1(-x / length)
-    closed = np.array([static_work(static, one) for one in x])
-    closed += STIFFNESS * length * (x - state)
-    # trapezoids on steps of 1 um
-    assert work == pytest.approx(closed, rel=1e-5, abs=1e-4)
-
-
-def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness() -> None:
-    model, theta = kelvin_voigt(1, 2, 9.0), np.array([20.0, -1.2, 0.35, 60.0, 10.0, 1.5, 0.021])
-    time = np.linspace(0.0, 0.5, 10_001)
-    x = 4.0 * time / 0.5 * (1.0 + 0.3 * np.sin(40.0 * time))
-    measures = rupture_measures(model, theta, ContactPath(time, x))
-    (state,) = branch_states(time, x, np.array([TAU_S]))
-    # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat
-    heat = cumulative_trapezoid(state / TAU_S * stretched((60.0, 10.0, 1.5), x, state), time, initial=0.0)
-    assert measures["work"] == pytest.approx(measures["stored-energy"] + heat, rel=1e-5, abs=1e-5)
 
 
 def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
@@ -122,19 +89,8 @@ def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: t
 OF_EVERY_KIND = (
     "power * tangent * prony", "power * tangent * fung", "polynomial * tangent * prony:2",
     "hertz * linear * stretched", "flat * fractional", "sneddon * quadratic * power-law",
-    "flat * poroelastic", "power * spectrum",
+    "flat * poroelastic", "power * spectrum", "polynomial * quadratic * prony:3",
 )  # fmt: skip
-TYPICAL = {
-    "static_exponent": 1.4, "stiffness_0": 30.0, "stiffness_1": 4.0, "stiffness_2": 0.5,
-    "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 100.0, "relaxation_ratio": 1.2,
-    "static_": 12.0,
-}  # fmt: skip
-
-
-def of_name(name: str) -> tuple[ChannelModel, np.ndarray]:
-    model = parsed(name).model(6.0, 0.01, 2.0)
-    values = [next(v for key, v in TYPICAL.items() if one.name.startswith(key)) for one in model.parameters]
-    return model, np.array(values)
 
 
 def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.ndarray:
@@ -158,7 +114,7 @@ def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.nda
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("name", OF_EVERY_KIND)
 def test_stored_energy_and_heat_make_up_the_work_under_any_law(name: str) -> None:
-    model, theta = of_name(name)
+    model, theta = of_law(name, 6.0, 2.0)
     time = np.linspace(0.0, 1.0, 20_001)
     # forth, a little back, and forth again
     path = ContactPath(time, 4.0 * time * (1.0 + 0.3 * np.sin(20.0 * time)))
@@ -171,7 +127,7 @@ def test_stored_energy_and_heat_make_up_the_work_under_any_law(name: str) -> Non
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("name", OF_EVERY_KIND)
 def test_the_servo_stores_the_energy_of_the_law(name: str) -> None:
-    model, theta = of_name(name)
+    model, theta = of_law(name, 6.0, 2.0)
     time = np.arange(0.0, 1.0, 1e-3)
     path = ContactPath(time, 5.0 * time * (1.0 + 0.2 * np.sin(12.0 * time)))
     expected = rupture_measures(model, theta, path)["stored-energy"]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.selfcheck.protocol import Centre, Protocol
 from tissueid.selfcheck.tissue import tissue_check
@@ -150,9 +149,3 @@ def test_noise_on_unequal_steps_loses_correlation_with_time() -> None:
     assert correlation[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / np.sqrt(20_000))
     assert correlation[1, 2] == pytest.approx(0.64, abs=4 * 0.59 / np.sqrt(20_000))
     np.testing.assert_allclose(many.std(axis=0), 1.0, atol=4 / np.sqrt(40_000))
-
-
-def test_a_slow_ramp_is_the_closed_form_of_a_constant_speed() -> None:
-    ramp = TIME < CORNER
-    expected = loading_force(MODEL, THETA, DEPTH[ramp], speed_mm_s=SPEED)
-    np.testing.assert_allclose(force()[ramp], expected, rtol=1e-10, atol=1e-9)

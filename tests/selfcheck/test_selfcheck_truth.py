@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -155,11 +154,6 @@ def test_every_prior_is_said_with_its_numbers() -> None:
     assert words["gain_sd"] == "half-normal, scale 0.05"
     assert words["force_filter_s"] == "normal, 0 ± 0.005, not below 0"
     assert "phi" not in prior_words(priors_for(), correlated=False, pooling="shared", defects=False)
-
-
-def test_priors_go_to_other_processes() -> None:
-    priors = priors_for()
-    assert pickle.loads(pickle.dumps(priors)) == priors
 
 
 def check_of(name: str, *, stated: Priors | None = None, widths: Widths | None = None) -> TissueCheck:

@@ -73,22 +73,26 @@ class StiffnessLaw(Described, Protocol):
         """Powers of depth in K(x); 0 where the static law itself is convolved."""
 
 
-class RelaxationLaw(Described, Protocol):
-    """Relaxation after a step, from 1 down."""
+class DynamicLaw(Described, Protocol):
+    """Force beyond the static one."""
 
     @property
     def branches(self) -> int:
-        """Exponentials with a stiffness of their own; 0 where :meth:`value` is the relaxation."""
+        """Exponentials with a stiffness of their own; 0 of other relaxations, and of a damping."""
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """Parameters of one branch, or of the relaxation."""
+        """Parameters of one branch, or of the relaxation; none of a damping."""
+
+
+class RelaxationLaw(DynamicLaw, Protocol):
+    """Relaxation after a step, from 1 down."""
 
     def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
         """Relaxation at times [s], (...) -> (...)."""
 
 
-class DampingLaw(Described, Protocol):
+class DampingLaw(DynamicLaw, Protocol):
     """Damping in proportion to the static force, by the speed over that at which contact began."""
 
     @property
@@ -98,14 +102,6 @@ class DampingLaw(Described, Protocol):
     @property
     def variant(self) -> Variant:
         """Equation between chi and its parameter."""
-
-    @property
-    def branches(self) -> int:
-        """No exponentials."""
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]:
-        """None of a relaxation."""
 
     def factor(self, value: Any) -> FloatArray:
         """Damping factor chi, (...) -> (...)."""

@@ -40,26 +40,23 @@ LEAST_ERROR_MM = 0.005
 SECONDS = 12.0
 #: Every so many rows of a run are drawn.
 THINNED = 20
-ROLES = [
-    (owner, what, unit)
-    for owner in ("operator", "device")
-    for what, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m"))
-]
+UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
 
 def table_3(readings: Readings) -> list[Item]:
     """The six parameters, which are inputs, and the virtual masses that they allow."""
-    swapped = readings.device == "mass-stiffness-damping"
     items = []
-    for place, (owner, what, unit) in enumerate(ROLES, start=1):
-        if swapped and owner == "device" and what != "mass":
-            what, unit = ("stiffness", "N/m") if what == "damping" else ("damping", "N s/m")
+    roles = [
+        *(("operator", what) for what in UNITS),
+        *(("device", what) for what in readings.device.split("-")),
+    ]
+    for place, (owner, what) in enumerate(roles, start=1):
         ledger = Ledger(SADEGHNEJAD, "Table 3")
         ledger.read(readings.words("device"))
         items.append(
             ledger.given(
                 f"table-3/{place}",
-                f"{what.capitalize()} of the {owner} [{unit}]",
+                f"{what.capitalize()} of the {owner} [{UNITS[what]}]",
                 "a parameter of the simulation: put in, not computed",
             )
         )

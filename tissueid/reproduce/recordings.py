@@ -36,7 +36,7 @@ from tissueid.reproduce.published import (
 from tissueid.reproduce.speeds import read_branch
 from tissueid.result import Curve, SpecimenFit
 from tissueid.synth.dataset import write_set
-from tissueid.synth.recipe import Recipe, recipe
+from tissueid.synth.recipe import Branch, Recipe, recipe
 from tissueid.trial import Trial
 from tissueid.uncertainty import Posterior
 
@@ -109,18 +109,24 @@ def total_draws(posterior: Posterior) -> FloatArray:
 SIGMA_N = 1.0
 
 
+def _assumed(ledger: Ledger, branch: Branch, rate_Hz: float) -> Recipe:
+    """18 ramps and 4 holds of a tissue with a branch."""
+    plain = recipe("paper-a-22")
+    return replace(
+        plain,
+        branches=(branch,),
+        rate_Hz=ledger.assume(f"sampled at {rate_Hz:g} Hz", rate_Hz),
+        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
+        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", plain.static),
+    )
+
+
 def identified_table(readings: Readings, effort: Effort) -> list[Item]:
     """Rows of Table 2: 18 ramps at six speeds and 4 holds, through reader, segmentation and fit."""
     effort.progress("Table 2: 18 ramps and 4 holds")
     ledger = Ledger(SADEGHNEJAD, "Table 2")
     branch = read_branch(ledger, readings)
-    protocol = replace(
-        recipe("paper-a-22"),
-        branches=(branch,),
-        rate_Hz=ledger.assume(f"sampled at {effort.rate_Hz:g} Hz", effort.rate_Hz),
-        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
-        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", recipe("paper-a-22").static),
-    )
+    protocol = _assumed(ledger, branch, effort.rate_Hz)
     (fit,) = fitted(read_back(protocol, seed=effort.seed), effort, stiffness_degree=len(branch.stiffness) - 1)
     stiffness = (
         f"stiffness_{len(branch.stiffness) - 1}_{'N_per_mm' if len(branch.stiffness) == 1 else 'N_per_mm2'}"
@@ -179,14 +185,10 @@ def specimen_scatter(readings: Readings, effort: Effort) -> tuple[list[Item], Fi
     effort.progress(f"Fig. 5: {effort.specimens} specimens")
     ledger = Ledger(SADEGHNEJAD, "Fig. 5")
     branch = read_branch(ledger, readings)
-    ramps = tuple(log for log in recipe("paper-a-22").logs if log.name.startswith("ramp"))
+    protocol = _assumed(ledger, branch, RATE_HZ)
     cohort = replace(
-        recipe("paper-a-22"),
-        logs=tuple(replace(log, repeats=1) for log in ramps),
-        branches=(branch,),
-        rate_Hz=ledger.assume(f"sampled at {RATE_HZ:g} Hz", RATE_HZ),
-        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
-        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", recipe("paper-a-22").static),
+        protocol,
+        logs=tuple(replace(log, repeats=1) for log in protocol.logs if log.name.startswith("ramp")),
         specimens=effort.specimens,
         cv_specimen=ledger.assume("specimens scatter by 15 %", CV_SPECIMEN),
         cv_both=ledger.assume("tests of a specimen scatter by 5 %", CV_REPEAT),
