@@ -148,7 +148,7 @@ class ChannelModel:
         """Parameters in the order of theta."""
         return tuple(one.spec if isinstance(one, Shape) else one for one in self.layout)
 
-    @property
+    @cached_property
     def shape_specs(self) -> tuple[Shape, ...]:
         """Shapes in the order of theta."""
         return tuple(one for one in self.layout if isinstance(one, Shape))
