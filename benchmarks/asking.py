@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-from cohort import SHORT, peak_MB, write_cohort
+from cohort import SHORT, write_cohort
+from processes import peak_MB
 
 #: Name of the specimen that is fitted; others have names as long, so that its file can carry them.
 ONE = "head-00000"
@@ -39,7 +40,7 @@ class Stages:
 
     def note(self, name: str) -> None:
         now = time.monotonic()
-        self.rows.append({"stage": name, "seconds": now - self._last, "peak_MB": peak_MB(os.getpid())})
+        self.rows.append({"stage": name, "seconds": now - self._last, "peak_MB": peak_MB()})
         self._last = now
 
     def after(self, place: Any, name: str) -> None:

@@ -40,6 +40,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from processes import FINISHED, peak_MB, run
 
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import Coordinates
@@ -129,14 +130,6 @@ class Memory:
                     self.children[child] = max(self.children.get(child, 0.0), peak_MB(child))
 
 
-def peak_MB(pid: int) -> float:
-    """High-water mark of resident memory."""
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return float(line.split()[1]) / 1024.0
-    return 0.0
-
-
 def fit(data: Path, out: Path, *args: str, where: Path | None = None) -> dict[str, Any]:
     """One whole ``tissueid fit`` in a process of its own, with what its index says of its stages."""
     shutil.rmtree(out, ignore_errors=True)
@@ -159,7 +152,7 @@ def fit(data: Path, out: Path, *args: str, where: Path | None = None) -> dict[st
         thread.join()
     wall = time.time() - begin
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if process.returncode not in {0, 4}:
+    if process.returncode not in FINISHED:
         sys.exit(errors)
     with sqlite3.connect(out / "index.sqlite") as index:
         started, ended = index.execute("SELECT started, ended FROM runs ORDER BY id DESC").fetchone()
@@ -186,16 +179,11 @@ def fit(data: Path, out: Path, *args: str, where: Path | None = None) -> dict[st
 
 def population(out: Path) -> dict[str, Any]:
     """``tissueid cohort`` of a finished fit, in a process of its own: population bundle and report."""
-    command = [sys.executable, "-m", "tissueid", "cohort", str(out), "-q"]
-    begin, before = time.time(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
-    wall, after = time.time() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode not in {0, 4}:
-        sys.exit(done.stderr)
+    wall, processor, _ = run("-m", "tissueid", "cohort", str(out), "-q")
     sampler = json.loads((out / "population.json").read_bytes())["population"]["sampler"]
     return {
         "wall_s": wall,
-        "processor_s": sum(after[:2]) - sum(before[:2]),
+        "processor_s": processor,
         "converged": sampler["converged"],
         "sweeps": sampler["sweeps"],
         "load": os.getloadavg()[0],
@@ -206,10 +194,10 @@ def paper_part(data: Path, out: Path, specimens: int, sampler: str, crews: list[
     """From CSV to the population, stage by stage, and its whole wall time, with every number of workers."""
     samples, rows = write_population(data, specimens), []
     for workers in crews:
-        run = fit(data, out, "--sampler", sampler, "--workers", str(workers))
+        fitted = fit(data, out, "--sampler", sampler, "--workers", str(workers))
         of_all = population(out)
-        total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}
-        rows.append({"workers": workers, "fit": run, "population": of_all, "total": total})
+        total = {key: fitted[key] + of_all[key] for key in ("wall_s", "processor_s")}
+        rows.append({"workers": workers, "fit": fitted, "population": of_all, "total": total})
     result: dict[str, object] = {"samples": samples, "sampler": sampler, "runs": rows}
     if len(rows) == 2:
         result["jobs_ratio"] = rows[1]["fit"]["jobs_s"] / rows[0]["fit"]["jobs_s"]

@@ -16,12 +16,11 @@ import argparse
 import json
 import shutil
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from itertools import pairwise
 from pathlib import Path
+
+from processes import run
 
 RECIPE = "paper-a-30-k1"
 BAR = 3.0
@@ -85,20 +84,10 @@ def stage(message: str) -> str:
     return next((name for words, name in NAMES if words in text), text)
 
 
-def process(*command: str) -> tuple[float, str]:
-    """Wall time and output of one process."""
-    start = time.perf_counter()
-    ended = subprocess.run([sys.executable, *command], check=False, capture_output=True, text=True)
-    took = time.perf_counter() - start
-    if ended.returncode not in {0, 4}:
-        sys.exit(ended.stderr)
-    return took, ended.stdout
-
-
 def breakdown(data: Path, out: Path) -> dict[str, float]:
     """Seconds a stage."""
     shutil.rmtree(out)
-    _, text = process("-c", STAGES, str(data), "-o", str(out), "--specimen-by", data.name)
+    *_, text = run("-c", STAGES, str(data), "-o", str(out), "--specimen-by", data.name)
     marks = json.loads(text.splitlines()[-1])
     total: dict[str, float] = {}
     for (message, start), (_, end) in pairwise(marks):
@@ -114,22 +103,20 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "logs", Path(folder) / "out"
-        process("-m", "tissueid", "synth", RECIPE, "-o", str(data), "--rate", "1000", "-q")
+        run("-m", "tissueid", "synth", RECIPE, "-o", str(data), "--rate", "1000", "-q")
         files = sorted(map(str, data.glob("*.csv")))
 
         def fit() -> float:
             # a folder that holds results is gone on with: every run begins in an empty one
             shutil.rmtree(out, ignore_errors=True)
-            return process("-m", "tissueid", "fit", str(data), "-o", str(out), "--specimen-by", "logs", "-q")[
-                0
-            ]
+            return run("-m", "tissueid", "fit", str(data), "-o", str(out), "--specimen-by", "logs", "-q")[0]
 
         fit()
         times: dict[str, list[float]] = {"fit": [], "import": [], "bare": [], "read_csv": []}
         for _ in range(options.pairs):
-            times["bare"].append(process("-c", "pass")[0])
-            times["import"].append(process("-c", f"import {LIBRARIES}")[0])
-            times["read_csv"].append(float(process("-c", READ, *files)[1]))
+            times["bare"].append(run("-c", "pass")[0])
+            times["import"].append(run("-c", f"import {LIBRARIES}")[0])
+            times["read_csv"].append(float(run("-c", READ, *files)[2]))
             times["fit"].append(fit())
         found = json.loads((out / "identification.json").read_text(encoding="utf-8"))["specimens"][0]
         stages = breakdown(data, out)

@@ -15,7 +15,6 @@ tau, and orders.  Forms: laws that are not the paper's.  Mechanisms: flags that 
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from field_simulator import Drainage, Log, Machine, Tissue, recorded
-from threadpoolctl import threadpool_limits
+from kept_records import asked_for, by_case, kept
 
 PROGRAM = (
     Log(4.0, 1.0),
@@ -321,29 +320,12 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def records(names: dict[str, Maker], count: int, path: Path, minutes: float) -> Iterator[dict[str, Any]]:
-    """Records of specimens, those that stand in a file first; new ones are appended to it."""
-    known = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            one = json.loads(line)
-            known[one["case"], one["number"]] = one
-    until = time.monotonic() + 60.0 * minutes
-    for number in range(count):
-        for name, make in names.items():
-            one = known.get((name, number))
-            if one is None:
-                if time.monotonic() > until:
-                    continue
-                # a seed of its own: the same specimen in whatever order they are drawn
-                rng = np.random.default_rng([20261125, number, *name.encode()])
-                specimen, started = make(rng), time.process_time()
-                document = _identified(specimen, rng, number, stated=name in CALIBRATION and name != UNSTATED)
-                one = {"case": name, "number": number, **_judged(specimen, document)}
-                one["cpu_s"] = time.process_time() - started
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(one) + "\n")
-            yield one
+def _recorded(name: str, number: int) -> dict[str, Any]:
+    """Record of one specimen, drawn with a seed of its own: the same in whatever order they are drawn."""
+    rng = np.random.default_rng([20261125, number, *name.encode()])
+    specimen, started = MAKERS[name](rng), time.process_time()
+    document = _identified(specimen, rng, number, stated=name in CALIBRATION and name != UNSTATED)
+    return {**_judged(specimen, document), "cpu_s": time.process_time() - started}
 
 
 def _share(values: list[bool]) -> str:
@@ -357,8 +339,7 @@ def _middle(values: list[float]) -> str:
 
 def calibration_lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Tables of one case after another."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         right = [one["order"] == one["truth"] for one in mine]
         open_ = ["model_undecided" in one["flags"] and one["order"] != one["truth"] for one in mine]
         wrong = [not r and not u for r, u in zip(right, open_, strict=True)]
@@ -385,8 +366,7 @@ def calibration_lines(found: list[dict[str, Any]]) -> Iterator[str]:
 
 def form_lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Laws that are not the paper's."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         shares = [one["share"]["z"] for one in mine if one["share"]]
         off = [abs(one["share"]["value"] - one["share"]["truth"]) for one in mine if one["share"]]
         yield (
@@ -402,8 +382,8 @@ def form_lines(found: list[dict[str, Any]]) -> Iterator[str]:
 
 def mechanism_lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Flags that are raised, and false ones."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine, due = [one for one in found if one["case"] == name], MECHANISMS[name][1]
+    for name, mine in by_case(found):
+        due = MECHANISMS[name][1]
         wanted = due or FALSE_ALARMS
         hit = [bool(set(wanted) & set(one["flags"])) for one in mine]
         each = ", ".join(f"{code} {_share([code in one['flags'] for one in mine])}" for code in FALSE_ALARMS)
@@ -417,22 +397,16 @@ KINDS: dict[str, tuple[dict[str, Maker], Callable[[list[dict[str, Any]]], Iterat
 }
 
 
+MAKERS = {name: make for makers, _ in KINDS.values() for name, make in makers.items()}
+
+
 def main() -> None:
     """Run what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--kind", choices=(*KINDS, "all"), default="all")
-    parser.add_argument("--specimens", type=int, default=200)
-    parser.add_argument("--cases", nargs="*", help="names of cases; all without")
-    parser.add_argument("--minutes", type=float, default=480.0, help="no specimen is begun after so long")
-    parser.add_argument("--records", type=Path, default=Path("field-records.jsonl"))
-    parser.add_argument("--json", action="store_true", help="print records instead of tables")
-    asked = parser.parse_args()
+    asked = asked_for(__doc__, (*KINDS, "all"), "all", specimens=200, records="field-records.jsonl")
     for kind, (makers, lines) in KINDS.items():
         if asked.kind not in (kind, "all"):
             continue
-        names = {name: one for name, one in makers.items() if not asked.cases or name in asked.cases}
-        with threadpool_limits(1):
-            found = list(records(names, asked.specimens, asked.records, asked.minutes))
+        found = kept([name for name in makers if not asked.cases or name in asked.cases], asked, _recorded)
         print(json.dumps(found) if asked.json else "\n".join([kind, *lines(found)]), flush=True)
 
 

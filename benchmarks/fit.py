@@ -27,6 +27,7 @@ from pathlib import Path
 
 import lmfit
 import numpy as np
+from processes import peak_MB
 from scipy.signal import lfilter
 
 from tissueid.inference.logs import LogHandle
@@ -119,17 +120,6 @@ def compare(trials: list[Trial], pairs: int) -> dict[str, float]:
     }
 
 
-def peak_bytes() -> int:
-    """Largest resident memory of this process alone (getrusage carries the parent's over an exec)."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return int(line.split()[1]) * 1024
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
 def _peak(folder: str, count: int) -> tuple[int, int]:
     """Fit ``count`` logs of a folder, each loaded when needed; report the peak memory."""
     names = [str(Path(folder) / f"{i:03d}.npy") for i in range(count)]
@@ -142,7 +132,7 @@ def _peak(folder: str, count: int) -> tuple[int, int]:
 
     options = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=1))
     found = identify((load(Source(path=name)) for name in names), options=options, reload=load)
-    return peak_bytes(), found.specimens[0].n_samples
+    return round(2**20 * peak_MB()), found.specimens[0].n_samples
 
 
 def memory() -> dict[str, float]:

@@ -17,19 +17,18 @@ there), and elsewhere how often a law is taken that ties.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from field import STATED
+from kept_records import asked_for, by_case, kept
 from scipy.stats import binom
-from threadpoolctl import threadpool_limits
 
 import tissueid as ti
 from tissueid.model.base import ContactPath
@@ -102,17 +101,22 @@ def _truth(model: ChannelModel, rng: np.random.Generator) -> dict[str, float]:
     return truth
 
 
+def _push(
+    model: ChannelModel, truth: dict[str, float], speed: float, length_s: float
+) -> tuple[np.ndarray, ...]:
+    """Times, travel and force without noise of a push from the air at a speed, and a hold."""
+    time_s = np.arange(0.0, length_s, 1.0 / RATE_HZ)
+    depth = np.interp(time_s, [AIR_S, AIR_S + DEPTH_MM / speed], [0.0, DEPTH_MM])
+    force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
+    return time_s, np.where(time_s < AIR_S, speed * (time_s - AIR_S), depth) + SURFACE_MM, force
+
+
 def simulated(name: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[np.ndarray, ...]]:
     """Truth and a recording."""
     model = _model(name)
     truth = _truth(model, rng)
-    time_s = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
-    end = AIR_S + DEPTH_MM / SPEED_MM_S
-    depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
-    force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
-    force = force + rng.normal(0.0, NOISE_N, time_s.size)
-    travel = np.where(time_s < AIR_S, SPEED_MM_S * (time_s - AIR_S), depth)
-    return truth, (time_s, travel + SURFACE_MM, force)
+    time_s, travel, force = _push(model, truth, SPEED_MM_S, LENGTH_S)
+    return truth, (time_s, travel, force + rng.normal(0.0, NOISE_N, time_s.size))
 
 
 def judged(name: str, number: int) -> dict[str, Any]:
@@ -140,7 +144,7 @@ def judged(name: str, number: int) -> dict[str, Any]:
             "in": total[0] <= truth[one["name"]] <= total[1],
         }
     return {
-        "case": name, "number": number, "parameters": rows, "nrmsd": document["nrmsd"]["range"],
+        "parameters": rows, "nrmsd": document["nrmsd"]["range"],
         "converged": document["sampler"]["converged"],
         "flags": sorted({flag["code"] for flag in document["flags"]}),
         "cpu_s": time.process_time() - started,
@@ -151,14 +155,10 @@ def _pushes(model: ChannelModel, truth: dict[str, float], noise: np.random.Gener
     """A push and a hold at each speed."""
     out = []
     for k, speed in enumerate(SPEEDS_MM_S):
-        end = AIR_S + DEPTH_MM / speed
-        time_s = np.arange(0.0, end + HOLD_S, 1.0 / RATE_HZ)
-        depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
-        force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
+        time_s, travel, force = _push(model, truth, speed, AIR_S + DEPTH_MM / speed + HOLD_S)
         if noise is not None:
             force = force + noise.normal(0.0, NOISE_N, time_s.size)
-        travel = np.where(time_s < AIR_S, speed * (time_s - AIR_S), depth)
-        out.append(ti.Trial(f"speed {k}", time_s, travel + SURFACE_MM, force))
+        out.append(ti.Trial(f"speed {k}", time_s, travel, force))
     return out
 
 
@@ -184,15 +184,14 @@ def chosen(name: str, number: int) -> dict[str, Any]:
     tied = bool(rows) and (rows[0]["chosen"] or rows[0]["score"] >= -max(rows[0]["stderr"], 0.02))
     taken = str(fit.result.model.name)
     return {
-        "case": name, "number": number, "taken": taken, "tied": tied, "missed_N": missed,
+        "taken": taken, "tied": tied, "missed_N": missed,
         "right": taken != "kelvin-voigt" and (taken == name or tied), "cpu_s": time.process_time() - started,
     }  # fmt: skip
 
 
 def choice_lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Table of one true law after another."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         apart = [one for one in mine if one["missed_N"] > TWICE * NOISE_N]
         near = [one for one in mine if one["missed_N"] <= TWICE * NOISE_N]
         taken, right = Counter(one["taken"] for one in mine), sum(one["right"] for one in apart)
@@ -203,32 +202,9 @@ def choice_lines(found: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def records(
-    cases: list[str], count: int, path: Path, minutes: float, judge: Callable[[str, int], dict[str, Any]]
-) -> Iterator[dict[str, Any]]:
-    """Records of a file, and new ones until the time is over."""
-    known = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            one = json.loads(line)
-            known[one["case"], one["number"]] = one
-    until = time.monotonic() + 60.0 * minutes
-    for number in range(count):
-        for name in cases:
-            one = known.get((name, number))
-            if one is None:
-                if time.monotonic() > until:
-                    continue
-                one = judge(name, number)
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(one) + "\n")
-            yield one
-
-
 def lines(found: list[dict[str, Any]]) -> Iterator[str]:
     """Table of one law after another."""
-    for name in dict.fromkeys(one["case"] for one in found):
-        mine = [one for one in found if one["case"] == name]
+    for name, mine in by_case(found):
         misfit = np.mean([bool({"misfit", "discrepancy"} & set(one["flags"])) for one in mine])
         converged = 100 * np.mean([one["converged"] for one in mine])
         yield (
@@ -249,19 +225,11 @@ def lines(found: list[dict[str, Any]]) -> Iterator[str]:
 
 def main() -> None:
     """Run what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--kind", choices=("recovery", "choice"), default="recovery")
-    parser.add_argument("--specimens", type=int, default=100)
-    parser.add_argument("--cases", nargs="*", help="names of models; all without")
-    parser.add_argument("--minutes", type=float, default=480.0, help="no specimen is begun after so long")
-    parser.add_argument("--records", type=Path, default=Path("laws-records.jsonl"))
-    parser.add_argument("--json", action="store_true", help="print records instead of tables")
-    asked = parser.parse_args()
+    asked = asked_for(
+        __doc__, ("recovery", "choice"), "recovery", specimens=100, records="laws-records.jsonl"
+    )
     recovery = asked.kind == "recovery"
-    cases = asked.cases or list(names() if recovery else AMONG)
-    with threadpool_limits(1):
-        judge = judged if recovery else chosen
-        found = list(records(cases, asked.specimens, asked.records, asked.minutes, judge))
+    found = kept(asked.cases or (names() if recovery else AMONG), asked, judged if recovery else chosen)
     table = lines if recovery else choice_lines
     print(json.dumps(found) if asked.json else "\n".join(table(found)), flush=True)
 

@@ -32,7 +32,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,18 +75,14 @@ def measured(asked: argparse.Namespace) -> dict[str, Any]:
 
     parts = PARTS if asked.part == "all" else (asked.part,)
     found = [] if parts == ("speed",) else recordings(asked.data, asked.only, asked.sheets)
-    result: dict[str, Any] = {}
-    if "coherence" in parts:
-        result["coherence"] = coherence(found, cuts=asked.cuts, splits=asked.splits, seed=asked.seed)
-    if "prediction" in parts:
-        result["prediction"] = prediction(found, cuts=asked.cuts, logs=asked.logs)
-    if "laws" in parts:
-        result["laws"] = among_laws(found, cuts=asked.cuts, logs=asked.logs)
-    if "insample" in parts:
-        result["insample"] = insample(found, cuts=asked.cuts)
-    if "speed" in parts:
-        result["speed"] = speed(asked.data, ROOT, sheets=asked.sheets)
-    return result
+    made: dict[str, Callable[[], Any]] = {
+        "coherence": lambda: coherence(found, cuts=asked.cuts, splits=asked.splits, seed=asked.seed),
+        "prediction": lambda: prediction(found, cuts=asked.cuts, logs=asked.logs),
+        "laws": lambda: among_laws(found, cuts=asked.cuts, logs=asked.logs),
+        "insample": lambda: insample(found, cuts=asked.cuts),
+        "speed": lambda: speed(asked.data, ROOT, sheets=asked.sheets),
+    }
+    return {part: made[part]() for part in parts}
 
 
 def finite(value: Any) -> Any:

@@ -272,8 +272,20 @@ class QuasiLinear:
         return np.asarray(curves[::SUBSTEPS] + np.einsum("nkm,k->nm", states, ratio))
 
 
+class Shapeless:
+    """A law of columns alone."""
+
+    __slots__ = ()
+
+    def starts(self, logs: Sequence[Log]) -> list[Array]:  # noqa: ARG002
+        return [np.empty(0)]
+
+    def bounds(self, logs: Sequence[Log]) -> tuple[Array, Array]:  # noqa: ARG002
+        return np.empty(0), np.empty(0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Spectrum:
+class Spectrum(Shapeless):
     """Cubic static force and fixed relaxation times, each with a K(x) of the degree; no shape."""
 
     tau_s: Array
@@ -285,19 +297,13 @@ class Spectrum:
         """The law with log-spaced nodes over what the logs can resolve."""
         return cls(resolvable(logs, nodes), deepest(logs), degree)
 
-    def starts(self, logs: Sequence[Log]) -> list[Array]:  # noqa: ARG002
-        return [np.empty(0)]
-
-    def bounds(self, logs: Sequence[Log]) -> tuple[Array, Array]:  # noqa: ARG002
-        return np.empty(0), np.empty(0)
-
     def columns(self, log: Log, shape: Array) -> Array:  # noqa: ARG002
         law = Paper(self.tau_s.size, self.degree, self.depth_mm)
         return law.columns(log, np.log(self.tau_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Yardstick:
+class Yardstick(Shapeless):
     """Curves of depth with a spectrum each, inside the convolution and outside it; no shape, no law to quote.
 
     Attributes
@@ -323,12 +329,6 @@ class Yardstick:
         count = int(np.ceil(per_decade * np.log10(ends[1] / ends[0]))) + 1
         nodes = np.append(resolvable(logs, count), np.inf)
         return cls(nodes, deepest(logs), inside, outside)
-
-    def starts(self, logs: Sequence[Log]) -> list[Array]:  # noqa: ARG002
-        return [np.empty(0)]
-
-    def bounds(self, logs: Sequence[Log]) -> tuple[Array, Array]:  # noqa: ARG002
-        return np.empty(0), np.empty(0)
 
     def columns(self, log: Log, shape: Array) -> Array:  # noqa: ARG002
         time, depth = subdivided(log)

@@ -32,12 +32,12 @@ from real_prediction import (
     NO_MODEL,
     USUAL_ORDER,
     carried,
-    foreign_force,
+    foreign_error,
     hold_error,
     multiplied,
     no_model,
 )
-from real_recordings import Found, Recording, fit_of, grouped, tell
+from real_recordings import Found, Recording, fit_of, left_out, tell
 
 Array = NDArray[np.float64]
 
@@ -104,9 +104,7 @@ def _of_speed(condition: str, rest: Sequence[Recording], log: Log) -> dict[str, 
         # nothing is free of the log that is left out: of the others nothing but their contacts is
         ours = _fitted(rest, condition, model, static="shared")
         if isinstance(ours, Found):
-            depths = [float(one.depth_mm.max()) for one in ours.logs()]
-            shift = float(np.mean(depths)) - float(np.mean([one.depth_mm.max() for one in logs]))
-            found[name] = nrmsd(foreign_force(ours, log, shift), log.force_N)
+            found[name] = foreign_error(ours, log, logs)
     return found
 
 
@@ -134,13 +132,11 @@ def among_laws(found: Sequence[Recording], *, cuts: int | None, logs: int | None
     """
     rows = []
     for kind, one_of in (("muscle", _of_speed), ("meat", _of_hold)):
-        for name, members in list(grouped(found, kind, 3).items())[:cuts]:
-            errors = []
-            for place in range(len(members))[:logs]:
-                tell(f"laws: {members[place].name} from the others of {name}")
-                rest = [one for i, one in enumerate(members) if i != place]
-                errors.append(one_of(name, rest, members[place].log))
-            rows.append(_row(name, errors))
+        errors: dict[str, list[dict[str, float]]] = {}
+        for name, one, rest in left_out(found, kind, 3, cuts, logs):
+            tell(f"laws: {one.name} from the others of {name}")
+            errors.setdefault(name, []).append(one_of(name, rest, one.log))
+        rows += [_row(name, every) for name, every in errors.items()]
     summary = {}
     for key in (AUTO, PLAIN):
         ratios = [row["ratio"][key] for row in rows if key in row["ratio"]]

@@ -30,7 +30,7 @@ from real_baselines import (
     nrmsd,
 )
 from real_pooled import fit_pooled
-from real_recordings import Found, Recording, fit_of, grouped, tell
+from real_recordings import Found, Recording, fit_of, grouped, left_out, tell
 
 from tissueid.model.base import ContactPath
 from tissueid.model.servo_law import TissueStepper
@@ -65,6 +65,13 @@ def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
     first = stepper.step(float(depth[0]), 0.0)
     steps = zip(depth[1:], np.diff(log.time_s), strict=True)
     return np.array([first, *(stepper.step(float(x), float(dt)) for x, dt in steps)])
+
+
+def foreign_error(found: Found, log: Log, others: Sequence[Log]) -> float:
+    """NRMSD of what a fit of others predicts, their contacts where the fit has them."""
+    depths = [float(one.depth_mm.max()) for one in found.logs()]
+    shift = float(np.mean(depths)) - float(np.mean([one.depth_mm.max() for one in others]))
+    return nrmsd(foreign_force(found, log, shift), log.force_N)
 
 
 def no_model(log: Log, others: Sequence[Log]) -> Array:
@@ -127,12 +134,10 @@ def _own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], 
     return found
 
 
-def _left_out_log(cut: str, members: Sequence[Recording], place: int) -> dict[str, Any]:
+def _left_out_log(cut: str, left_out: Recording, rest: Sequence[Recording]) -> dict[str, Any]:
     """Row of one log: NRMSD of its hold by every predictor."""
-    log = members[place].log
-    rest = [one for i, one in enumerate(members) if i != place]
-    others = [one.log for one in rest]
-    depth = deepest([one.log for one in members])
+    log, others = left_out.log, [one.log for one in rest]
+    depth = deepest([*others, log])
     ours = fit_of(rest, cut, sampled=False)
     order = ours.order if isinstance(ours, Found) and ours.order[0] else USUAL_ORDER
     pooling = ours.pooling if isinstance(ours, Found) else "partial"
@@ -182,9 +187,7 @@ def _left_out_speeds(condition: str, members: Sequence[Recording]) -> list[dict[
             errors[name] = None
             chosen[name] = found if isinstance(found, str) else [*found.order, found.pooling]
             if isinstance(found, Found):
-                depths = [float(log.depth_mm.max()) for log in found.logs()]
-                shift = float(np.mean(depths)) - float(np.mean([log.depth_mm.max() for log in logs]))
-                errors[name] = nrmsd(foreign_force(found, one.log, shift), one.log.force_N)
+                errors[name] = foreign_error(found, one.log, logs)
         for name, law in speed_laws(logs).items():
             errors[name] = nrmsd(fit_law(law, logs).force(one.log), one.log.force_N)
         rows.append({"condition": condition, "left_out": one.name, "chosen": chosen, "nrmsd": errors})
@@ -212,10 +215,10 @@ def _measured(members: Sequence[Recording], name: str) -> Sequence[Mapping[str, 
     return [] if isinstance(found, str) else found.document["measured"]
 
 
-def measured_next(cut: str, members: Sequence[Recording], place: int) -> dict[str, bool]:
+def measured_next(cut: str, left_out: Recording, rest: Sequence[Recording]) -> dict[str, bool]:
     """Report if the measured curves of a left-out log lie whole in ``prediction95`` of the others."""
-    rows = _measured([one for i, one in enumerate(members) if i != place], cut)
-    own = {(row["name"], row["hold"], row["time_s"]): row["mean"] for row in _measured([members[place]], cut)}
+    rows = _measured(rest, cut)
+    own = {(row["name"], row["hold"], row["time_s"]): row["mean"] for row in _measured([left_out], cut)}
     for program in dict.fromkeys(row["program"] for row in rows):
         known = {(row["name"], row["hold"], row["time_s"]): row for row in rows if row["program"] == program}
         peak, mine = (
@@ -244,20 +247,15 @@ def prediction(found: Sequence[Recording], *, cuts: int | None, logs: int | None
         Most cuts, and most logs left out of each.
     """
     holds = []
-    for cut, members in list(grouped(found, "meat", 3).items())[:cuts]:
-        for place in range(len(members))[:logs]:
-            tell(f"prediction: {members[place].name} from the other logs of {cut}")
-            holds.append(_left_out_log(cut, members, place))
+    for cut, one, rest in left_out(found, "meat", 3, cuts, logs):
+        tell(f"prediction: {one.name} from the other logs of {cut}")
+        holds.append(_left_out_log(cut, one, rest))
     speeds = [
         row
         for condition, members in grouped(found, "muscle", 3).items()
         for row in _left_out_speeds(condition, members)
     ]
-    later = [
-        measured_next(cut, members, place)
-        for cut, members in list(grouped(found, "meat", 4).items())[:cuts]
-        for place in range(len(members))[:logs]
-    ]
+    later = [measured_next(*each) for each in left_out(found, "meat", 4, cuts, logs)]
     held = {name: [one[name] for one in later if name in one] for name in NEXT}
     return {
         "measured_next": {

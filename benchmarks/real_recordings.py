@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -182,6 +182,15 @@ def grouped(found: Sequence[Recording], kind: str, least: int = 2) -> dict[str, 
         if one.kind == kind and one.group:
             groups.setdefault(one.group, []).append(one)
     return {name: members for name, members in groups.items() if len(members) >= least}
+
+
+def left_out(
+    found: Sequence[Recording], kind: str, least: int, cuts: int | None, logs: int | None
+) -> Iterator[tuple[str, Recording, list[Recording]]]:
+    """Group, a recording that is left out of it, and the others; most groups, and most recordings of each."""
+    for group, members in list(grouped(found, kind, least).items())[:cuts]:
+        for place, one in enumerate(members[:logs]):
+            yield group, one, [*members[:place], *members[place + 1 :]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

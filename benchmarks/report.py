@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from processes import run
 
 RECIPE = "paper-a-30-k1"
 CHROMIUM = Path("/usr/bin/chromium")
@@ -39,18 +38,6 @@ ZOOMED = """() => {
     const box = document.querySelector(".first [data-figure]");
     return Boolean(box.layout) && box.layout.xaxis.autorange === false;
 }"""
-
-
-def process(*command: str) -> tuple[float, float]:
-    """Wall time and processor time of one process: on a busy machine they differ."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    start = time.perf_counter()
-    ended = subprocess.run([sys.executable, "-m", "tissueid", *command], check=False)
-    if ended.returncode not in {0, 4}:
-        sys.exit(ended.returncode)
-    wall = time.perf_counter() - start
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def opened(engine: Any, page: Path) -> tuple[Any, float, float]:
@@ -100,7 +87,7 @@ def measured(out: Path, repeats: int) -> dict[str, list[float]]:
     """Times of every repeat: writing the report, and its answers in a browser."""
     times: dict[str, list[float]] = {}
     for _ in range(repeats):
-        wall, processor = process("report", str(out), "-q")
+        wall, processor, _ = run("-m", "tissueid", "report", str(out), "-q")
         times.setdefault("write_s", []).append(wall)
         times.setdefault("write_processor_s", []).append(processor)
         for name, value in (answers(out / "report.html") if CHROMIUM.exists() else {}).items():
@@ -117,10 +104,9 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "logs", Path(folder) / "out"
-        process("synth", RECIPE, "-o", str(data), "--rate", f"{options.rate:g}", "-q")
-        fit_s, _ = process(
-            "fit", str(data), "-o", str(out), "--specimen-by", "logs", "-q", *options.fit_option
-        )
+        run("-m", "tissueid", "synth", RECIPE, "-o", str(data), "--rate", f"{options.rate:g}", "-q")
+        fit = ("fit", str(data), "-o", str(out), "--specimen-by", "logs", "-q", *options.fit_option)
+        fit_s, _, _ = run("-m", "tissueid", *fit)
         document = json.loads((out / "identification.json").read_bytes())
         samples = sum(one["n_samples"] for one in document["provenance"]["inputs"])
         times = measured(out, options.repeats)

@@ -21,7 +21,7 @@ from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions
 from tissueid.priors import Priors
 from tissueid.result import Estimate, Identification, ModelChoice
-from tissueid.selfcheck.truth import draw_truth, numbers_of
+from tissueid.selfcheck.truth import drawn_tissue, numbers_of
 from tissueid.synth.response import Path, contact_path
 from tissueid.trial import Trial
 from tissueid.uncertainty import ParameterUncertainty
@@ -81,9 +81,7 @@ def prior_draws(
     model: ChannelModel, priors: Priors, trials: Sequence[Trial], rng: np.random.Generator
 ) -> np.ndarray:
     """The prior itself, whatever was recorded: calibrated by construction."""
-    offset = np.zeros(len(trials))
-    told = {"offset_sd_mm": offset, "pooling": "shared", "correlated": False, "defects": False}
-    return np.array([draw_truth(model, priors, **told, rng=rng).theta for _ in range(DRAWS)])
+    return np.array([drawn_tissue(model, priors, rng) for _ in range(DRAWS)])
 
 
 def sure_draws(

@@ -39,10 +39,7 @@ class Situation:
 LINES = LOG.read_text(encoding="ascii").splitlines()
 LAB = {"lab/log.csv": "\n".join([*LINES[:6], *LINES[6:1606:8], ""])}
 STUDY = LAB | {"lab/study.toml": 'schema = "tissueid/study/1"\n'}
-FOREIGN = LAB | {"out/report.html": "mine"}
 NOTES = {"empty/notes.docx": "Dear colleague"}
-TABLE = {"liver.h5": "depth,force\n1,2\n"}
-ESCAPE = {"bad\x1b[2J\u202e\nok.csv": "nothing\n"}
 PICTURE = {"photo.csv": b"\x89PNG\r\n\x1a\n" + bytes(64)}
 
 SITUATIONS: dict[str, Situation] = {
@@ -56,11 +53,7 @@ SITUATIONS: dict[str, Situation] = {
         LAB, ("fit", "link", "-o", "./lab/../lab"), 2, ("same folder",), ("lab/log.csv",), linked=True
     ),
     "the output folder is that of the study": Situation(
-        STUDY,
-        ("fit", "lab/study.toml", "-o", "lab"),
-        2,
-        ("same folder",),
-        ("lab/log.csv",),
+        STUDY, ("fit", "lab/study.toml", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
     ),
     "a study of rupture is written into its input": Situation(
         LAB, ("rupture", "lab", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)

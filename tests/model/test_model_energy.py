@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_forms import from_coordinates
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import (
     DEPTH_MM,
     MODEL_SETTINGS,
-    cone_coordinates,
     legs,
     passive_tissues,
     sampled,
-    tissue,
     walked,
 )
-from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import minimum_on_unit
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.states import branch_states
 
 PER_LEG = 40
 #: Work is summed by the trapezoidal rule, whose error is 1 / PER_LEG^2 of what a leg moves.
@@ -66,33 +61,6 @@ def test_measure_of_passivity_sees_a_law_that_is_not() -> None:
     assert balance.min() < -10.0 * TOLERANCE * moved
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2])
-@pytest.mark.parametrize("branches", [1, 2, 3])
-def test_work_is_storage_plus_dissipation(branches: int, degree: int) -> None:
-    # storage int F_s + int_{x_d}^{x} K(y) (y - x_d) dy, loss (s / tau) int_{x_d}^{x} K dy, x_d = x - s
-    model, theta = tissue(branches, degree)
-    time = np.linspace(0.0, 1.6, 3001)
-    depth = 2.5 * (1.0 - np.cos(5.0 * time)) + 1.0 - np.cos(11.0 * time)
-    path = ContactPath(time, depth)
-    balance, moved = work(model.force(theta, path), depth)
-    static, stiffness, tau = model.split(theta)
-    fs = np.polynomial.Polynomial([0.0, *static])
-    expected = fs.integ()(depth)
-    for coefficients, relaxation, state in zip(
-        stiffness, tau, branch_states(path.time_s, path.depth_mm, tau), strict=True
-    ):
-        k = np.polynomial.Polynomial(coefficients)
-        damper = depth - state
-        first = (k * np.polynomial.Polynomial([0.0, 1.0])).integ()
-        stored = first(depth) - first(damper) - damper * (k.integ()(depth) - k.integ()(damper))
-        lost = state / relaxation * (k.integ()(depth) - k.integ()(damper))
-        assert stored.min() >= 0.0
-        assert lost.min() >= 0.0
-        expected = expected + stored + cumulative_trapezoid(lost, time, initial=0.0)
-    # trapezoidal rule over a 0.6 s period with steps of 0.5 ms: (2 pi 5e-4 / 0.6)^2 / 12 = 2e-6
-    np.testing.assert_allclose(balance, expected, rtol=0.0, atol=3e-6 * moved)
-
-
 U = np.linspace(0.0, 1.0, 2001)
 
 
@@ -103,13 +71,6 @@ def test_minimum_is_the_smallest_of_a_dense_grid(q: np.ndarray) -> None:
     minimum = minimum_on_unit(q)
     # half a grid step off the vertex, a quadratic with |q2| <= 3 has risen by at most 3 * (2.5e-4)^2
     assert on_grid - 3.0 * (0.5 / 2000.0) ** 2 - 1e-14 <= minimum <= on_grid + 1e-14
-
-
-@given(p=st.sampled_from(range(3)).flatmap(cone_coordinates))
-@MODEL_SETTINGS
-def test_every_draw_in_cone_coordinates_is_non_negative(p: np.ndarray) -> None:
-    # rounding of squares up to (2 + 2)^2
-    assert minimum_on_unit(from_coordinates(p)) >= -1e-14
 
 
 @pytest.mark.parametrize("root", [0.2, 0.5, 0.8])

@@ -14,7 +14,7 @@ from scipy.special import exp1
 
 from tissueid.model import grammar
 from tissueid.model.base import ContactPath, ParameterSpec, scaled_theta
-from tissueid.model.channels import ChannelModel, nodes_for
+from tissueid.model.channels import nodes_for
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, described, known_laws, parsed, rebuilt
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.law import About
@@ -146,25 +146,6 @@ def test_a_name_that_is_none_says_what_there_is(name, says):
 
 def model(name: str):
     return parsed(name).model(8.0, RESOLUTION, WINDOW)
-
-
-def test_parts_of_the_papers_law_give_its_force():
-    """The same parameters by :class:`ChannelModel` and by their parts."""
-    static, stiffness, relaxation = (known_laws()[key]() for key in ("polynomial", "linear", "prony"))
-
-    parts = ChannelModel(static, stiffness, relaxation, 8.0, RESOLUTION, WINDOW, "x")
-    whole = kelvin_voigt(1, 1, 8.0)
-    assert parts.parameter_names == whole.parameter_names
-    theta = np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.4])
-    time = np.concatenate([np.linspace(0.0, 2.0, 201), np.linspace(2.01, 10.0, 400)])
-    path = ContactPath(time, np.minimum(4.0 * time, 8.0))
-    np.testing.assert_allclose(parts.force(theta, path), whole.force(theta, path), rtol=1e-12)
-    at = np.array([0.0, 0.5, 3.0])
-    for speed in (None, 4.0):
-        np.testing.assert_allclose(
-            parts.relaxing(theta, 6.0, at, speed), whole.relaxing(theta, 6.0, at, speed), rtol=1e-10
-        )
-    np.testing.assert_allclose(parts.jacobian(theta, path), whole.jacobian(theta, path), rtol=2e-5, atol=1e-5)
 
 
 def test_inside_the_convolution_the_relaxed_force_is_that_of_the_integral():

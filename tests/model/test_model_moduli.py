@@ -120,7 +120,7 @@ def test_a_layer_too_thin_to_solve_has_no_contact():
         (lambda: contact_of("hayes", SPHERE, 0.1), "thickness"),
         (lambda: contact_of("dimitriadis", FLAT, 0.1, thickness_mm=1.0), "a sphere"),
         (lambda: flat_factor(7.0, 0.5), "outside"),
-        (lambda: layer_contact(5.0, 0.1, 0.3, radius_mm=10.0), "outside"),
+        (lambda: layer_contact(Indenter("sphere", 10.0), 5.0, 0.1, 0.3, bonded=True), "outside"),
     ],
 )
 def test_impossible_tips_and_wrong_uses_are_refused(use, said):
@@ -210,9 +210,9 @@ def test_factors_are_those_hayes_printed(a_over_h, printed):
 def test_a_thick_layer_is_a_half_space():
     assert flat_factor(0.0, 0.3) == pytest.approx(1.0, rel=1e-14)
     # the kernel's first order is 2 a/h int (M - 1) dx / pi, 1e-6 here
-    a, factor = layer_contact(0.1, 1e5, 0.4, radius_mm=2.0)
+    a, factor = layer_contact(Indenter("sphere", 2.0), 0.1, 1e5, 0.4, bonded=True)
     assert (a, factor) == pytest.approx((math.sqrt(0.2), 4.0 / 3.0 * math.sqrt(2.0) * 0.1**1.5), rel=2e-5)
-    a, factor = layer_contact(0.1, 1e5, 0.4, half_angle_rad=math.radians(70.0))
+    a, factor = layer_contact(Indenter("cone", half_angle_deg=70.0), 0.1, 1e5, 0.4, bonded=True)
     wide = 2.0 / math.pi * math.tan(math.radians(70.0))
     assert (a, factor) == pytest.approx((0.1 * wide, 0.01 * wide), rel=2e-5)
 

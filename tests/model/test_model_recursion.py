@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_forms import ramp_hold_state
 from hypothesis import given
 from hypothesis import strategies as st
 from passive_tissues import MODEL_SETTINGS, derivative, legs, sampled
@@ -30,15 +29,6 @@ def uneven_path(n: int = 60, seed: int = 4) -> tuple[np.ndarray, np.ndarray]:
     depth = np.abs(np.cumsum(rng.normal(0.0, 0.4, n + 1)))
     depth[0] = 0.0
     return np.concatenate([[0.0], np.cumsum(step)]), depth
-
-
-def test_ramp_and_hold_match_the_closed_form_when_the_corner_is_a_sample() -> None:
-    corner = 2.0 / SPEED_MM_S
-    time = np.concatenate([np.linspace(0.0, corner, 481), corner + np.geomspace(1e-4, 0.5, 300)])
-    depth = np.minimum(SPEED_MM_S * time, 2.0)
-    expected = ramp_hold_state(time, speed_mm_s=SPEED_MM_S, depth_mm=2.0, tau_s=TAU_S)
-    # both are exact: only rounding over 780 steps remains
-    np.testing.assert_allclose(branch_state(time, depth, TAU_S), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_uneven_path_matches_an_ode_solver_leg_by_leg() -> None:

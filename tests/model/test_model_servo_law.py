@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from passive_tissues import assert_no_energy, assert_stiffer_has_all_forces_times_that, walked
-from scipy.optimize import nnls
+from passive_tissues import (
+    DEPTH_MM,
+    TICK,
+    assert_no_energy,
+    assert_stiffer_has_all_forces_times_that,
+    of_law,
+    walked,
+)
 
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError, candidates, described, known_laws, parsed, rebuilt
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import LAW_SIZE, pack_law
-from tissueid.model.servo_law import _nonnegative, servo_law
+from tissueid.model.servo_law import servo_law
 from tissueid.model.yardstick import INSIDE, OUTSIDE, presents, yardstick_of
 from tissueid.result import ModelChoice
-
-DEPTH, RESOLUTION, WINDOW = 8.0, 0.01, 20.0
-TICK = 1e-3
-#: Values of parameters by the beginning of their names.
-VALUES = {
-    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
-    "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
-    "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 200.0,
-    "relaxation_ratio": 1.2, "damping": 0.7,
-}  # fmt: skip
 
 
 def of_kind(kind):
@@ -40,22 +36,12 @@ NAMES = [
 DAMPED = [f"power * {one}" for one in of_kind("damping")]
 
 
-def tissue(name: str):
-    """A model and its theta; times of further branches are longer, other parameters less."""
-    model, theta = parsed(name).model(DEPTH, RESOLUTION, WINDOW), []
-    for one in model.parameters:
-        value = next(v for start, v in VALUES.items() if one.name.startswith(start))
-        branch = int(one.name.rpartition("_b")[2]) if "_b" in one.name else 1
-        theta.append(value * 5.0 ** (branch - 1) if "time" in one.name else value / branch)
-    return model, np.array(theta)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_ticks_follow_the_force_of_the_model(name):
     """A ramp, a hold and a slow return to half depth, in lasting contact: within 0.01 % of the most."""
-    model, theta = tissue(name)
+    model, theta = of_law(name)
     time = np.arange(0.0, 3.0, TICK)
-    depth = np.interp(time, [0.0, 1.0, 2.0, 3.0], [0.0, DEPTH, DEPTH, 0.7 * DEPTH])
+    depth = np.interp(time, [0.0, 1.0, 2.0, 3.0], [0.0, DEPTH_MM, DEPTH_MM, 0.7 * DEPTH_MM])
     expected = model.force(theta, ContactPath(time, depth))
     assert expected.min() >= 0.0
     error = np.abs(walked(model, theta, time, depth) - expected).max()
@@ -64,7 +50,7 @@ def test_ticks_follow_the_force_of_the_model(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_projection_says_what_it_misses(name):
-    model, theta = tissue(name)
+    model, theta = of_law(name)
     law = servo_law(model, theta)
     assert law.tau_s.size <= 12
     assert (law.stiffness[:, 0] > 0.0).all()
@@ -78,31 +64,23 @@ def test_a_projection_says_what_it_misses(name):
 def test_loops_put_out_no_energy(name):
     """Random closed loops: the work done on the tissue is never negative."""
     rng = np.random.default_rng([7, *name.encode()])
-    model, theta = tissue(name)
+    model, theta = of_law(name)
     for _ in range(6):
         assert_no_energy(model, theta, rng, turns=7)
 
 
 def test_a_kelvin_voigt_law_is_packed_as_it_is():
-    model, theta = kelvin_voigt(2, 1, DEPTH), np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.1, 12.0, 0.5, 2.0])
+    model, theta = kelvin_voigt(2, 1, DEPTH_MM), np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.1, 12.0, 0.5, 2.0])
     expected = np.zeros(LAW_SIZE)
     static, stiffness, tau = model.split(theta)
-    pack_law(np.array([0.0, *static]), stiffness, tau, DEPTH, expected, 0)
+    pack_law(np.array([0.0, *static]), stiffness, tau, DEPTH_MM, expected, 0)
     np.testing.assert_array_equal(servo_law(model, theta).packed(), expected)
 
 
 @pytest.mark.parametrize("name", ["power * linear * fractional", "polynomial * tangent * prony"])
 def test_a_tissue_made_stiffer_has_all_its_forces_times_that(name):
-    model, theta = tissue(name)
+    model, theta = of_law(name)
     assert_stiffer_has_all_forces_times_that(model, theta, 6.0 * np.arange(0.0, 1.0, TICK))
-
-
-def test_non_negative_least_squares_are_those_of_scipy():
-    rng = np.random.default_rng(3)
-    for _ in range(40):
-        matrix = np.abs(rng.standard_normal((30, 9)))
-        target = matrix @ rng.standard_normal(9) + 0.1 * rng.standard_normal(30)
-        np.testing.assert_allclose(_nonnegative(matrix, target), nnls(matrix, target)[0], atol=1e-9)
 
 
 INSIDE_S, OUTSIDE_S = (0.05, 1.2), (0.02, 0.7)
@@ -110,21 +88,21 @@ INSIDE_S, OUTSIDE_S = (0.05, 1.2), (0.02, 0.7)
 
 def drawn(seed=0):
     """A yardstick with weights of which some are nothing."""
-    model, rng = yardstick_of(DEPTH, INSIDE_S, OUTSIDE_S), np.random.default_rng(seed)
+    model, rng = yardstick_of(DEPTH_MM, INSIDE_S, OUTSIDE_S), np.random.default_rng(seed)
     theta = rng.exponential(20.0, len(model.parameters)) * (rng.random(len(model.parameters)) < 0.6)
     theta[0] = 15.0
     return model, theta
 
 
 def test_curves_grow_and_presents_add_up_to_one():
-    model, x = yardstick_of(DEPTH, INSIDE_S, OUTSIDE_S), np.linspace(0.0, DEPTH, 200)
+    model, x = yardstick_of(DEPTH_MM, INSIDE_S, OUTSIDE_S), np.linspace(0.0, DEPTH_MM, 200)
     parts = model.static.basis(x)
     assert parts.shape == (INSIDE, 200)
     assert (np.diff(parts, axis=1) >= -1e-12).all()
     np.testing.assert_allclose(parts[:, [0, -1]], [[0.0, 1.0]] * INSIDE, atol=1e-12)
     by_hand = np.gradient(parts, x, axis=1)[:, 2:-2]
     np.testing.assert_allclose(model.static.slope(x)[:, 2:-2], by_hand, atol=2e-3)
-    shares = presents(x / DEPTH)
+    shares = presents(x / DEPTH_MM)
     assert shares.min() >= 0.0
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
 
@@ -133,7 +111,7 @@ def test_force_is_that_of_the_integral():
     """Convolution by quadrature on a fine grid, written here."""
     model, theta = drawn()
     fine = np.linspace(0.0, 2.0, 40_001)
-    x = np.interp(fine, [0.0, 1.0, 2.0], [0.0, DEPTH, 0.8 * DEPTH])
+    x = np.interp(fine, [0.0, 1.0, 2.0], [0.0, DEPTH_MM, 0.8 * DEPTH_MM])
     force = model.static_force(theta, x)
     middle, step = 0.5 * (fine[1:] + fine[:-1]), np.diff
     for j, tau in enumerate((*INSIDE_S, *OUTSIDE_S)):
@@ -141,7 +119,7 @@ def test_force_is_that_of_the_integral():
         inside = j < len(INSIDE_S)
         curve = part @ model.static.basis(x) if inside else x
         left = np.exp(-(fine[-1] - middle) / tau) @ step(curve)
-        force[-1] += left * (1.0 if inside else part @ presents(np.array([x[-1] / DEPTH]))[:, 0])
+        force[-1] += left * (1.0 if inside else part @ presents(np.array([x[-1] / DEPTH_MM]))[:, 0])
     coarse = np.linspace(0.0, 2.0, 8001)
     found = model.force(theta, ContactPath(coarse, np.interp(coarse, fine, x)))
     assert found[-1] == pytest.approx(force[-1], rel=1e-4)
@@ -151,7 +129,7 @@ def test_force_is_that_of_the_integral():
 def test_ticks_follow_the_force_of_the_yardstick(seed):
     model, theta = drawn(seed)
     time = np.arange(0.0, 2.0, TICK)
-    depth = np.interp(time, [0.0, 1.0, 2.0], [0.0, DEPTH, DEPTH])
+    depth = np.interp(time, [0.0, 1.0, 2.0], [0.0, DEPTH_MM, DEPTH_MM])
     expected = model.force(theta, ContactPath(time, depth))
     assert np.abs(walked(model, theta, time, depth) - expected).max() < 0.01 * expected.max()
     assert_stiffer_has_all_forces_times_that(model, theta, depth[:50])
@@ -178,7 +156,7 @@ def test_stiffness_is_the_slope_of_a_small_sudden_move():
 def test_it_is_built_again_from_its_nodes_and_refuses_negative_weights():
     choice = ModelChoice("yardstick", 4, 3, 2, "shared", "yardstick", (0.02, 1.2), INSIDE_S, OUTSIDE_S)
     model, theta = drawn()
-    again = rebuilt(ModelChoice.from_json(choice.as_json()), DEPTH)
+    again = rebuilt(ModelChoice.from_json(choice.as_json()), DEPTH_MM)
     assert again.parameter_names == model.parameter_names
     assert len(model.parameters) == INSIDE * (1 + len(INSIDE_S)) + OUTSIDE * len(OUTSIDE_S)
     assert again.is_passive(theta)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tissueid.errors import UsageError
-from tissueid.reproduce import relaxation
+from tissueid.reproduce import published, relaxation
 from tissueid.reproduce.controller import table_3
 from tissueid.reproduce.hip import guidance_forces
 from tissueid.reproduce.published import (
@@ -35,7 +35,7 @@ CHANGE, FOLLOWS = 1.02, 0.5
 
 
 def test_a_number_that_was_put_in_is_a_round_trip() -> None:
-    ledger = Ledger(SADEGHNEJAD)
+    ledger = Ledger(SADEGHNEJAD, "Table 1")
     value = ledger.printed("table-2/tau")
     assert ledger.item("table-2/tau", value).kind is Kind.ROUND_TRIP
     assert ledger.item("beside", value, against="table-2/tau").kind is Kind.ROUND_TRIP
@@ -47,7 +47,7 @@ def test_a_number_that_was_put_in_is_a_round_trip() -> None:
 
 
 def test_a_branch_of_a_ledger_keeps_its_own_inputs() -> None:
-    ledger = Ledger(SADEGHNEJAD)
+    ledger = Ledger(SADEGHNEJAD, "Table 1")
     ledger.read("a reading")
     other = ledger.branch()
     other.printed("table-2/tau")
@@ -58,7 +58,7 @@ def test_a_branch_of_a_ledger_keeps_its_own_inputs() -> None:
 
 def test_a_range_is_no_input() -> None:
     with pytest.raises(TypeError, match="range"):
-        Ledger(SADEGHNEJAD).printed("figure-5/nrmsd")
+        Ledger(SADEGHNEJAD, "Table 1").printed("figure-5/nrmsd")
 
 
 @pytest.mark.parametrize(
@@ -94,10 +94,11 @@ def rows(numbers: Mapping[str, Published]) -> dict[str, Item]:
     with pytest.MonkeyPatch.context() as patch:
         # one test of Table 1 stands for all four
         patch.setattr(relaxation, "DEPTHS_MM", (8,))
-        found = relaxation.relaxation_tests(readings, QUICK, numbers)[0]
-    found += force_displacement(readings, numbers)[0] + peak_against_speed(readings, numbers)[0]
-    found += identified_table(readings, replace(QUICK, rate_Hz=100.0), numbers)
-    found += table_3(readings, numbers) + guidance_forces(readings, numbers)[0]
+        patch.setattr(published, "PUBLISHED", numbers)
+        found = relaxation.relaxation_tests(readings, QUICK)[0]
+        found += force_displacement(readings)[0] + peak_against_speed(readings)[0]
+        found += identified_table(readings, replace(QUICK, rate_Hz=100.0))
+        found += table_3(readings) + guidance_forces(readings)[0]
     return {one.item: one for one in found if one.published is not None and one.recomputed is not None}
 
 
@@ -139,7 +140,7 @@ def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in() -> None:
 
 
 def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number() -> None:
-    ledger = Ledger(SADEGHNEJAD)
+    ledger = Ledger(SADEGHNEJAD, "Table 1")
     assert ledger.item("figure-9/new", 1.0).kind is Kind.RECOMPUTED
     assert ledger.item("new", 1.0, against="table-2/tau").kind is Kind.REPRODUCED
     given = ledger.given("table-3/1", "Mass of the operator [kg]", "put in")

@@ -33,7 +33,7 @@ def keyed(items: list[Item]) -> dict[str, Item]:
 
 
 def test_the_cubic_goes_through_the_peaks_as_nearly_as_a_cubic_can() -> None:
-    ledger = Ledger(SADEGHNEJAD)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 3")
     static = np.array(cubic_through_peaks(ledger, read_branch(ledger, Readings())))
     depth = np.array([2.0, 4.0, 6.0, 8.0])
     speed = 250.0 / 60.0

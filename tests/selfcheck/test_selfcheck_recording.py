@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tissueid.model.base import ContactPath
-from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.selfcheck.truth import ProtocolLog, Truth, noise, recorded_force, simulated_trials
+from tissueid.selfcheck.protocol import Centre, Protocol
+from tissueid.selfcheck.tissue import tissue_check
+from tissueid.selfcheck.truth import ProtocolLog, Truth, noise, recorded_force
 from tissueid.synth.recipe import Branch
 from tissueid.synth.response import Path as SynthPath
 from tissueid.synth.response import tissue_force
@@ -63,9 +64,9 @@ def test_a_gain_scales_all_forces() -> None:
 def test_trials_are_what_a_machine_exports() -> None:
     truth = Truth(THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
-    trials = simulated_trials(
-        MODEL, truth, logs, reference_step_s=0.01, white_share=0.0, rng=np.random.default_rng(6)
-    )
+    centre = Centre(MODEL, THETA, sigma_N=0.3, phi=0.0, white_share=0.0, pooling="partial")
+    check = tissue_check(Protocol("two logs", logs, (SPEED, SPEED)), centre)
+    trials = check.trials(truth, np.random.default_rng(6))
     assert [trial.name for trial in trials] == ["hold", "later"]
     np.testing.assert_allclose(trials[1].time_s, TIME, atol=1e-12)
     np.testing.assert_array_equal(trials[1].displacement_mm, logs[1].depth_mm)
@@ -148,9 +149,3 @@ def test_noise_on_unequal_steps_loses_correlation_with_time() -> None:
     assert correlation[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / np.sqrt(20_000))
     assert correlation[1, 2] == pytest.approx(0.64, abs=4 * 0.59 / np.sqrt(20_000))
     np.testing.assert_allclose(many.std(axis=0), 1.0, atol=4 / np.sqrt(40_000))
-
-
-def test_a_slow_ramp_is_the_closed_form_of_a_constant_speed() -> None:
-    ramp = TIME < CORNER
-    expected = loading_force(MODEL, THETA, DEPTH[ramp], speed_mm_s=SPEED)
-    np.testing.assert_allclose(force()[ramp], expected, rtol=1e-10, atol=1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ from tissueid.model.channels import loading_force
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.priors import CALIBRATION_DEFAULTS, Priors, SpreadPrior
-from tissueid.selfcheck.protocol import Centre, of_bundle, of_program
+from tissueid.selfcheck.protocol import Centre, Protocol, of_bundle, of_program
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
 from tissueid.selfcheck.truth import (
+    ProtocolLog,
     Widths,
     centred_priors,
-    draw_truth,
     force_points,
     numbers_of,
     prior_words,
@@ -33,19 +33,13 @@ DRAWN = 2000
 
 
 def truths(priors: Priors, *, defects: bool = False, pooling: str = "partial") -> list:
+    logs = tuple(ProtocolLog("log", np.arange(2.0), np.arange(2.0), sd) for sd in (0.01, 0.02))
+    centre = Centre(MODEL, THETA, sigma_N=0.5, phi=0.9, white_share=0.0, pooling=pooling)
+    check = replace(
+        tissue_check(Protocol("two logs", logs, (1.0, 1.0)), centre, defects=defects), priors=priors
+    )
     rng = np.random.default_rng(17)
-    return [
-        draw_truth(
-            MODEL,
-            priors,
-            offset_sd_mm=np.array([0.01, 0.02]),
-            pooling=pooling,
-            correlated=True,
-            defects=defects,
-            rng=rng,
-        )
-        for _ in range(DRAWN)
-    ]
+    return [check.truth(rng) for _ in range(DRAWN)]
 
 
 def priors_for(**options: object) -> Priors:
@@ -160,11 +154,6 @@ def test_every_prior_is_said_with_its_numbers() -> None:
     assert words["gain_sd"] == "half-normal, scale 0.05"
     assert words["force_filter_s"] == "normal, 0 ± 0.005, not below 0"
     assert "phi" not in prior_words(priors_for(), correlated=False, pooling="shared", defects=False)
-
-
-def test_priors_go_to_other_processes() -> None:
-    priors = priors_for()
-    assert pickle.loads(pickle.dumps(priors)) == priors
 
 
 def check_of(name: str, *, stated: Priors | None = None, widths: Widths | None = None) -> TissueCheck:

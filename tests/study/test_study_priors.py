@@ -16,7 +16,7 @@ from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import read_study
 from tissueid.manifest import Study
 from tissueid.model import grammar
-from tissueid.model.laws.power import Power
+from tissueid.model.laws.static import Power
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.store.schema import first_problem
 

@@ -6,10 +6,8 @@ import pytest
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, simulate
 from tissueid.synth.response import (
     branch_extension,
-    contact_path,
     crosshead_path,
     low_pass,
-    oversampled,
     tissue_force,
 )
 
@@ -156,15 +154,3 @@ def test_several_branches_add_up():
     second = one(quiet(RAMP_HOLD, branches=branches[1:]))
     none = one(quiet(RAMP_HOLD, branches=()))
     np.testing.assert_allclose(both.force_N, first.force_N + second.force_N - none.force_N, atol=1e-11)
-
-
-def test_oversampled_keeps_the_given_times():
-    time_s = np.arange(0.0, 1.0, 0.001)
-    fine = oversampled(time_s)
-    assert np.array_equal(fine[:: (fine.size - 1) // (time_s.size - 1)], time_s)
-
-
-def test_contact_path_has_a_knot_at_the_surface():
-    depth = contact_path(crosshead_path(RAMP_HOLD), 1.0)
-    assert 0.24 in depth.time_s.round(12)
-    assert depth.value_mm.min() == 0.0

@@ -100,16 +100,13 @@ FRONT = (4.0, 2.0, 1.4, 1.0, 0.7, 0.5, 0.25)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class Judged(Found):
     """A protocol on all tissues."""
 
     setting: Setting
-    protocol: Protocol
-    seconds: float  # machine time of a specimen
     #: Relative standard deviation of every wanted number.
     assured: tuple[float, ...]
     median: tuple[float, ...]
-    worst: float  # largest ratio of assured to wanted
     #: Of each indentation in the protocol's order.
     log_seconds: tuple[float, ...]
     peak_N: tuple[float, ...]
@@ -118,11 +115,6 @@ class Judged:
     def reached(self) -> bool:
         """True where all wants are met."""
         return self.worst <= 1.0
-
-    @property
-    def logs(self) -> int:
-        """Recordings of a specimen."""
-        return sum(self.protocol.values())
 
     @property
     def rank(self) -> tuple[float, float]:

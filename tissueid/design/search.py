@@ -29,13 +29,13 @@ SPEED_STEP, HOLD_STEP, DEPTH_STEP = 2.0**0.5, 1.6, 0.125
 NEAR_FASTEST = 0.95
 
 
-def rounded(value: float, digits: int = 2) -> float:
-    """A number to so many significant digits, towards zero."""
+def rounded(value: float) -> float:
+    """A number to two significant digits, towards zero."""
     if value <= 0.0:
         return 0.0
-    scale = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    scale = 10.0 ** (np.floor(np.log10(value)) - 1)
     # a number that has these digits stays, in spite of its binary form
-    return float(f"{np.floor(value / scale + 1e-9) * scale:.{digits + 2}g}")
+    return float(f"{np.floor(value / scale + 1e-9) * scale:.4g}")
 
 
 def _holds(ledger: Ledger) -> list[float]:

@@ -340,7 +340,7 @@ def _choice_of(found: Identified, tissue: TissueEstimate, pooling: str) -> Model
     if isinstance(found.law, YardstickLaw):
         nodes = {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
     return ModelChoice(
-        key=KEY if law is None else law.key,
+        key=KEY if law is None else law.name,
         name=paper if law is None else law.name,
         branches=tissue.model.branches,
         static_degree=min(found.law.static_size, MAX_STATIC),

@@ -54,18 +54,6 @@ def scaled_theta(
     return out
 
 
-def static_spec(power: int) -> ParameterSpec:
-    """Coefficient of a power of depth in a static force."""
-    return ParameterSpec(
-        name=f"static_{power}_N_per_mm{'' if power == 1 else power}",
-        symbol=f"a{power}",
-        unit="N/mm" if power == 1 else f"N/mm^{power}",
-        lower=-np.inf,
-        upper=np.inf,
-        meaning=f"coefficient of x^{power} in the static force F_s",
-    )
-
-
 def branch_suffix(branch: int) -> str:
     """Ending of the parameter names of a branch: none for the first, then ``_b2``, ``_b3``."""
     return "" if branch == 0 else f"_b{branch + 1}"

@@ -48,8 +48,11 @@ PASSIVE_TOLERANCE = 1e-10
 CONTACT_LOSS_GRID = 257
 #: Depths at which the static law has to grow where it is convolved.
 GROWING_POINTS = 65
-#: Bounds and starts of the ratio of relaxing to static force.
-RATIO = ((1e-3, 1e3), (0.3, 2.0))
+#: Ratio of relaxing to static force, inside the convolution.
+RATIO = Shape(
+    ParameterSpec("relaxation_ratio", "g", "1", 1e-3, 1e3, "relaxing over static force of a sudden push"),
+    (0.3, 2.0),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +103,6 @@ class ChannelModel:
     name: str = field(default="", compare=False)  # as it was asked for
 
     @property
-    def key(self) -> str:
-        """Name of the model."""
-        return self.name
-
-    @property
     def inside(self) -> bool:
         """True where the static law itself is convolved."""
         return self.stiffness_law.powers == 0
@@ -136,22 +134,29 @@ class ChannelModel:
         return max(self.relaxation.branches, self.fixed_s.size, 1)
 
     @cached_property
+    def layout(self) -> tuple[ParameterSpec | Shape, ...]:
+        """Parameters in the order of theta, those that the force is not linear in as shapes."""
+        rows: list[ParameterSpec | Shape] = [*self.static.coefficients, *self.static.shapes]
+        for j in range(self.branches):
+            rows += [stiffness_spec(k, j) for k in range(self.stiffness_law.powers)]
+            rows += [_numbered(RATIO, j)] if self.inside else []
+            rows += [_numbered(one, j) for one in self.relaxation.shapes if not self.fixed_s.size]
+        return tuple(rows)
+
+    @cached_property
+    def parameters(self) -> tuple[ParameterSpec, ...]:
+        """Parameters in the order of theta."""
+        return tuple(one.spec if isinstance(one, Shape) else one for one in self.layout)
+
+    @cached_property
     def shape_specs(self) -> tuple[Shape, ...]:
         """Shapes in the order of theta."""
-        known = {one.spec.name: one for one in (*self.static.shapes, *self.relaxation.shapes)}
-        known["relaxation_ratio"] = _ratio(0)
-        out = []
-        for spec in self.parameters:
-            base = spec.name.partition("_b")[0] if spec.name not in known else spec.name
-            if base in known:
-                out.append(Shape(spec, known[base].starts))
-        return tuple(out)
+        return tuple(one for one in self.layout if isinstance(one, Shape))
 
     @cached_property
     def shape_places(self) -> NDArray[np.int64]:
         """Places of the shapes in theta."""
-        names = {one.spec.name for one in self.shape_specs}
-        return np.array([k for k, spec in enumerate(self.parameters) if spec.name in names], dtype=np.int64)
+        return np.array([k for k, one in enumerate(self.layout) if isinstance(one, Shape)], dtype=np.int64)
 
     @cached_property
     def time_places(self) -> NDArray[np.int64]:
@@ -179,16 +184,6 @@ class ChannelModel:
             out.append(Part(slice(at, at + size), ratio, slice(last, last + shapes), tau))
             at = last + shapes
         return tuple(out)
-
-    @cached_property
-    def parameters(self) -> tuple[ParameterSpec, ...]:
-        """Parameters in the order of theta."""
-        specs = [*self.static.coefficients, *(one.spec for one in self.static.shapes)]
-        for j in range(self.branches):
-            specs += [stiffness_spec(k, j) for k in range(self.stiffness_law.powers)]
-            specs += [_ratio(j).spec] if self.inside else []
-            specs += [_numbered(one.spec, j) for one in self.relaxation.shapes if not self.fixed_s.size]
-        return tuple(specs)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -434,22 +429,17 @@ def loading_force(
     return np.asarray(model.static_force(theta, x) + model.loading(theta, x, speed_mm_s))
 
 
-def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:
+def _numbered(shape: Shape, branch: int) -> Shape:
+    """A shape of a branch."""
     if branch == 0:
-        return spec
-    return replace(
-        spec,
-        name=spec.name + branch_suffix(branch),
-        symbol=f"{spec.symbol}{branch + 1}",
-        meaning=f"{spec.meaning} of branch {branch + 1}",
+        return shape
+    spec = replace(
+        shape.spec,
+        name=shape.spec.name + branch_suffix(branch),
+        symbol=f"{shape.spec.symbol}{branch + 1}",
+        meaning=f"{shape.spec.meaning} of branch {branch + 1}",
     )
-
-
-def _ratio(branch: int) -> Shape:
-    (low, high), starts = RATIO
-    words = "relaxing over static force of a sudden push"
-    spec = ParameterSpec("relaxation_ratio", "g", "1", low, high, words)
-    return Shape(_numbered(spec, branch), starts)
+    return replace(shape, spec=spec)
 
 
 #: Share of a bound within which a parameter lies on it.
@@ -460,19 +450,14 @@ class DampedModel(ElasticModel):
     """Contact model of a static and a damping law."""
 
     @cached_property
-    def shape_specs(self) -> tuple[Shape, ...]:
-        """Shapes in the order of theta."""
-        return (*self.static.shapes, self.damping.shape)
+    def layout(self) -> tuple[ParameterSpec | Shape, ...]:
+        """Parameters of the static law, then that of the damping."""
+        return (*self.static.coefficients, *self.static.shapes, self.damping.shape)
 
     @property
     def damping(self) -> DampingLaw:
         """Law of its damping, whose parameter is the last of theta."""
         return cast("DampingLaw", self.relaxation)
-
-    @cached_property
-    def parameters(self) -> tuple[ParameterSpec, ...]:
-        """Parameters in the order of theta."""
-        return (*self.static.coefficients, *(one.spec for one in self.shape_specs))
 
     def factor(self, theta: FloatArray) -> float:
         """Damping factor chi."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -30,38 +30,35 @@ STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class FunctionRelaxation:
-    """Relaxation by a function of time, its relaxation time and further shapes."""
+class _OfFunction:
+    """A law by a function."""
 
     function: Callable[..., Any]
     about: About
     shapes: tuple[Shape, ...]
-    branches: ClassVar[int] = 0
 
-    def __call__(self) -> FunctionRelaxation:
+    def __call__(self) -> Self:
         """Itself: it takes no argument."""
         return self
+
+
+class FunctionRelaxation(_OfFunction):
+    """Relaxation by a function of time, its relaxation time and further shapes."""
+
+    branches: ClassVar[int] = 0
 
     def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
         """Relaxation at times [s]."""
         return np.asarray(self.function(time_s, *shape), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class FunctionStatic:
+class FunctionStatic(_OfFunction):
     """A coefficient times a function of depth and shapes."""
 
-    function: Callable[..., Any]
-    about: About
-    shapes: tuple[Shape, ...]
     polynomial: ClassVar[bool] = False
     coefficients: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("static_scale", "c", "N", 0.0, np.inf, "factor of the static function"),
     )
-
-    def __call__(self) -> FunctionStatic:
-        """Itself: it takes no argument."""
-        return self
 
     def basis(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
         """The function, at depths of 0 and more."""

@@ -1,4 +1,4 @@
-"""Names of contact models, and their laws: of the folder ``laws``, a file each, and of other packages."""
+"""Names of contact models, and their laws: of the folder ``laws``, and of other packages."""
 
 from __future__ import annotations
 
@@ -96,10 +96,9 @@ def known_laws() -> Mapping[str, Any]:
 @lru_cache
 def _installed() -> Mapping[str, Any]:
     """Laws of the folder and of other packages."""
-    found = {}
+    found: dict[str, Any] = {}
     for one in iter_modules(laws.__path__):
-        law = import_module(f"{laws.__name__}.{one.name}").LAW
-        found[law.about.key] = law
+        found |= {law.about.key: law for law in import_module(f"{laws.__name__}.{one.name}").LAWS}
     for point in entry_points(group="tissueid.models"):
         law = point.load()
         if law.about.key in found:

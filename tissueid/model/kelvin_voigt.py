@@ -10,11 +10,9 @@ text; after Mahvash & Dupont, doi 10.1109/ROBOT.2009.5152617.  theta: see :mod:`
 from __future__ import annotations
 
 from tissueid.model.channels import ChannelModel, ElasticModel
-from tissueid.model.laws.constant import Constant
-from tissueid.model.laws.linear import Linear
-from tissueid.model.laws.polynomial import Polynomial
-from tissueid.model.laws.prony import Prony
-from tissueid.model.laws.quadratic import Quadratic
+from tissueid.model.laws.relaxation import Prony
+from tissueid.model.laws.static import Polynomial
+from tissueid.model.laws.stiffness import Constant, Linear, Quadratic
 
 KEY = "kelvin-voigt"
 STATIC_DEGREE = 3

@@ -1,11 +1,9 @@
-"""Parts of a contact model, each one file in ``laws``: linear coefficients, and positive shapes."""
+"""Parts of a contact model, a file each kind in ``laws``: linear coefficients, and positive shapes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
-
-import numpy as np
+from typing import Any, Protocol
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
@@ -67,23 +65,6 @@ class StaticLaw(Described, Protocol):
         """Their derivatives by depth, (...) -> (p, ...)."""
 
 
-@dataclass(frozen=True, slots=True)
-class KnownPower:
-    """Static law of a tip whose shape is known: c times a power of depth."""
-
-    power: ClassVar[float]
-    polynomial: ClassVar[bool] = False
-    shapes: ClassVar[tuple[Shape, ...]] = ()
-
-    def basis(self, depth_mm: FloatArray) -> FloatArray:
-        """The power of depth."""
-        return np.asarray(depth_mm**self.power)[None]
-
-    def slope(self, depth_mm: FloatArray) -> FloatArray:
-        """Its derivative."""
-        return np.asarray(self.power * depth_mm ** (self.power - 1.0))[None]
-
-
 class StiffnessLaw(Described, Protocol):
     """Stiffness that a relaxation acts on: by depth outside the convolution, or the static law inside it."""
 
@@ -92,22 +73,26 @@ class StiffnessLaw(Described, Protocol):
         """Powers of depth in K(x); 0 where the static law itself is convolved."""
 
 
-class RelaxationLaw(Described, Protocol):
-    """Relaxation after a step, from 1 down."""
+class DynamicLaw(Described, Protocol):
+    """Force beyond the static one."""
 
     @property
     def branches(self) -> int:
-        """Exponentials with a stiffness of their own; 0 where :meth:`value` is the relaxation."""
+        """Exponentials with a stiffness of their own; 0 of other relaxations, and of a damping."""
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """Parameters of one branch, or of the relaxation."""
+        """Parameters of one branch, or of the relaxation; none of a damping."""
+
+
+class RelaxationLaw(DynamicLaw, Protocol):
+    """Relaxation after a step, from 1 down."""
 
     def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
         """Relaxation at times [s], (...) -> (...)."""
 
 
-class DampingLaw(Described, Protocol):
+class DampingLaw(DynamicLaw, Protocol):
     """Damping in proportion to the static force, by the speed over that at which contact began."""
 
     @property
@@ -117,14 +102,6 @@ class DampingLaw(Described, Protocol):
     @property
     def variant(self) -> Variant:
         """Equation between chi and its parameter."""
-
-    @property
-    def branches(self) -> int:
-        """No exponentials."""
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]:
-        """None of a relaxation."""
 
     def factor(self, value: Any) -> FloatArray:
         """Damping factor chi, (...) -> (...)."""

@@ -104,40 +104,6 @@ def _bisected(grows: Callable[[float], float], value: float, high: float, halvin
     return (low + high) / 2.0
 
 
-def layer_contact(
-    depth_mm: float,
-    thickness_mm: float,
-    poisson: float,
-    *,
-    radius_mm: float | None = None,
-    half_angle_rad: float | None = None,
-    bonded: bool = True,
-) -> tuple[float, float]:
-    """Contact radius [mm] and force over E* [mm^2] of a sphere (a paraboloid) or a cone on a layer.
-
-    Raises ValueError: the contact would be wider than :data:`MOST_A_OVER_H` times the thickness.
-    """
-    power = 2 if radius_mm is not None else 1
-
-    def profile(a: float) -> float:
-        """Depth of the profile at the edge of contact, in the scale of the right side u^power."""
-        if radius_mm is not None:
-            return a * a / radius_mm
-        assert half_angle_rad is not None  # noqa: S101  (one of the two is given)
-        return np.pi / 2.0 * a / float(np.tan(half_angle_rad))
-
-    def depth_of(a: float) -> float:
-        one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
-        return profile(a) * curved[1] / one[1]
-
-    high = MOST_A_OVER_H * thickness_mm
-    if depth_of(high) < depth_mm:
-        _check(float("inf"))
-    a = _bisected(depth_of, depth_mm, high, BISECTIONS)
-    one, curved = _solve(a / thickness_mm, poisson, bonded=bonded, power=power)
-    return a, 2.0 * a * (depth_mm * one[0] - profile(a) * curved[0])
-
-
 SHAPES = ("sphere", "flat", "cone")
 #: formula -> DOI.
 FORMULAS = {
@@ -218,23 +184,23 @@ def contact_of(
     if not 0.0 <= poisson <= 0.5:
         msg = f"Poisson's ratio must be 0 to 0.5, is {poisson}"
         raise ValueError(msg)
-    if formula in {"hayes", "dimitriadis"}:
-        if thickness_mm is None or not thickness_mm > 0.0:
-            msg = f"{formula} needs the thickness of the layer"
-            raise ValueError(msg)
-        found = (_hayes if formula == "hayes" else _dimitriadis)(
-            indenter, depth_mm, thickness_mm, poisson, bonded=bonded
-        )
+    if formula not in {"hayes", "dimitriadis"}:
+        a, factor = _half_space(formula, indenter, depth_mm)
+    elif thickness_mm is None or not thickness_mm > 0.0:
+        msg = f"{formula} needs the thickness of the layer"
+        raise ValueError(msg)
+    elif formula == "dimitriadis":
+        a, factor = _dimitriadis(indenter, depth_mm, thickness_mm, poisson, bonded=bonded)
     else:
-        found = _half_space(formula, indenter, depth_mm)
-    if found is None:
-        return None
-    a, factor = found
+        try:
+            a, factor = layer_contact(indenter, depth_mm, thickness_mm, poisson, bonded=bonded)
+        except ValueError:
+            return None
     outside = _outside(formula, indenter, depth_mm, a, thickness_mm)
     return Contact(formula, depth_mm, a, factor, poisson, outside)
 
 
-def _half_space(formula: str, tip: Indenter, depth: float) -> tuple[float, float] | None:
+def _half_space(formula: str, tip: Indenter, depth: float) -> tuple[float, float]:
     """Contact radius and G on a half-space."""
     if tip.shape == "flat":
         assert tip.radius_mm is not None  # noqa: S101  (checked by Indenter)
@@ -259,21 +225,34 @@ def _sneddon_sphere(radius: float, depth: float) -> tuple[float, float]:
     return a, (a * a + radius * radius) * z - a * radius
 
 
-def _hayes(
+def layer_contact(
     tip: Indenter, depth: float, thickness: float, poisson: float, *, bonded: bool
-) -> tuple[float, float] | None:
-    """Contact radius and G on a layer."""
+) -> tuple[float, float]:
+    """Contact radius [mm] and G [mm^2] of a flat punch, a sphere (a paraboloid) or a cone on a layer.
+
+    Raises ValueError: the contact would be wider than :data:`MOST_A_OVER_H` times the thickness.
+    """
     if tip.shape == "flat":
         a = tip.radius_mm or 0.0
-        if a > MOST_A_OVER_H * thickness:
-            return None
         return a, 2.0 * a * depth * flat_factor(a / thickness, poisson, bonded=bonded)
-    angle = None if tip.half_angle_deg is None else math.radians(tip.half_angle_deg)
-    radius = tip.radius_mm if tip.shape == "sphere" else None
-    try:
-        return layer_contact(depth, thickness, poisson, radius_mm=radius, half_angle_rad=angle, bonded=bonded)
-    except ValueError:
-        return None
+    power = 2 if tip.shape == "sphere" else 1
+
+    def profile(a: float) -> float:
+        """Depth of the profile at the edge of contact, in the scale of the right side u^power."""
+        if tip.shape == "sphere":
+            return a * a / (tip.radius_mm or 0.0)
+        return np.pi / 2.0 * a / float(np.tan(math.radians(tip.half_angle_deg or 0.0)))
+
+    def depth_of(a: float) -> float:
+        one, curved = _solve(a / thickness, poisson, bonded=bonded, power=power)
+        return profile(a) * curved[1] / one[1]
+
+    high = MOST_A_OVER_H * thickness
+    if depth_of(high) < depth:
+        _check(float("inf"))
+    a = _bisected(depth_of, depth, high, BISECTIONS)
+    one, curved = _solve(a / thickness, poisson, bonded=bonded, power=power)
+    return a, 2.0 * a * (depth * one[0] - profile(a) * curved[0])
 
 
 def _dimitriadis(

@@ -10,9 +10,6 @@ constant work dF/dv = K tau (1 - x F_s'/F): :func:`hardening_ratio`.  The compil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from tissueid.arrays import FloatArray
@@ -43,17 +40,6 @@ RAMP_DEPTHS = 4001
 NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 #: Halvings of a depth that is sought: an energy is stationary there, and good to their square.
 HALVINGS = 24
-
-
-@dataclass(frozen=True, slots=True)
-class RupturePoint:
-    """End of a ramp in a rupture."""
-
-    speed_mm_s: float
-    depth_mm: float
-    force_N: float
-    dynamic_N: float  # part of the force that relaxes
-    work_N_mm: float  # from contact
 
 
 def rupture_measures(
@@ -96,15 +82,9 @@ def _stored(model: ChannelModel, theta: FloatArray, path: ContactPath, elastic: 
 
 
 def rupture_at_speed(
-    model: ChannelModel,
-    theta: FloatArray,
-    criterion: str,
-    threshold: float,
-    *,
-    speed_mm_s: float,
-    weight: float = DEFAULT_WEIGHT,
-) -> RupturePoint | None:
-    """Point at which a ramp from rest first reaches a criterion's threshold; ``None`` within the depth.
+    model: ChannelModel, theta: FloatArray, criterion: str, threshold: float, *, speed_mm_s: float
+) -> dict[str, float] | None:
+    """Measures where a ramp from rest first reaches a criterion's threshold; ``None`` within the depth.
 
     Raises ValueError: no such criterion.
     """
@@ -112,36 +92,14 @@ def rupture_at_speed(
         msg = f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}"
         raise ValueError(msg)
     depth = np.linspace(0.0, model.depth_mm, RAMP_DEPTHS)
-    measures = rupture_measures(model, theta, ContactPath(depth / speed_mm_s, depth), weight=weight)
+    measures = rupture_measures(model, theta, ContactPath(depth / speed_mm_s, depth))
     reached = measures[criterion] >= threshold
     if not reached.any():
         return None
     k = max(int(np.argmax(reached)), 1)
     low, high = measures[criterion][k - 1], measures[criterion][k]
     share = float((threshold - low) / (high - low))
-
-    def between(name: str) -> float:
-        values = measures[name]
-        return float(values[k - 1] + share * (values[k] - values[k - 1]))
-
-    return RupturePoint(speed_mm_s, between("depth"), between("force"), between("dynamic"), between("work"))
-
-
-def peak_force_against_speed(
-    model: ChannelModel,
-    theta: FloatArray,
-    criterion: str,
-    threshold: float,
-    speeds_mm_s: Sequence[float],
-    *,
-    weight: float = DEFAULT_WEIGHT,
-) -> FloatArray:
-    """Force at rupture over speed, (n,) [N]: Fig. 4 of paper A; NaN without a rupture within the depth."""
-    points = [
-        rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=speed, weight=weight)
-        for speed in speeds_mm_s
-    ]
-    return np.array([np.nan if point is None else point.force_N for point in points])
+    return {name: float(one[k - 1] + share * (one[k] - one[k - 1])) for name, one in measures.items()}
 
 
 def hardening_ratio(model: ChannelModel, theta: FloatArray, depth_mm: float, force_N: float) -> float:

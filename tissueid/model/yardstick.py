@@ -20,8 +20,8 @@ from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, Part
 from tissueid.model.law import About, Shape
-from tissueid.model.laws.prony import Prony
-from tissueid.model.laws.quadratic import Quadratic
+from tissueid.model.laws.relaxation import Prony
+from tissueid.model.laws.stiffness import Quadratic
 from tissueid.model.states import branch_states
 
 YARDSTICK = "yardstick"
@@ -123,9 +123,9 @@ class Yardstick(ChannelModel):
         return tuple(out)
 
     @cached_property
-    def parameters(self) -> tuple[ParameterSpec, ...]:
+    def layout(self) -> tuple[ParameterSpec | Shape, ...]:
         """Parts of the static curve, then of each node."""
-        specs = list(self.static.coefficients)
+        specs: list[ParameterSpec | Shape] = [*self.static.coefficients]
         for j, tau in enumerate(self.fixed_s.tolist()):
             if j < len(self.inside_s):
                 rows = [("inside", i + 1, "N", "") for i in range(INSIDE)]

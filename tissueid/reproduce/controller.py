@@ -16,13 +16,11 @@ from tissueid.rendering.control.settings import ControlSettings, Mechanics, virt
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.reproduce.published import (
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -42,40 +40,35 @@ LEAST_ERROR_MM = 0.005
 SECONDS = 12.0
 #: Every so many rows of a run are drawn.
 THINNED = 20
-ROLES = [
-    (owner, what, unit)
-    for owner in ("operator", "device")
-    for what, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m"))
-]
+UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
 
-def table_3(readings: Readings, numbers: Numbers = PUBLISHED) -> list[Item]:
+def table_3(readings: Readings) -> list[Item]:
     """The six parameters, which are inputs, and the virtual masses that they allow."""
-    swapped = readings.device == "mass-stiffness-damping"
     items = []
-    for place, (owner, what, unit) in enumerate(ROLES, start=1):
-        if swapped and owner == "device" and what != "mass":
-            what, unit = ("stiffness", "N/m") if what == "damping" else ("damping", "N s/m")
-        ledger = Ledger(SADEGHNEJAD, numbers)
+    roles = [
+        *(("operator", what) for what in UNITS),
+        *(("device", what) for what in readings.device.split("-")),
+    ]
+    for place, (owner, what) in enumerate(roles, start=1):
+        ledger = Ledger(SADEGHNEJAD, "Table 3")
         ledger.read(readings.words("device"))
         items.append(
             ledger.given(
                 f"table-3/{place}",
-                f"{what.capitalize()} of the {owner} [{unit}]",
+                f"{what.capitalize()} of the {owner} [{UNITS[what]}]",
                 "a parameter of the simulation: put in, not computed",
             )
         )
     for variant in VARIANTS:
-        ledger = Ledger(SADEGHNEJAD, numbers)
+        ledger = Ledger(SADEGHNEJAD, "Table 3")
         settings = replace(_settings(ledger, readings), variant=variant)
         items.append(
             ledger.item(
                 f"table-3/virtual-mass-{variant}",
                 virtual_mass_bound(settings),
                 said=Said(
-                    f"Virtual mass below which variant {variant} is unstable, its estimates true",
-                    unit="kg",
-                    where="Table 3",
+                    f"Virtual mass below which variant {variant} is unstable, its estimates true", "kg"
                 ),
                 note='"the value of the mass has been selected to maintain the closed-loop stability": the '
                 "measured force holds the hand's inertia, which comes back through the virtual tool",
@@ -84,16 +77,14 @@ def table_3(readings: Readings, numbers: Numbers = PUBLISHED) -> list[Item]:
     return items
 
 
-def controlled_contact(
-    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
-) -> tuple[list[Item], list[Figure]]:
+def controlled_contact(readings: Readings, effort: Effort) -> tuple[list[Item], list[Figure]]:
     """Fig. 7 and the test of stability: both variants, two tasks, the tissue as it is and stiffer."""
     items: list[Item] = []
     drawn: dict[str, ControlRun] = {}
     for variant in VARIANTS:
         for task in TASKS:
             effort.progress(f"Fig. 7: variant {variant}, {task}")
-            ledger = Ledger(SADEGHNEJAD, numbers)
+            ledger = Ledger(SADEGHNEJAD, "Fig. 7")
             settings = replace(_settings(ledger, readings), variant=variant).task(task)
             runs = {scale: simulate(replace(settings, stiffness_scale=scale)) for scale in (1.0, STIFFER)}
             items += _rows(ledger, variant, task, {scale: measured(run) for scale, run in runs.items()})
@@ -130,7 +121,7 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
         ledger.item(
             f"{key}-x{scale:g}",
             one.error_rms_mm,
-            said=Said(f"Position error, {words}, tissue x{scale:g}, rms", unit="mm", where="Fig. 7"),
+            said=Said(f"Position error, {words}, tissue x{scale:g}, rms", "mm"),
             note=f"V' beyond its bound after {100.0 * one.violated_share:.2g} % of the ticks, by at most "
             f"{one.violation_max_W:.2g} W: the loop is sampled and its sensor one sample late",
         )
@@ -142,7 +133,7 @@ def _rows(ledger: Ledger, variant: str, task: str, found: Mapping[float, Measure
     rows.append(
         ledger.claim(
             f"{key}-stable",
-            Said(f"Stable at 100 times the stiffness, {words}: error x100 over error x1", where="Fig. 7"),
+            Said(f"Stable at 100 times the stiffness, {words}: error x100 over error x1"),
             worse,
             lambda ratio: bounded and ratio <= MOST_WORSE,
             f"bounded, and at most {MOST_WORSE:g}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tissueid import __version__
@@ -12,12 +12,10 @@ from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.published import (
     PIRES,
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
-    Numbers,
     Readings,
 )
 from tissueid.reproduce.recordings import Effort, identified_table, specimen_scatter
@@ -38,6 +36,8 @@ PLACES: Mapping[str, tuple[str, ...]] = {
     ),
     PIRES: ("Equation (1)", "Fig. 4"),
 }
+#: Rows, and a figure or several.
+_Part = tuple[list[Item], Figure | list[Figure]]
 #: What of the papers can't be had at all.
 LOST = (
     "the recordings of either paper",
@@ -48,22 +48,15 @@ LOST = (
 )
 
 
-def reproduction(
-    papers: tuple[str, ...],
-    readings: Readings,
-    effort: Effort,
-    numbers: Numbers = PUBLISHED,
-) -> dict[str, Any]:
+def reproduction(papers: tuple[str, ...], readings: Readings, effort: Effort) -> dict[str, Any]:
     """Recompute papers."""
     began = time.perf_counter()
     items: list[Item] = []
     figures: list[Figure] = []
-    if SADEGHNEJAD in papers:
-        _sinus(items, figures, readings, effort, numbers)
-    if PIRES in papers:
-        effort.progress("Paper B: restitution and guidance")
-        items += restitutions(numbers)
-        _add(items, figures, guidance_forces(readings, numbers))
+    for paper, parts in ((SADEGHNEJAD, _sinus), (PIRES, _hip)):
+        for rows, drawn in parts(readings, effort) if paper in papers else ():
+            items += rows
+            figures += [drawn] if isinstance(drawn, Figure) else drawn
     return {
         "schema": "tissueid/reproduction/1",
         "tissueid": __version__,
@@ -79,30 +72,26 @@ def reproduction(
     }
 
 
-def _add(items: list[Item], figures: list[Figure], found: tuple[list[Item], Figure]) -> None:
-    items += found[0]
-    figures.append(found[1])
-
-
-def _sinus(
-    items: list[Item],
-    figures: list[Figure],
-    readings: Readings,
-    effort: Effort,
-    numbers: Numbers,
-) -> None:
+def _sinus(readings: Readings, effort: Effort) -> Iterator[_Part]:
     """Paper A in the order of its tables and figures."""
-    figures.append(_drawn("figure-1", "Fig. 1", "The modified Kelvin-Voigt model", "schematic"))
-    _add(items, figures, relaxation_tests(readings, effort, numbers))
-    _add(items, figures, force_displacement(readings, numbers))
-    _add(items, figures, peak_against_speed(readings, numbers))
-    items += identified_table(readings, effort, numbers)
-    _add(items, figures, specimen_scatter(readings, effort, numbers))
-    items += table_3(readings, numbers)
-    figures.append(_drawn("figure-6", "Fig. 6", "The controller of an admittance display", "block-diagram"))
-    rows, runs = controlled_contact(readings, effort, numbers)
-    items += rows
-    figures += runs
+    yield [], _drawn("figure-1", "Fig. 1", "The modified Kelvin-Voigt model", "schematic")
+    yield relaxation_tests(readings, effort)
+    yield force_displacement(readings)
+    yield peak_against_speed(readings)
+    yield identified_table(readings, effort), []
+    yield specimen_scatter(readings, effort)
+    yield (
+        table_3(readings),
+        _drawn("figure-6", "Fig. 6", "The controller of an admittance display", "block-diagram"),
+    )
+    yield controlled_contact(readings, effort)
+
+
+def _hip(readings: Readings, effort: Effort) -> Iterator[_Part]:
+    """Paper B."""
+    effort.progress("Paper B: restitution and guidance")
+    yield restitutions(), []
+    yield guidance_forces(readings)
 
 
 def _drawn(key: str, where: str, title: str, drawing: str) -> Figure:

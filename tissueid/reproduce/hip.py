@@ -16,12 +16,10 @@ from tissueid.rendering.guidance import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.reproduce.published import (
     PIRES,
-    PUBLISHED,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -40,11 +38,11 @@ MOST_ERROR_MM, SWEEP = 20.0, 201
 SLOW_STEP_S = 10.0
 
 
-def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
+def restitutions() -> list[Item]:
     """Speed after a drop over that before it, under the law as printed."""
     items = []
     for asked in RESTITUTIONS:
-        ledger = Ledger(PIRES, numbers)
+        ledger = Ledger(PIRES, "Equation (1)")
         ledger.read("8 (1 - e) / (5 e) multiplies v / v0, the speed at contact")
         mass = ledger.assume(
             f"a free mass of {MASS_KG} kg at {SPEED_MM_S:g} mm/s on {STIFFNESS:g} N/mm^{EXPONENT}", MASS_KG
@@ -53,7 +51,7 @@ def restitutions(numbers: Numbers = PUBLISHED) -> list[Item]:
             ledger.item(
                 f"restitution/{asked}",
                 _after_drop(damping_factor(asked), mass),
-                said=Said(f"Restitution reached where e = {asked} is asked for", where="Equation (1)"),
+                said=Said(f"Restitution reached where e = {asked} is asked for"),
                 note="below what is asked for: the factor as printed holds for e near 1; mass, stiffness and "
                 "speed do not enter",
             )
@@ -78,9 +76,9 @@ def _after_drop(chi: float, mass_kg: float) -> float:
     return -speed / SPEED_MM_S
 
 
-def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
+def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
     """Fig. 4: force of the impedance and of the surface against radial error, at four heights."""
-    ledger = Ledger(PIRES, numbers)
+    ledger = Ledger(PIRES, "Fig. 4")
     ledger.read(readings.words("surface"))
     kind = cast("Literal['hyperboloid', 'cone']", readings.surface)
     plan = ledger.assume(
@@ -100,7 +98,7 @@ def guidance_forces(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[l
         float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
     )
     at_axis = max(float(pushed[0, 0]) for pushed in swept.values())
-    items = [*_guidance_claims(ledger, at_axis, slopes, inside), _time_constant(numbers)]
+    items = [*_guidance_claims(ledger, at_axis, slopes, inside), _time_constant()]
     figure = Figure(
         "paper-b-figure-4",
         PIRES,
@@ -128,7 +126,7 @@ def _guidance_claims(ledger: Ledger, at_axis: float, slopes: list[float], inside
         ("free-inside", free, "N", inside, zero),
     )
     return [
-        ledger.claim(f"guidance/{key}", Said(words, unit, "Fig. 4"), value, holds, rule)
+        ledger.claim(f"guidance/{key}", Said(words, unit), value, holds, rule)
         for key, words, unit, value, (rule, holds) in claims
     ]
 
@@ -156,9 +154,9 @@ def _within(plan: Guidance, height_mm: float, error_mm: FloatArray) -> NDArray[n
     return np.asarray(1e-3 * error_mm < radius)
 
 
-def _time_constant(numbers: Numbers) -> Item:
+def _time_constant() -> Item:
     """Damping over stiffness of the pull, from its force at rest and in steady motion."""
-    ledger = Ledger(PIRES, numbers)
+    ledger = Ledger(PIRES, "Fig. 4")
     plan = Guidance(
         entry_m=(0.0, 0.0, 0.0),
         pull=Pull(tau_s=ledger.printed("guidance/tau"), filter_s=0.0),

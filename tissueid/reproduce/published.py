@@ -120,11 +120,10 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Words of a row of which the paper prints no number: its unit, and its place in the paper."""
+    """Words of a row of which the paper prints no number, and its unit."""
 
     words: str = ""
     unit: str = ""
-    where: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,14 +211,14 @@ class Ledger:
     """Hands out the inputs of one computation and remembers them."""
 
     paper: str
-    _numbers: Numbers = field(default_factory=lambda: PUBLISHED)
+    where: str  # place of its rows in the paper, where no number is printed
     _used: list[str] = field(default_factory=list)
     _assumed: list[str] = field(default_factory=list)
     _readings: list[str] = field(default_factory=list)
 
     def printed(self, key: str) -> float:
         """A published number as an input; from now on its own row is a round trip."""
-        value = self._numbers[key].value
+        value = PUBLISHED[key].value
         if isinstance(value, tuple):
             msg = f"{key} is a range, which is no input"
             raise TypeError(msg)
@@ -240,7 +239,7 @@ class Ledger:
 
     def branch(self) -> Ledger:
         """A ledger that starts with what was used so far; what it hands out stays its own."""
-        return Ledger(self.paper, self._numbers, [*self._used], [*self._assumed], [*self._readings])
+        return Ledger(self.paper, self.where, [*self._used], [*self._assumed], [*self._readings])
 
     def item(
         self,
@@ -255,14 +254,14 @@ class Ledger:
     ) -> Item:
         """A row of the comparison; its kind follows from what this ledger handed out."""
         beside, said = against or key, said or Said()
-        printed = self._numbers.get(beside)
+        printed = PUBLISHED.get(beside)
         agrees = None
         if printed is not None and judge is not None and recomputed is not None:
             agrees = judge.holds(printed.value, recomputed, interval)
         return Item(
             item=key,
             paper=self.paper,
-            where=said.where if printed is None else printed.where,
+            where=self.where if printed is None else printed.where,
             words=said.words if said.words or printed is None else printed.words,
             unit=said.unit if printed is None else printed.unit,
             published=None if printed is None else printed.value,
@@ -285,7 +284,7 @@ class Ledger:
             return Kind.ROUND_TRIP
         if self._assumed:
             return Kind.ASSUMED
-        return Kind.REPRODUCED if beside in self._numbers else Kind.RECOMPUTED
+        return Kind.REPRODUCED if beside in PUBLISHED else Kind.RECOMPUTED
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""

@@ -21,13 +21,11 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.reproduce.published import (
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -38,7 +36,7 @@ from tissueid.reproduce.published import (
 from tissueid.reproduce.speeds import read_branch
 from tissueid.result import Curve, SpecimenFit
 from tissueid.synth.dataset import write_set
-from tissueid.synth.recipe import Recipe, recipe
+from tissueid.synth.recipe import Branch, Recipe, recipe
 from tissueid.trial import Trial
 from tissueid.uncertainty import Posterior
 
@@ -111,18 +109,24 @@ def total_draws(posterior: Posterior) -> FloatArray:
 SIGMA_N = 1.0
 
 
-def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED) -> list[Item]:
+def _assumed(ledger: Ledger, branch: Branch, rate_Hz: float) -> Recipe:
+    """18 ramps and 4 holds of a tissue with a branch."""
+    plain = recipe("paper-a-22")
+    return replace(
+        plain,
+        branches=(branch,),
+        rate_Hz=ledger.assume(f"sampled at {rate_Hz:g} Hz", rate_Hz),
+        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
+        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", plain.static),
+    )
+
+
+def identified_table(readings: Readings, effort: Effort) -> list[Item]:
     """Rows of Table 2: 18 ramps at six speeds and 4 holds, through reader, segmentation and fit."""
     effort.progress("Table 2: 18 ramps and 4 holds")
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Table 2")
     branch = read_branch(ledger, readings)
-    protocol = replace(
-        recipe("paper-a-22"),
-        branches=(branch,),
-        rate_Hz=ledger.assume(f"sampled at {effort.rate_Hz:g} Hz", effort.rate_Hz),
-        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
-        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", recipe("paper-a-22").static),
-    )
+    protocol = _assumed(ledger, branch, effort.rate_Hz)
     (fit,) = fitted(read_back(protocol, seed=effort.seed), effort, stiffness_degree=len(branch.stiffness) - 1)
     stiffness = (
         f"stiffness_{len(branch.stiffness) - 1}_{'N_per_mm' if len(branch.stiffness) == 1 else 'N_per_mm2'}"
@@ -138,10 +142,10 @@ def identified_table(readings: Readings, effort: Effort, numbers: Numbers = PUBL
         ledger.item("table-2/tau", tau, interval=interval, judge=within_interval()),
         _viscosity(ledger, fit),
         *(
-            Ledger(SADEGHNEJAD, numbers).item(
+            Ledger(SADEGHNEJAD, "Table 2").item(
                 f"table-2/{name}",
                 None,
-                said=Said(f"Coefficient {name} of the static force", unit=unit, where="Table 2"),
+                said=Said(f"Coefficient {name} of the static force", unit),
                 note="the cell did not survive in the text that this was made from",
             )
             for name, unit in (("a1", "N/mm"), ("a2", "N/mm2"), ("a3", "N/mm3"))
@@ -160,7 +164,7 @@ def _viscosity(ledger: Ledger, fit: SpecimenFit) -> Item:
         "table-2/viscosity",
         fit.parameter("viscosity_N_s_per_mm").value,
         interval=interval,
-        said=Said("Viscosity K tau", unit="N s/mm", where="Table 2"),
+        said=Said("Viscosity K tau", "N s/mm"),
         note="known ten times better than K and tau by themselves",
     )
 
@@ -176,21 +180,15 @@ SHOWN = (0.1, 0.5, 0.9)
 DRAWN = 120
 
 
-def specimen_scatter(
-    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
-) -> tuple[list[Item], Figure]:
+def specimen_scatter(readings: Readings, effort: Effort) -> tuple[list[Item], Figure]:
     """NRMSD of held-out specimens by range and by mean, and three of them drawn."""
     effort.progress(f"Fig. 5: {effort.specimens} specimens")
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 5")
     branch = read_branch(ledger, readings)
-    ramps = tuple(log for log in recipe("paper-a-22").logs if log.name.startswith("ramp"))
+    protocol = _assumed(ledger, branch, RATE_HZ)
     cohort = replace(
-        recipe("paper-a-22"),
-        logs=tuple(replace(log, repeats=1) for log in ramps),
-        branches=(branch,),
-        rate_Hz=ledger.assume(f"sampled at {RATE_HZ:g} Hz", RATE_HZ),
-        sigma_N=ledger.assume(f"white noise of {SIGMA_N:g} N", SIGMA_N),
-        static=ledger.assume("static curve 20 x - 1.2 x^2 + 0.35 x^3 N", recipe("paper-a-22").static),
+        protocol,
+        logs=tuple(replace(log, repeats=1) for log in protocol.logs if log.name.startswith("ramp")),
         specimens=effort.specimens,
         cv_specimen=ledger.assume("specimens scatter by 15 %", CV_SPECIMEN),
         cv_both=ledger.assume("tests of a specimen scatter by 5 %", CV_REPEAT),

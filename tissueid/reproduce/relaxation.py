@@ -14,13 +14,11 @@ from scipy.signal import lfilter
 
 from tissueid.arrays import FloatArray
 from tissueid.reproduce.published import (
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -117,15 +115,13 @@ PEAK_TOLERANCE_N = 0.5
 DRAWN = 400
 
 
-def relaxation_tests(
-    readings: Readings, effort: Effort, numbers: Numbers = PUBLISHED
-) -> tuple[list[Item], Figure]:
+def relaxation_tests(readings: Readings, effort: Effort) -> tuple[list[Item], Figure]:
     """Rows of Table 1, and Fig. 2."""
     items: list[Item] = []
     traces: list[Trace] = []
     for depth in DEPTHS_MM:
         effort.progress(f"Table 1: relaxation at {depth} mm")
-        ledger = Ledger(SADEGHNEJAD, numbers)
+        ledger = Ledger(SADEGHNEJAD, "Table 1")
         recipe = _recipe(ledger, readings, depth, effort.rate_Hz)
         if recipe is None:
             items += _impossible(ledger, depth)
@@ -133,8 +129,8 @@ def relaxation_tests(
         trials = read_back(recipe, seed=effort.seed + depth)
         items += _rows(ledger, readings, effort, depth, trials)
         traces.append(_trace(depth, trials[0]))
-    items.append(_mean(numbers))
-    items.append(_share_left(readings, numbers))
+    items.append(_mean())
+    items.append(_share_left(readings))
     return items, _figure(traces)
 
 
@@ -181,9 +177,9 @@ def _impossible(ledger: Ledger, depth: int) -> list[Item]:
     return [ledger.item(f"table-1/{name}-{depth}mm", None, note=note) for name in ("peak", "tau")]
 
 
-def _mean(numbers: Numbers) -> Item:
+def _mean() -> Item:
     """Table 2's relaxation time from Table 1's."""
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Table 2")
     mean = float(np.mean([ledger.printed(f"table-1/tau-{depth}mm") for depth in DEPTHS_MM]))
     return ledger.item(
         "table-2/mean-of-table-1",
@@ -194,16 +190,16 @@ def _mean(numbers: Numbers) -> Item:
     )
 
 
-def _share_left(readings: Readings, numbers: Numbers) -> Item:
+def _share_left(readings: Readings) -> Item:
     """Share of the deepest test that can relax at all."""
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 2")
     branch = read_branch(ledger, readings)
     force = branch_force(branch, DEPTHS_MM[-1], HOLD_SPEED_MM_MIN)
     over = f"95 % of it are over {3.0 * branch.tau_s:.3g} s after the ramp"
     return ledger.item(
         "figure-2/drop-8mm",
         force,
-        said=Said("Force that relaxes after the ramp to 8 mm", unit="N", where="Fig. 2"),
+        said=Said("Force that relaxes after the ramp to 8 mm", "N"),
         note=f"{over}: a curve that falls over 30 s needs a second, slower branch"
         if readings.relaxation == "time"
         else over,

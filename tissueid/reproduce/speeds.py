@@ -12,15 +12,13 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.rupture import hardening_ratio, peak_force_against_speed
+from tissueid.model.rupture import hardening_ratio, rupture_at_speed
 from tissueid.reproduce.published import (
-    PUBLISHED,
     SADEGHNEJAD,
     Figure,
     Item,
     Kind,
     Ledger,
-    Numbers,
     Readings,
     Said,
     Trace,
@@ -95,9 +93,9 @@ RUPTURE_DEPTH_MM = 6.0
 DRAWN = 161
 
 
-def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
+def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
     """Fig. 3: six speeds to 8 mm, and whether force grows with speed."""
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 3")
     branch = read_branch(ledger, readings)
     tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
     depth = np.linspace(0.0, float(DEPTHS_MM[-1]), DRAWN)
@@ -106,9 +104,7 @@ def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
         ledger.item(
             f"figure-3/increment-{speed:.0f}",
             float(curve[-1] - curves[0, -1]),
-            said=Said(
-                f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min", unit="N", where="Fig. 3"
-            ),
+            said=Said(f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min", "N"),
             note="the paper prints no numbers on the axes of this figure",
         )
         for speed, curve in zip(SPEEDS_MM_MIN[1:], curves[1:], strict=True)
@@ -119,8 +115,7 @@ def force_displacement(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
             Said(
                 "Force at a given displacement grows with speed: least growth from speed to speed, "
                 "from 1 mm on",
-                unit="N",
-                where="Fig. 3",
+                "N",
             ),
             float(np.diff(curves[:, depth >= 1.0], axis=0).min()),
             lambda least: least > 0.0,
@@ -162,16 +157,17 @@ def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_dept
     energy = float(np.sum(np.array(tissue.static) * slow_depth_mm ** (powers + 1) / (powers + 1)))
     force = float(np.sum(np.array(tissue.static) * slow_depth_mm**powers))
     slow = {"work": energy, "stored-energy": energy, "weighted-force": force, "depth": slow_depth_mm}
-    speed = [speed_mm_min / 60.0]
-    return float(peak_force_against_speed(tissue.model, tissue.theta, criterion, slow[criterion], speed)[0])
+    speed = speed_mm_min / 60.0
+    found = rupture_at_speed(tissue.model, tissue.theta, criterion, slow[criterion], speed_mm_s=speed)
+    return np.nan if found is None else found["force"]
 
 
-def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tuple[list[Item], Figure]:
+def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
     """Fig. 4 under the chosen criterion, for two static curves, and the sentence that (7) predicts a fall."""
     items: list[Item] = []
     traces: list[Trace] = []
     for name, words in (("hardening", "0.43 x^3"), ("table-1", "cubic through Table 1")):
-        ledger = Ledger(SADEGHNEJAD, numbers)
+        ledger = Ledger(SADEGHNEJAD, "Fig. 4")
         branch = read_branch(ledger, readings)
         ledger.read(readings.words("criterion"))
         static = (
@@ -190,18 +186,14 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
                 ledger.item(
                     f"figure-4/{name}-{speed:.0f}",
                     peak,
-                    said=Said(f"Peak force at {speed:.0f} mm/min, {words}", unit="N", where="Fig. 4"),
+                    said=Said(f"Peak force at {speed:.0f} mm/min, {words}", "N"),
                     note="the paper prints no numbers on the axes of this figure",
                 )
             )
         items.append(
             ledger.claim(
                 f"figure-4/{name}-falls",
-                Said(
-                    f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
-                    unit="N",
-                    where="Fig. 4",
-                ),
+                Said(f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by", "N"),
                 peaks[-1] - peaks[0],
                 lambda change: change < 0.0,
                 "less than zero",
@@ -210,7 +202,7 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
             )
         )
         traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks)))
-    items.append(_by_seven(readings, numbers))
+    items.append(_by_seven(readings))
     figure = Figure(
         "figure-4",
         SADEGHNEJAD,
@@ -227,9 +219,9 @@ def peak_against_speed(readings: Readings, numbers: Numbers = PUBLISHED) -> tupl
     return items, figure
 
 
-def _by_seven(readings: Readings, numbers: Numbers) -> Item:
+def _by_seven(readings: Readings) -> Item:
     """Peak at a fixed depth by (7) alone."""
-    ledger = Ledger(SADEGHNEJAD, numbers)
+    ledger = Ledger(SADEGHNEJAD, "Fig. 4")
     branch = read_branch(ledger, readings)
     tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
     slow, fast = (tissue.force(np.array([RUPTURE_DEPTH_MM]), SPEEDS_MM_MIN[k])[0] for k in (0, -1))
@@ -238,8 +230,7 @@ def _by_seven(readings: Readings, numbers: Numbers) -> Item:
         Said(
             "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from "
             "10 to 500 mm/min, (7) changes the force by",
-            unit="N",
-            where="Fig. 4",
+            "N",
         ),
         float(fast - slow),
         lambda change: change < 0.0,

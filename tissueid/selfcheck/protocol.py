@@ -20,6 +20,7 @@ from tissueid.collection import display_names
 from tissueid.documents.identification import NoiseFit
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.inference.specimen import FitOptions
+from tissueid.inference.window import GUARD_SD
 from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
@@ -39,8 +40,6 @@ from tissueid.trial import Contact, Segmentation, Source, Trial, contact_frame
 
 #: Scatter of the contact points of a program without any [mm].
 CONTACT_SD_MM = 0.01
-#: A log that stays within so many of it is none.
-GUARD_SD = 3.0
 #: Approach in air before a program: at least so long [s], and so many samples.
 AIR_S, AIR_SAMPLES = 1.0, 50
 #: Program of a bundle whose recordings are gone: hold [s] at the least and most, in longest relaxation times.

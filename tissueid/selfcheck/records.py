@@ -12,7 +12,7 @@ import os
 import pickle
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -180,11 +180,6 @@ def _record_of_line(line: bytes) -> Record | None:
         return Record(**values) if known else None
     except (ValueError, TypeError):
         return None
-
-
-def failures(records: Iterable[Record]) -> list[Record]:
-    """Records without a posterior."""
-    return [record for record in records if record.failed is not None]
 
 
 #: Draws a truth, simulates data and infers it again; goes to workers by pickle.  An ArithmeticError or

@@ -29,12 +29,14 @@ from tissueid.selfcheck.truth import (
     Truth,
     Widths,
     centred_priors,
-    draw_truth,
+    cut_normal,
+    drawn_tissue,
     force_points,
+    noise,
     numbers_of,
-    simulated_trials,
+    recorded_force,
 )
-from tissueid.trial import Trial
+from tissueid.trial import Source, Trial
 
 #: Effective draws that are asked for: those of a chain are correlated, and ranks want independent ones.
 SAMPLED = 2 * DRAWS
@@ -99,27 +101,43 @@ class TissueCheck:
 
     def truth(self, rng: np.random.Generator) -> Truth:
         """A draw from the priors, behind the instrument."""
-        drawn = draw_truth(
-            self.model,
-            self.priors,
-            offset_sd_mm=np.array([log.contact_sd_mm for log in self.logs]),
-            pooling=self.pooling,
-            correlated=self.correlated,
-            defects=self.defects,
-            rng=rng,
+        priors, logs = self.priors, len(self.logs)
+        assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
+        theta = drawn_tissue(self.model, priors, rng)
+        sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
+        phi = float(rng.uniform(*priors.phi)) if self.correlated else 0.0
+        spread = abs(priors.gain_sd * float(rng.standard_normal())) if self.pooling != "shared" else 0.0
+        known = priors.calibration if self.defects else {}
+        drawn = {name: cut_normal(prior, rng) for name, prior in known.items()}
+        return Truth(
+            theta=theta,
+            gain=np.exp(spread * rng.standard_normal(logs)),
+            offset_mm=np.array([log.contact_sd_mm for log in self.logs]) * rng.standard_normal(logs),
+            sigma_N=sigma,
+            phi=phi,
+            gain_sd=spread,
+            calibration=drawn if self.instrument is None else dict(self.instrument),
         )
-        return drawn if self.instrument is None else replace(drawn, calibration=dict(self.instrument))
 
     def trials(self, truth: Truth, rng: np.random.Generator) -> list[Trial]:
-        """The recordings of a truth."""
-        return simulated_trials(
-            self.model,
-            truth,
-            self.logs,
-            reference_step_s=self.reference_step_s,
-            white_share=self.white_share,
-            rng=rng,
-        )
+        """The recordings of a truth, noise and all, as a machine would export them."""
+        out = []
+        for log, gain, offset in zip(self.logs, truth.gain.tolist(), truth.offset_mm.tolist(), strict=True):
+            clean = recorded_force(
+                self.model, truth.theta, log, gain=gain, offset_mm=offset, calibration=truth.calibration
+            )
+            own = noise(
+                log.time_s,
+                sigma_N=truth.sigma_N,
+                phi=truth.phi,
+                reference_step_s=self.reference_step_s,
+                white_share=self.white_share,
+                rng=rng,
+            )
+            source = Source(path=log.name, recipe="simulated")
+            time = log.time_s - log.time_s[0]
+            out.append(Trial("simulated", time, log.depth_mm, clean + own, source=source))
+        return out
 
     def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:
         """Identify one specimen from its recordings, with its posterior."""

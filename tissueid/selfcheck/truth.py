@@ -5,26 +5,27 @@ Truths come from the very priors that the inference is given: only then is a ran
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.signal import lfilter, lfiltic
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
+from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, loading_force, minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 from tissueid.synth.response import Path, contact_path
-from tissueid.trial import Source, Trial
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)
-#: Depth of a viscosity, as a fraction of the fitted one.
-REFERENCE_DEPTH = 0.5
 #: Draws after which a prior counts as one without passive tissue.
 MOST_REJECTED = 100_000
+
+_Drawn = TypeVar("_Drawn", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,32 +134,41 @@ def centred_priors(
     )
 
 
+def _first(draw: Callable[[], _Drawn], holds: Callable[[_Drawn], bool], refusal: str) -> _Drawn:
+    """The first draw that holds; InputError where none does."""
+    for _ in range(MOST_REJECTED):
+        value = draw()
+        if holds(value):
+            return value
+    raise InputError(code="priors", message=refusal, path="study.toml")
+
+
 def _passive_block(
     mean: FloatArray, sd: FloatArray, powers: FloatArray | None, rng: np.random.Generator
 ) -> FloatArray:
-    """A normal draw of one polynomial, or of coefficients without powers, by rejection on the cone."""
-    for _ in range(MOST_REJECTED):
-        draw = mean + sd * rng.standard_normal(mean.size)
-        if (draw.min() if powers is None else minimum_on_unit(draw * powers)) >= 0.0:
-            return np.asarray(draw)
-    message = (
+    """A normal draw of one polynomial, or of coefficients without powers, on the passive cone."""
+    return _first(
+        lambda: np.asarray(mean + sd * rng.standard_normal(mean.size)),
+        lambda draw: bool((draw.min() if powers is None else minimum_on_unit(draw * powers)) >= 0.0),
         f"the priors leave no passive tissue: {MOST_REJECTED} draws around "
-        f"{', '.join(f'{m:.3g}' for m in mean)} gave a negative force or stiffness"
+        f"{', '.join(f'{m:.3g}' for m in mean)} gave a negative force or stiffness",
     )
-    raise InputError(code="priors", message=message, path="study.toml")
 
 
-def _ascending(times: tuple[SpreadPrior, ...], rng: np.random.Generator) -> FloatArray:
-    """Relaxation times, drawn again until they ascend."""
-    for _ in range(MOST_REJECTED):
-        tau = np.array([time.median * np.exp(time.sd_ln * rng.standard_normal()) for time in times])
-        if (np.diff(tau) > 0.0).all():
-            return tau
-    message = "the priors of the relaxation times do not ascend: order them from fast to slow"
-    raise InputError(code="priors", message=message, path="study.toml")
+def _log_normal(prior: SpreadPrior, rng: np.random.Generator) -> float:
+    return prior.median * float(np.exp(prior.sd_ln * rng.standard_normal()))
 
 
-def _cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
+def _bounded(prior: SpreadPrior, spec: ParameterSpec, rng: np.random.Generator) -> float:
+    """A draw of a shape within its bounds."""
+    return _first(
+        lambda: _log_normal(prior, rng),
+        lambda value: spec.lower <= value <= spec.upper,
+        f"the prior of {spec.name} leaves nothing from {spec.lower:g} to {spec.upper:g}",
+    )
+
+
+def cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
     """A draw of one calibration nuisance, drawn again until it is above its lower end."""
     for _ in range(MOST_REJECTED):
         value = prior.mean + prior.sd * float(rng.standard_normal())
@@ -167,62 +177,29 @@ def _cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
     return prior.lower
 
 
-def _bounded(prior: SpreadPrior, spec: ParameterSpec, rng: np.random.Generator) -> float:
-    """A log-normal draw of a shape, drawn again until it is within its bounds."""
-    for _ in range(MOST_REJECTED):
-        value = prior.median * float(np.exp(prior.sd_ln * rng.standard_normal()))
-        if spec.lower <= value <= spec.upper:
-            return value
-    message = f"the prior of {spec.name} leaves nothing from {spec.lower:g} to {spec.upper:g}"
-    raise InputError(code="priors", message=message, path="study.toml")
+def drawn_tissue(model: ChannelModel, priors: Priors, rng: np.random.Generator) -> FloatArray:
+    """Theta of a passive tissue, its relaxation times ascending and its shapes within their bounds."""
 
-
-def _drawn_tissue(model: ChannelModel, priors: Priors, rng: np.random.Generator) -> FloatArray:
-    """Theta of a passive tissue."""
-    for _ in range(MOST_REJECTED):
+    def draw() -> FloatArray:
         theta = np.zeros(len(model.parameter_names))
         for block in _blocks(model):
             known = np.array([priors.linear[name] for name in model.parameter_names[block]])
             powers = model.depth_mm ** np.arange(float(known.shape[0])) if _is_curve(model, block) else None
             theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
-        theta[model.time_places] = _ascending(priors.relaxation_time_s, rng)
+        theta[model.time_places] = _first(
+            lambda: np.array([_log_normal(time, rng) for time in priors.relaxation_time_s]),
+            lambda tau: bool((np.diff(tau) > 0.0).all()),
+            "the priors of the relaxation times do not ascend: order them from fast to slow",
+        )
         for k in _other_shapes(model):
             spec = model.parameters[k]
             theta[k] = _bounded(priors.shapes[spec.name], spec, rng)
-        if not model.inside or model.is_passive(theta):
-            return theta
-    message = f"the priors leave no passive tissue: the static force sank in {MOST_REJECTED} draws"
-    raise InputError(code="priors", message=message, path="study.toml")
+        return theta
 
-
-def draw_truth(
-    model: ChannelModel,
-    priors: Priors,
-    *,
-    offset_sd_mm: FloatArray,
-    pooling: str,
-    correlated: bool,
-    defects: bool,
-    rng: np.random.Generator,
-) -> Truth:
-    """Draw one truth from priors that are proper (:func:`centred_priors`)."""
-    assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
-    theta = _drawn_tissue(model, priors, rng)
-    sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
-    phi = float(rng.uniform(*priors.phi)) if correlated else 0.0
-    spread = abs(priors.gain_sd * float(rng.standard_normal())) if pooling != "shared" else 0.0
-    logs = offset_sd_mm.size
-    calibration: dict[str, float] = {}
-    if defects:
-        calibration = {name: _cut_normal(prior, rng) for name, prior in priors.calibration.items()}
-    return Truth(
-        theta=theta,
-        gain=np.exp(spread * rng.standard_normal(logs)),
-        offset_mm=offset_sd_mm * rng.standard_normal(logs),
-        sigma_N=sigma,
-        phi=phi,
-        gain_sd=spread,
-        calibration=calibration,
+    return _first(
+        draw,
+        lambda theta: not model.inside or model.is_passive(theta),
+        f"the priors leave no passive tissue: the static force sank in {MOST_REJECTED} draws",
     )
 
 
@@ -404,33 +381,4 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
         out[i + 1] = (
             decay[i] * out[i] + (share[i] - decay[i]) * force_N[i] + (1.0 - share[i]) * force_N[i + 1]
         )
-    return out
-
-
-def simulated_trials(
-    model: ChannelModel,
-    truth: Truth,
-    logs: tuple[ProtocolLog, ...],
-    *,
-    reference_step_s: float,
-    white_share: float,
-    rng: np.random.Generator,
-) -> list[Trial]:
-    """All recordings of one truth, noise and all, as a machine would export them."""
-    out = []
-    for log, gain, offset in zip(logs, truth.gain, truth.offset_mm, strict=True):
-        clean = recorded_force(
-            model, truth.theta, log, gain=float(gain), offset_mm=float(offset), calibration=truth.calibration
-        )
-        own = noise(
-            log.time_s,
-            sigma_N=truth.sigma_N,
-            phi=truth.phi,
-            reference_step_s=reference_step_s,
-            white_share=white_share,
-            rng=rng,
-        )
-        source = Source(path=log.name, recipe="simulated")
-        time = log.time_s - log.time_s[0]
-        out.append(Trial("simulated", time, log.depth_mm, clean + own, source=source))
     return out

@@ -25,7 +25,7 @@ from tissueid.documents import plain
 from tissueid.documents.selfcheck import Coverage, Inside, Parameter
 from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.protocol import Protocol
-from tissueid.selfcheck.records import DRAWS, Record, failures
+from tissueid.selfcheck.records import DRAWS, Record
 from tissueid.selfcheck.tissue import TissueCheck
 from tissueid.selfcheck.truth import prior_words
 
@@ -49,9 +49,9 @@ class EcdfBand:
         return bool(((self.low <= counts) & (counts <= self.high)).all())
 
 
-def ecdf_counts(ranks: IntArray, *, draws: int = DRAWS, points: int = POINTS) -> IntArray:
-    """Count the ranks below each of ``points - 1`` equally spaced shares of their range."""
-    edges = np.arange(1, points) * ((draws + 1) // points)
+def ecdf_counts(ranks: IntArray) -> IntArray:
+    """Count the ranks below each of ``POINTS - 1`` equally spaced shares of their range."""
+    edges = np.arange(1, POINTS) * ((DRAWS + 1) // POINTS)
     return np.searchsorted(np.sort(ranks), edges, side="left").astype(np.int64)
 
 
@@ -81,16 +81,16 @@ def _stays(low: IntArray, high: IntArray, points: FloatArray, simulations: int) 
 
 
 @lru_cache(maxsize=64)
-def ecdf_band(simulations: int, level: float, points: int = POINTS) -> EcdfBand:
+def ecdf_band(simulations: int, level: float) -> EcdfBand:
     """The narrowest band of equal pointwise level that holds with at least ``level``."""
-    z = np.arange(1, points) / points
+    z = np.arange(1, POINTS) / POINTS
 
     def interval(error: float) -> tuple[IntArray, IntArray]:
         low, high = (binom.ppf(level, simulations, z) for level in (error / 2.0, 1.0 - error / 2.0))
         return np.asarray(low, dtype=np.int64), np.asarray(high, dtype=np.int64)
 
-    # by Boole a pointwise error of (1 - level) / points is enough, and one of 1 - level at least is needed
-    narrow, wide = np.log(1.0 - level), np.log((1.0 - level) / points)
+    # by Boole a pointwise error of (1 - level) / POINTS is enough, and one of 1 - level at least is needed
+    narrow, wide = np.log(1.0 - level), np.log((1.0 - level) / POINTS)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (narrow + wide)
         if _stays(*interval(float(np.exp(middle))), z, simulations) >= level:
@@ -225,7 +225,7 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
         parameters=tuple(_parameter(name, good, bands, len(names)) for name in names),
         bands=bands,
         simulations=len(good),
-        failed=tuple(str(record.failed) for record in failures(records)),
+        failed=tuple(str(record.failed) for record in records if record.failed is not None),
     )
 
 
@@ -287,7 +287,7 @@ def check_document(
         "simulations": {
             "asked": asked.simulations,
             "done": len(records),
-            "failed": [str(record.failed) for record in failures(records)],
+            "failed": list(verdict.failed),
             "draws": DRAWS,
             "seed": asked.seed,
             "sampler": PosteriorOptions().sampler,

@@ -1,1 +1,1 @@
-"""Laws, a file each; every one is found by its place in this folder."""
+"""Laws, a file for each kind; those that a file lists in ``LAWS`` are known."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from tissueid.arrays import FloatArray
@@ -36,4 +36,16 @@ class Impact:
         return damping_factors(restitution, self.variant)
 
 
-LAW = Impact
+class ImpactExact(Impact):
+    """F = F_s (1 + chi r) whose chi returns a free mass with e times its speed."""
+
+    about: ClassVar[About] = replace(
+        Impact.about,
+        key="impact-exact",
+        equation="F = F_s(x) (1 + chi r) >= 0, r = x'/v0, ln(1 - e chi) + e chi = ln(1 + chi) - chi",
+        purpose="impact whose e is the share of its speed that a free mass returns with",
+    )
+    variant: ClassVar[Variant] = "exact"
+
+
+LAWS = (Impact, ImpactExact)
