@@ -43,8 +43,9 @@ def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     """A device on an emulator in which each command takes five milliseconds."""
     falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))
     told: list[str] = []
-    device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
-    device._open_transport = lambda: Direct(falcon, modem=False)
+    device = FalconDevice(calibration=Calibration(), port=0, homing_timeout_s=8.0)
+    device.tell = told.append
+    device._open_transport = lambda: Direct(falcon)
     return device, falcon, told
 
 
@@ -223,7 +224,8 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
     told: list[str] = []
     settings = EmulatorSettings(period_s=1e-3, firmware_loaded=False, failing_tries=1)
     with EmulatedLink(settings, pty=True) as link:
-        device = FalconDevice(calibration=Calibration(), port=link.path, firmware=file, tell=told.append)
+        device = FalconDevice(calibration=Calibration(), port=link.path, firmware=file)
+        device.tell = told.append
         with device:
             assert link.falcon.running
             assert link.falcon.firmware_tries == 2
@@ -247,14 +249,14 @@ def terminal() -> Iterator[tuple[int, FileTransport]]:
     os.close(slave)
 
 
-def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal):
+def test_a_terminal_takes_the_three_rates_and_no_harm_of_lines_it_has_not(terminal):
     master, transport = terminal
+    transport.set_dtr(on=True)
     for baud in (9600, 142_857, 1_500_000):
         transport.set_baud(baud)
         answer = bytearray(TERMIOS2.size)
         fcntl.ioctl(master, GET_TERMIOS2, answer)
         assert TERMIOS2.unpack(answer)[-1] == baud
-    assert transport.modem is None
 
 
 def test_every_byte_passes_a_terminal_unchanged(terminal):
@@ -319,20 +321,18 @@ def test_modem_lines_of_a_serial_port_are_set_one_by_one(monkeypatch, tmp_path):
     asked: list[tuple[int, int]] = []
 
     def ioctl(_descriptor: int, request: int, value: object) -> int:
-        if request != termios.TIOCMGET:
-            asked.append((request, struct.unpack("I", value)[0]))
+        asked.append((request, struct.unpack("I", value)[0]))
         return 0
 
     master, slave = pty.openpty()
     transport = FileTransport(slave, "serial port")
     monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
-    modem = transport.modem
-    modem.set_frame()
-    modem.set_rts(on=False)
-    modem.set_dtr(on=False)
-    modem.set_dtr(on=True)
+    transport.set_frame()
+    transport.set_rts(on=False)
+    transport.set_dtr(on=False)
+    transport.set_dtr(on=True)
     # there is no timer of a pseudo-terminal: no harm
-    modem.set_latency(1)
+    transport.set_latency(1)
     assert asked == [
         (termios.TIOCMBIC, termios.TIOCM_RTS),
         (termios.TIOCMBIC, termios.TIOCM_DTR),

@@ -36,15 +36,14 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def bare(**settings: object) -> EmulatedFalcon:
-    return EmulatedFalcon(EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings))
+    return EmulatedFalcon(EmulatorSettings(firmware_loaded=False, **settings))
 
 
 def reopening(falcon: EmulatedFalcon) -> tuple[list[Direct], Callable[[], Direct]]:
-    """Transports that were opened, and how one more is, which resets the device."""
+    """Transports that were opened, and how one more is."""
     opened: list[Direct] = []
 
     def open_transport() -> Direct:
-        falcon.control(1, 0x0101)
         opened.append(Direct(falcon))
         return opened[-1]
 
@@ -57,38 +56,30 @@ def test_running_firmware_is_recognised_by_its_reply():
 
 
 @pytest.mark.parametrize("long_greeting", [False, True])
-@pytest.mark.parametrize("modem", [False, True])
-def test_an_upload_starts_the_firmware(long_greeting, modem):
-    transport = Direct(bare(long_greeting=long_greeting), modem=modem)
+def test_an_upload_starts_the_firmware(long_greeting):
+    transport = Direct(bare(), long_greeting=long_greeting)
     upload(transport, CONTENT)
     assert transport.falcon.running
     assert is_running(transport)
-    assert transport.said == (
-        [
-            "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
-            "dtr False", "baud 142857", "latency 1", "baud 1500000",
-        ]
-        if modem
-        else ["baud 9600", "baud 142857", "baud 1500000"]
-    )  # fmt: skip
+    assert transport.said == [
+        "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
+        "dtr False", "baud 142857", "latency 1", "baud 1500000",
+    ]  # fmt: skip
 
 
 def test_hello_is_said_until_it_is_answered():
-    transport = Direct(bare(silent_hellos=20))
+    transport = Direct(bare(), silent_hellos=20)
     upload(transport, CONTENT)
     assert transport.falcon.running
 
 
 @pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
-        ({"silent_hellos": 10_000}, "no answer to 100 calls"),
-        ({"failing_tries": 1}, "echo of bytes 186 to 247"),
-    ],
+    ("hellos", "tries", "reason"),
+    [(10_000, 0, "no answer to 100 calls"), (0, 1, "echo of bytes 186 to 247")],
 )
-def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(settings, reason):
+def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(hellos, tries, reason):
     with pytest.raises(UploadError, match=reason):
-        upload(Direct(bare(**settings)), CONTENT)
+        upload(Direct(bare(failing_tries=tries), silent_hellos=hellos), CONTENT)
 
 
 def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport():
@@ -122,7 +113,7 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch):
     told: list[str] = []
     with pytest.raises(DeviceError, match=r"in 2 tries; the last: no answer to 100 calls .*\(no hub\)"):
         ensure_running(
-            lambda: Direct(bare(silent_hellos=10_000)),
+            lambda: Direct(bare(), silent_hellos=10_000),
             lambda: FILE,
             progress=lambda text, _done, _all: told.append(text),
         )
@@ -166,6 +157,5 @@ def test_an_unknown_file_is_warned_of_and_a_known_one_is_not(monkeypatch, tmp_pa
     unknown = find_firmware(file)
     assert unknown.warning is not None
     assert digest[:12] in unknown.warning
-    monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT)): "a known file"})
-    assert find_firmware(file).known_as == "a known file"
+    monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT))})
     assert find_firmware(file).warning is None

@@ -13,7 +13,7 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import firmware
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
-from tissueid.haptics.falcon.transport import LibUsb, TransportLost, UsbNode, without_status
+from tissueid.haptics.falcon.transport import LibUsb, TransportLost, without_status
 
 #: Requests: type, request, value, index, length.
 PURGE = ["control 40 0 0001 0 0", "control 40 0 0002 0 0"]
@@ -68,10 +68,9 @@ def test_opening_purges_then_sets_latency_and_baud_then_purges(stub):
 
 def test_falcons_are_found_by_their_numbers_among_other_chips(stub):
     usb = LibUsb()
-    assert usb.falcons() == [UsbNode(3, 7)]
-    assert usb.falcons()[0].path == "/dev/bus/usb/003/007"
+    assert usb.falcons() == ["/dev/bus/usb/003/007"]
     with pytest.raises(DeviceError, match="no Falcon is plugged in"):
-        usb.open(UsbNode(9, 9))
+        usb.open("/dev/bus/usb/009/009")
 
 
 def test_upload_follows_the_known_order_of_lines_rates_and_bytes(stub):
