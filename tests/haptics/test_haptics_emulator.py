@@ -7,6 +7,7 @@ import select
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -241,12 +242,12 @@ def test_in_real_time_the_arm_moves_between_commands():
 
 @pytest.mark.needs_jit
 def test_it_runs_as_a_process_of_its_own_and_ends_with_its_owner():
-    with EmulatorProcess(["--hand", "hold", "--fault", "silence@30"]) as emulator:
+    with closing(EmulatorProcess(["--hand", "hold", "--fault", "silence@30"])) as emulator:
         host = os.open(emulator.path, os.O_RDWR | os.O_NOCTTY)
         assert len(exchange(host, HOME)) == 16
         os.close(host)
     with pytest.raises(ProcessLookupError):
-        os.kill(emulator.pid, 0)
+        os.kill(emulator._process.pid, 0)
 
 
 @pytest.mark.parametrize(

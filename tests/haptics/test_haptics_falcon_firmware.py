@@ -35,6 +35,10 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ECHO_WAIT_S", 0.05)
 
 
+def silently(_message: str, _done: int, _all: int) -> None:
+    """Progress that nobody looks at."""
+
+
 def bare(**settings: object) -> EmulatedFalcon:
     return EmulatedFalcon(EmulatorSettings(firmware_loaded=False, **settings))
 
@@ -58,7 +62,7 @@ def test_running_firmware_is_recognised_by_its_reply():
 @pytest.mark.parametrize("long_greeting", [False, True])
 def test_an_upload_starts_the_firmware(long_greeting):
     transport = Direct(bare(), long_greeting=long_greeting)
-    upload(transport, CONTENT)
+    upload(transport, CONTENT, silently)
     assert transport.falcon.running
     assert is_running(transport)
     assert transport.said == [
@@ -69,7 +73,7 @@ def test_an_upload_starts_the_firmware(long_greeting):
 
 def test_hello_is_said_until_it_is_answered():
     transport = Direct(bare(), silent_hellos=20)
-    upload(transport, CONTENT)
+    upload(transport, CONTENT, silently)
     assert transport.falcon.running
 
 
@@ -79,16 +83,14 @@ def test_hello_is_said_until_it_is_answered():
 )
 def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(hellos, tries, reason):
     with pytest.raises(UploadError, match=reason):
-        upload(Direct(bare(failing_tries=tries), silent_hellos=hellos), CONTENT)
+        upload(Direct(bare(failing_tries=tries), silent_hellos=hellos), CONTENT, silently)
 
 
 def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport():
     falcon = bare(failing_tries=2)
     opened, open_transport = reopening(falcon)
     told: list[str] = []
-    transport = ensure_running(
-        open_transport, lambda: FILE, progress=lambda text, _done, _all: told.append(text)
-    )
+    transport = ensure_running(open_transport, lambda: FILE, lambda text, _done, _all: told.append(text))
     assert transport is opened[-1]
     assert [one.closed for one in opened] == [True, True, False]
     assert falcon.firmware_tries == 3
@@ -102,7 +104,7 @@ def test_ten_failed_uploads_are_the_end_with_what_to_do():
     falcon = bare(failing_tries=99)
     opened, open_transport = reopening(falcon)
     with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
-        ensure_running(open_transport, lambda: FILE)
+        ensure_running(open_transport, lambda: FILE, silently)
     assert len(opened) == 10
     assert all(one.closed for one in opened)
 
@@ -115,7 +117,7 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch):
         ensure_running(
             lambda: Direct(bare(), silent_hellos=10_000),
             lambda: FILE,
-            progress=lambda text, _done, _all: told.append(text),
+            lambda text, _done, _all: told.append(text),
         )
     assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
 
@@ -123,9 +125,9 @@ def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch):
 def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(monkeypatch):
     monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
     running, transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))), Direct(bare())
-    assert ensure_running(lambda: running, find_firmware) is running
+    assert ensure_running(lambda: running, find_firmware, silently) is running
     with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
-        ensure_running(lambda: transport, find_firmware)
+        ensure_running(lambda: transport, find_firmware, silently)
     assert transport.closed
 
 

@@ -41,8 +41,7 @@ class AskedDevice:
 
     def given(self) -> tuple[str, ...]:
         """Names of those that not every device has."""
-        named = {"port": self.port, "firmware": self.firmware, "calibration": self.calibration}
-        return tuple(name for name, value in named.items() if value is not None)
+        return tuple(name for name in ("port", "firmware", "calibration") if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -182,9 +182,7 @@ class FalconDevice(HapticDevice):
         self._parser = PacketParser()
         self._invalid = 0
         try:
-            self._transport = ensure_running(
-                self._open_transport, self._find_firmware, progress=self._tell_progress
-            )
+            self._transport = ensure_running(self._open_transport, self._find_firmware, self._tell_progress)
             self._command()
         except BaseException:
             self._close()

@@ -113,7 +113,7 @@ def is_running(transport: Transport) -> bool:
     return False
 
 
-def upload(transport: Transport, content: bytes, progress: Progress | None = None) -> None:
+def upload(transport: Transport, content: bytes, progress: Progress) -> None:
     """One try to load firmware, told as message, bytes done and in all; UploadError: open the device anew."""
     _say_hello(transport)
     _get_ready(transport)
@@ -126,18 +126,14 @@ def upload(transport: Transport, content: bytes, progress: Progress | None = Non
                 f"the echo of bytes {start} to {start + len(chunk) - 1} of the firmware is missing or differs"
             )
             raise UploadError(msg)
-        if progress is not None:
-            progress("firmware", start + len(chunk), len(content))
+        progress("firmware", start + len(chunk), len(content))
     transport.set_latency(LATENCY_RUN_MS)
     transport.set_baud(BAUD_RUN)
     transport.purge()
 
 
 def ensure_running(
-    open_transport: Callable[[], Transport],
-    firmware: Callable[[], Firmware],
-    *,
-    progress: Progress | None = None,
+    open_transport: Callable[[], Transport], firmware: Callable[[], Firmware], progress: Progress
 ) -> Transport:
     """A transport, which the caller closes, to a device whose firmware runs, loaded where it did not.
 
@@ -165,8 +161,7 @@ def ensure_running(
                     return transport
                 reason = "the device took the firmware but does not answer"
                 heard_s = time.monotonic()
-            if progress is not None:
-                progress(f"firmware, try {attempt} of {TRIES}: {reason}", 0, len(content))
+            progress(f"firmware, try {attempt} of {TRIES}: {reason}", 0, len(content))
             if time.monotonic() - heard_s >= SILENT_S:
                 break
     except BaseException:

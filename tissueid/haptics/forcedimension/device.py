@@ -203,9 +203,6 @@ class ForceDimensionDevice(HapticDevice):
         """A Falcon that the SDK can open; without the SDK there is nothing to say."""
         try:
             sdk = Sdk()
-        except DeviceError:
-            return []
-        try:
             sdk.open_falcon()
         except DeviceError:
             return []

@@ -145,11 +145,6 @@ class EmulatorProcess:
         )
         self.path = self._wait_for_path()
 
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
     def _wait_for_path(self) -> str:
         out = self._process.stdout
         ready = out is not None and select.select([out], [], [], START_S)[0]
@@ -166,9 +161,3 @@ class EmulatorProcess:
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -290,31 +290,23 @@ class EmulatedFalcon:
         counts = self.counts()
         homed = self.homed_bits if self._homing_mode else 0
         fault = self._fault()
-        self.answer_delay_s = 0.0
-        kind = None if fault is None else fault.kind
-        if kind != "frozen":
-            self._stuck = None
-        elif self._stuck is None:
-            self._stuck = counts
-        if self._stuck is not None:
-            counts = self._stuck
-        if fault is not None and kind == "jump":
-            counts = (counts[0] + int(fault.size), counts[1], counts[2])
-        if fault is not None and kind == "creep":
-            run_away = int(fault.size * (self.time_s - fault.at_s))
-            counts = (counts[0] + run_away, counts[1], counts[2])
-        if kind == "unhomed":
+        kind, size, at_s = ("", 0.0, 0.0) if fault is None else (fault.kind, fault.size, fault.at_s)
+        self._stuck = (self._stuck or counts) if kind == "frozen" else None
+        first, second, third = self._stuck or counts
+        if kind == "jump":
+            first += int(size)
+        elif kind == "creep":
+            first += int(size * (self.time_s - at_s))
+        elif kind == "unhomed":
             homed &= 0b101
-        packet = reply_bytes(counts, buttons=HELD_BUTTON, homed=homed)
-        return self._spoilt(packet, fault)
+        self.gone = self.gone or kind == "unplug"
+        self.answer_delay_s = size * 1e-3 if kind == "stall" else 0.0
+        return self._spoilt(reply_bytes((first, second, third), buttons=HELD_BUTTON, homed=homed), kind)
 
-    def _spoilt(self, packet: bytes, fault: ScriptedFault | None) -> bytes:
+    @staticmethod
+    def _spoilt(packet: bytes, kind: str) -> bytes:
         """The packet as a fault of the wire leaves it."""
-        kind = None if fault is None else fault.kind
-        if kind == "unplug":
-            self.gone = True
-            return b""
-        if kind == "silence":
+        if kind in {"unplug", "silence"}:
             return b""
         if kind == "bad packets":
             return packet[:1] + bytes(letter | 0x80 for letter in packet[1:15]) + packet[15:]
@@ -324,8 +316,6 @@ class EmulatedFalcon:
             return packet[:6] + bytes([packet[6] ^ 0x20]) + packet[7:]
         if kind == "doubled":
             return packet + packet
-        if fault is not None and kind == "stall":
-            self.answer_delay_s = fault.size * 1e-3
         return packet
 
     def _fault(self) -> ScriptedFault | None:
