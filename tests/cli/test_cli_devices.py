@@ -137,11 +137,11 @@ def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(words):
 
 def test_no_permission_is_exit_5_and_names_node_and_rule(monkeypatch):
     def refused(self: FalconDevice) -> None:
-        from tissueid.haptics.falcon.transport import ERROR_ACCESS, LibUsb, UsbNode
+        from tissueid.haptics.falcon.transport import ERROR_ACCESS, LibUsb
 
         usb = LibUsb()
         try:
-            message = usb._refusal(ERROR_ACCESS, UsbNode(1, 4))
+            message = usb._refusal(ERROR_ACCESS, "/dev/bus/usb/001/004")
         finally:
             usb.close()
         from tissueid.errors import DeviceError

@@ -5,30 +5,32 @@ from __future__ import annotations
 import time
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon
+from tissueid.haptics.falcon.firmware import HELLO
 from tissueid.haptics.falcon.transport import TransportLost
 
 
 class Direct:
-    """An emulated Falcon that answers at once, with the modem lines of the chip or none."""
+    """An emulated Falcon that answers at once, behind a loader that may miss calls or begin with a zero."""
 
     where = "test"
 
-    def __init__(self, falcon: EmulatedFalcon, *, modem: bool = True) -> None:
+    def __init__(
+        self, falcon: EmulatedFalcon, *, silent_hellos: int = 0, long_greeting: bool = False
+    ) -> None:
         self.falcon = falcon
         self.said: list[str] = []
         self.closed = False
-        self._modem = modem
+        self._silent_hellos, self._long_greeting = silent_hellos, long_greeting
         self._waiting = b""
-
-    @property
-    def modem(self) -> Direct | None:
-        return self if self._modem else None
 
     def write(self, data: bytes) -> None:
         if self.falcon.gone:
             msg = "gone"
             raise TransportLost(msg)
-        self._waiting += self.falcon.receive(data)
+        if data == HELLO and self._silent_hellos > 0:
+            self._silent_hellos -= 1
+            return
+        self._waiting += b"\x00" * (data == HELLO and self._long_greeting) + self.falcon.receive(data)
 
     def read(self, timeout_s: float) -> bytes:
         data, self._waiting = self._waiting[:50], self._waiting[50:]
@@ -45,8 +47,6 @@ class Direct:
 
     def set_dtr(self, on: bool) -> None:
         self.said.append(f"dtr {on}")
-        if on:
-            self.falcon.control(1, 0x0101)
 
     def set_rts(self, on: bool) -> None:
         self.said.append(f"rts {on}")

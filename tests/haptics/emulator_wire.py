@@ -15,23 +15,15 @@ HOMED_AFTER = 2400
 
 def command(motors: tuple[int, int, int], flags: int = 1) -> bytes:
     """A command packet of motor units; flag 1 is homing mode."""
-    body = ""
-    for value in motors:
-        digits = f"{value & 0xFFFF:04x}"
-        body += "".join(LETTERS[int(digit, 16)] for digit in reversed(digits))
+    digits = "".join(f"{value & 0xFFFF:04x}"[::-1] for value in motors)
+    body = "".join(LETTERS[int(digit, 16)] for digit in digits)
     return f"<{body}{LETTERS[flags]}A>".encode()
 
 
 def encoders(packet: bytes) -> list[int]:
     """The three counts of a reply packet."""
-    values = []
-    for leg in range(3):
-        hexadecimal = "".join(
-            f"{LETTERS.index(chr(letter)):x}" for letter in reversed(packet[1 + 4 * leg : 5 + 4 * leg])
-        )
-        value = int(hexadecimal, 16)
-        values.append(value - 65536 if value >= 32768 else value)
-    return values
+    nibbles = np.frombuffer(packet[1:13], np.uint8).reshape(3, 4) - ord("A")
+    return (nibbles @ (1, 16, 256, 4096)).astype(np.int16).tolist()
 
 
 def homed_bits(packet: bytes) -> int:

@@ -14,7 +14,7 @@ from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
-from tissueid.haptics.device import ZERO_COMMANDS, await_homed, wait_with_zero_force
+from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.states import Fault, State
 
 SOURCES, TESTS = Path(devices.__file__).parents[1], Path(__file__).parents[1]
@@ -148,7 +148,7 @@ TRANSPORT_CALLS = {
     r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 1, "rendering/servo_io.py": 1},
     # what `_write` of a device and the servo's command make of a force
     r"(?<!def )simulated_command\(": {"haptics/sim.py": 2},
-    r"[._](dhd)?[sS]et_?[fF]orce\(": {
+    r"_set_force\(io|\"dhdSetForce\"[,)]": {
         "haptics/forcedimension/device.py": 2,
         "haptics/forcedimension/servo_io.py": 1,
     },
@@ -185,9 +185,9 @@ def test_a_host_that_stood_still_has_not_waited_for_the_device(monkeypatch):
 
     monkeypatch.setattr(devices.time, "monotonic", lambda: clock["now"])
     monkeypatch.setattr(device, "read", stalled)
-    await_homed(device, 2.0)
+    device._wait_until(lambda: device.state is State.ARMED, 2.0, lambda: "not homed")
     assert device.state is State.ARMED
     with pytest.raises(DeviceError, match="not in time"):
-        wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
+        device._wait_until(lambda: False, 2.0, lambda: "not in time")
     assert 31.5 < clock["now"] < 33.0
     device.close()

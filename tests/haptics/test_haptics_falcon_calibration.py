@@ -15,7 +15,7 @@ from tissueid.haptics.falcon.calibration import (
     save_calibration,
 )
 from tissueid.haptics.falcon.device import limits_of
-from tissueid.haptics.falcon.kinematics import GEOMETRIES, jacobian
+from tissueid.haptics.falcon.kinematics import GEOMETRIES, torque
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
 
@@ -123,7 +123,8 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant():
             direction = random.normal(size=3)
             out = 0.04 * random.uniform() * direction / np.linalg.norm(direction)
             place = np.array([0.0, 0.0, 0.130]) + out
-            worst = max(worst, float(np.linalg.norm(jacobian(place, geometry=geometry), axis=0).max()))
+            rates = [torque(place, push, geometry=geometry) for push in np.eye(3)]
+            worst = max(worst, float(np.linalg.norm(rates, axis=0).max()))
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
     assert uncalibrated.clamp_units <= clamp
@@ -135,7 +136,8 @@ def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry)
     """A pose that is believed wrongly turns the clamp into less than twice of it in the middle."""
     calibration = Calibration(geometry=geometry)
     torques = calibration.clamp_units / calibration.units_per_Nm
-    arms = np.linalg.svd(jacobian((0.0, 0.0, 0.120), geometry=GEOMETRIES[geometry]), compute_uv=False)
+    rates = [torque((0.0, 0.0, 0.120), push, geometry=GEOMETRIES[geometry]) for push in np.eye(3)]
+    arms = np.linalg.svd(rates, compute_uv=False)
     assert torques == pytest.approx(arms[0] * calibration.clamp_N, rel=0.05)
     assert torques / arms[-1] < 2.0 * calibration.clamp_N
     assert limits_of(calibration).motor_clamp == calibration.clamp_units

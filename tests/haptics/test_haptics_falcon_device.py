@@ -11,7 +11,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -31,6 +31,7 @@ pytestmark = pytest.mark.needs_jit
 
 TERMIOS2 = struct.Struct("4I20B2I")
 GET_TERMIOS2 = 0x802C542A
+NOTHING = np.zeros(3)
 
 
 @pytest.fixture(autouse=True)
@@ -43,8 +44,9 @@ def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
     """A device on an emulator in which each command takes five milliseconds."""
     falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))
     told: list[str] = []
-    device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
-    device._open_transport = lambda: Direct(falcon, modem=False)
+    device = FalconDevice(calibration=Calibration(), port=0, homing_timeout_s=8.0)
+    device.tell = told.append
+    device._open_transport = lambda: Direct(falcon)
     return device, falcon, told
 
 
@@ -58,10 +60,10 @@ def at_home(**settings: object) -> Iterator[tuple[FalconDevice, EmulatedFalcon]]
 
 
 def idle(device: FalconDevice, falcon: EmulatedFalcon, until_s: float) -> None:
-    """Read and send no force until the emulator's clock says so."""
-    while falcon.time_s < until_s:
+    """Read and send no force until the emulator's clock says so, or a fault."""
+    while falcon.time_s < until_s and device.state is not State.FAULT:
         device.read()
-        device.write_force([0.0, 0.0, 0.0], 1e-3)
+        device.write_force(NOTHING, 1e-3)
 
 
 def test_homing_tells_what_to_do_and_ends_pulled_out():
@@ -122,22 +124,10 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):
 def test_every_command_keeps_homing_mode_and_no_reply_is_dropped():
     with at_home() as (device, falcon):
         assert falcon.homed_bits == 7
-        for _ in range(100):
-            assert device.read().homed
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
-        assert (device._parser.invalid, device._parser.dropped) == (0, 0)
+        idle(device, falcon, falcon.time_s + 0.5)
+        assert device.read().homed
+        assert (device._parser.invalid, device._parser.dropped, falcon._reader.dropped) == (0, 0, 0)
         assert device._parser.packets > 300
-        assert falcon._reader.dropped == 0
-
-
-def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
-    for _ in range(ticks):
-        device.read()
-        if device.state is State.FAULT:
-            break
-        device.write_force([0.0, 0.0, 0.0], 1e-3)
-        time.sleep(1e-4)
-    return device.fault
 
 
 @pytest.mark.parametrize(
@@ -145,7 +135,7 @@ def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
     [("bad packets", Fault.BAD_PACKETS), ("silence", Fault.NO_REPLY), ("unhomed", Fault.NOT_HOMED)],
 )
 def test_lasting_faults_of_the_wire_end_in_fault(kind, expected):
-    device, _, _ = wired(faults=(ScriptedFault(kind, 3.5),))
+    device, falcon, _ = wired(faults=(ScriptedFault(kind, 3.5),))
     homing, _, _ = wired(faults=(ScriptedFault(kind, 0.5),))
     if kind == "bad packets":
         # each of them is a silence as well, and on a busy machine ten of them may take 20 ms
@@ -154,16 +144,16 @@ def test_lasting_faults_of_the_wire_end_in_fault(kind, expected):
             homing.home()
     with device:
         device.home()
-        assert read_until_fault(device, 2500) is expected
-        assert device.state is State.FAULT
+        idle(device, falcon, 12.5)
+        assert (device.state, device.fault) == (State.FAULT, expected)
 
 
-@pytest.mark.parametrize("kind", ["short", "garbled", "doubled"])
-def test_one_spoilt_reply_is_dropped_and_counted(kind):
+@pytest.mark.parametrize(("kind", "invalid"), [("short", 1), ("garbled", 1), ("doubled", 0)])
+def test_one_spoilt_reply_is_dropped_and_counted(kind, invalid):
     with at_home(faults=(ScriptedFault(kind, 3.0),)) as (device, falcon):
         idle(device, falcon, 3.2)
         assert device.state is State.ARMED
-        assert device._parser.invalid == (0 if kind == "doubled" else 1)
+        assert device._parser.invalid == invalid
 
 
 def test_counts_of_no_position_are_as_good_as_damaged():
@@ -181,7 +171,7 @@ def test_counts_of_no_position_are_as_good_as_damaged():
 def test_unplugging_is_a_device_error_and_closing_still_ends():
     with at_home(faults=(ScriptedFault("unplug", 3.0),)) as (device, falcon):
         with pytest.raises(DeviceError, match="the device is gone"):
-            read_until_fault(device, 3000)
+            idle(device, falcon, 20.0)
         assert device.fault is Fault.TRANSPORT
     assert falcon.gone
     assert device.state is State.CLOSED
@@ -199,14 +189,12 @@ def test_capabilities_say_that_nothing_was_measured():
 def test_opens_reads_and_closes_on_a_real_descriptor(is_pty):
     with EmulatedLink(EmulatorSettings(period_s=1e-3), pty=is_pty) as link:
         port: str | int = link.path if is_pty and link.path else link.descriptor()
-        device = FalconDevice(calibration=Calibration(), port=port)
-        with device:
+        with FalconDevice(calibration=Calibration(), port=port) as device:
             given = device.compiled()
             assert given.kind == "tissueid.haptics.falcon.servo_io:DESCRIPTOR"
             os.fstat(int(given.handles[0]))
             # a thread of this process answers: it may be late on a busy machine
             assert any(device.read().valid for _ in range(500))
-            device.write_force([0.0, 0.0, 0.0], 1e-3)
         if isinstance(port, int):
             os.close(port)
         deadline = time.monotonic() + 5.0
@@ -223,7 +211,8 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path, monkeypatch):
     told: list[str] = []
     settings = EmulatorSettings(period_s=1e-3, firmware_loaded=False, failing_tries=1)
     with EmulatedLink(settings, pty=True) as link:
-        device = FalconDevice(calibration=Calibration(), port=link.path, firmware=file, tell=told.append)
+        device = FalconDevice(calibration=Calibration(), port=link.path, firmware=file)
+        device.tell = told.append
         with device:
             assert link.falcon.running
             assert link.falcon.firmware_tries == 2
@@ -240,40 +229,44 @@ def terminal() -> Iterator[tuple[int, FileTransport]]:
     """The other end of a terminal, and the transport on it."""
     master, slave = pty.openpty()
     tty.setraw(master)
-    transport = FileTransport.open(os.ttyname(slave))
-    yield master, transport
-    transport.close()
+    with closing(FileTransport.open(os.ttyname(slave))) as transport:
+        yield master, transport
     os.close(master)
     os.close(slave)
 
 
-def test_a_terminal_takes_the_three_rates_and_has_no_modem(terminal):
+@pytest.fixture
+def socketed() -> Iterator[tuple[socket.socket, FileTransport]]:
+    """The other end of a socket pair, and the transport on it."""
+    ours, theirs = socket.socketpair()
+    with theirs, closing(FileTransport(ours.detach(), "socket")) as transport:
+        yield theirs, transport
+
+
+def test_a_terminal_takes_the_three_rates(terminal):
     master, transport = terminal
     for baud in (9600, 142_857, 1_500_000):
         transport.set_baud(baud)
         answer = bytearray(TERMIOS2.size)
         fcntl.ioctl(master, GET_TERMIOS2, answer)
         assert TERMIOS2.unpack(answer)[-1] == baud
-    assert transport.modem is None
 
 
 def test_every_byte_passes_a_terminal_unchanged(terminal):
     master, transport = terminal
     everything = bytes(range(256))
     transport.write(everything)
-    received = b""
+    os.write(master, everything)
+    received = back = b""
     while len(received) < 256:
         received += os.read(master, 256)
-    os.write(master, everything)
-    back = b""
     while len(back) < 256:
         back += transport.read(1.0)
     assert (received, back) == (everything, everything)
 
 
-def test_socket_transport_purges_times_out_and_notices_the_end():
-    ours, theirs = socket.socketpair()
-    transport = FileTransport(ours.detach(), "socket")
+def test_socket_transport_purges_times_out_and_notices_the_end(socketed):
+    theirs, transport = socketed
     theirs.send(b"stale")
     transport.purge()
     assert transport.read(0.001) == b""
@@ -286,19 +279,14 @@ def test_socket_transport_purges_times_out_and_notices_the_end():
     with pytest.raises(TransportLost, match="gone"):
         transport.write(b"x")
     transport.close()
-    transport.close()
     with pytest.raises(TransportLost):
         transport.read(0.0)
 
 
-def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch):
+def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch, socketed):
     monkeypatch.setattr("tissueid.haptics.falcon.transport.WRITE_TIMEOUT_S", 0.02)
-    ours, theirs = socket.socketpair()
-    transport = FileTransport(ours.detach(), "socket")
     with pytest.raises(TransportLost, match="takes no more bytes"):
-        transport.write(bytes(50_000_000))
-    transport.close()
-    theirs.close()
+        socketed[1].write(bytes(50_000_000))
 
 
 def test_ports_that_can_not_be_opened_say_why(tmp_path, monkeypatch):
@@ -315,28 +303,25 @@ def test_ports_that_can_not_be_opened_say_why(tmp_path, monkeypatch):
         FileTransport.open("/dev/ttyUSB0")
 
 
-def test_modem_lines_of_a_serial_port_are_set_one_by_one(monkeypatch, tmp_path):
+def test_modem_lines_are_set_one_by_one_and_do_no_harm_where_there_are_none(monkeypatch, terminal, socketed):
     asked: list[tuple[int, int]] = []
 
-    def ioctl(_descriptor: int, request: int, value: object) -> int:
-        if request != termios.TIOCMGET:
-            asked.append((request, struct.unpack("I", value)[0]))
+    def ioctl(_descriptor: int, request: int, value: bytes) -> int:
+        asked.append((request, struct.unpack("I", value)[0]))
         return 0
 
-    master, slave = pty.openpty()
-    transport = FileTransport(slave, "serial port")
-    monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
-    modem = transport.modem
-    modem.set_frame()
-    modem.set_rts(on=False)
-    modem.set_dtr(on=False)
-    modem.set_dtr(on=True)
-    # there is no timer of a pseudo-terminal: no harm
-    modem.set_latency(1)
+    for there in (False, True):
+        if there:
+            monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
+        for transport in (terminal[1], socketed[1])[: 2 - there]:
+            transport.set_frame()
+            transport.set_rts(on=False)
+            transport.set_dtr(on=False)
+            transport.set_dtr(on=True)
+            # there is no timer of a pseudo-terminal
+            transport.set_latency(1)
     assert asked == [
         (termios.TIOCMBIC, termios.TIOCM_RTS),
         (termios.TIOCMBIC, termios.TIOCM_DTR),
         (termios.TIOCMBIS, termios.TIOCM_DTR),
     ]
-    transport.close()
-    os.close(master)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -81,7 +81,7 @@ def test_udev_line_is_the_one_of_the_message() -> None:
 
 
 def test_a_wrong_zero_angle_shows_on_a_ruler_as_the_page_says() -> None:
-    true, wrong = DEFAULT_GEOMETRY, DEFAULT_GEOMETRY.with_zero_angle(36.0)
+    true, wrong = DEFAULT_GEOMETRY, replace(DEFAULT_GEOMETRY, zero_angle_deg=36.0)
     counts = [(inverse([0.0, 0.0, z]) - np.radians(35.0)) / true.radians_per_count for z in (0.182, 0.132)]
     shown = [
         forward(np.radians(36.0) + true.radians_per_count * count, geometry=wrong)[2] for count in counts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,122 +28,96 @@ FILE = Firmware(Path("firmware.bin"), CONTENT, None)
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A silent device is given up after milliseconds, not seconds."""
+    for name, value in (("PRESENCE_WAIT_S", 0.005), ("HELLO_WAIT_S", 0.005), ("ECHO_WAIT_S", 0.05)):
+        monkeypatch.setattr(module, name, value)
     monkeypatch.setattr(module, "PRESENCE_TRIES", 3)
-    monkeypatch.setattr(module, "PRESENCE_WAIT_S", 0.005)
-    monkeypatch.setattr(module, "HELLO_WAIT_S", 0.005)
-    monkeypatch.setattr(module, "ECHO_WAIT_S", 0.05)
+    monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
 
 
-def bare(**settings: object) -> EmulatedFalcon:
-    return EmulatedFalcon(EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings))
+class Told:
+    """Progress of an upload."""
+
+    def __init__(self) -> None:
+        self.tries: list[str] = []
+
+    def __call__(self, message: str, _done: int, _all: int) -> None:
+        if "try" in message:
+            self.tries.append(message)
 
 
-def reopening(falcon: EmulatedFalcon) -> tuple[list[Direct], Callable[[], Direct]]:
-    """Transports that were opened, and how one more is, which resets the device."""
-    opened: list[Direct] = []
-
-    def open_transport() -> Direct:
-        falcon.control(1, 0x0101)
-        opened.append(Direct(falcon))
-        return opened[-1]
-
-    return opened, open_transport
+@pytest.fixture
+def told() -> Told:
+    return Told()
 
 
-def test_running_firmware_is_recognised_by_its_reply():
-    assert is_running(Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))))
-    assert not is_running(Direct(bare()))
+def bare(failing_tries: int = 0, **wire: int) -> Direct:
+    """A wire to a device without firmware."""
+    settings = EmulatorSettings(firmware_loaded=False, failing_tries=failing_tries)
+    return Direct(EmulatedFalcon(settings), **wire)
 
 
-@pytest.mark.parametrize("long_greeting", [False, True])
-@pytest.mark.parametrize("modem", [False, True])
-def test_an_upload_starts_the_firmware(long_greeting, modem):
-    transport = Direct(bare(long_greeting=long_greeting), modem=modem)
-    upload(transport, CONTENT)
+def running() -> Direct:
+    return Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3)))
+
+
+@pytest.mark.parametrize("wire", [{}, {"long_greeting": True}, {"silent_hellos": 20}])
+def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
+    transport = bare(**wire)
+    assert not is_running(transport)
+    upload(transport, CONTENT, told)
     assert transport.falcon.running
     assert is_running(transport)
-    assert transport.said == (
-        [
-            "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
-            "dtr False", "baud 142857", "latency 1", "baud 1500000",
-        ]
-        if modem
-        else ["baud 9600", "baud 142857", "baud 1500000"]
-    )  # fmt: skip
-
-
-def test_hello_is_said_until_it_is_answered():
-    transport = Direct(bare(silent_hellos=20))
-    upload(transport, CONTENT)
-    assert transport.falcon.running
+    assert transport.said == [
+        "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
+        "dtr False", "baud 142857", "latency 1", "baud 1500000",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
-        ({"silent_hellos": 10_000}, "no answer to 100 calls"),
-        ({"failing_tries": 1}, "echo of bytes 186 to 247"),
-    ],
+    ("hellos", "tries", "reason"),
+    [(10_000, 0, "no answer to 100 calls"), (0, 1, "echo of bytes 186 to 247")],
 )
-def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(settings, reason):
+def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(told, hellos, tries, reason):
     with pytest.raises(UploadError, match=reason):
-        upload(Direct(bare(**settings)), CONTENT)
+        upload(bare(tries, silent_hellos=hellos), CONTENT, told)
 
 
-def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport():
-    falcon = bare(failing_tries=2)
-    opened, open_transport = reopening(falcon)
-    told: list[str] = []
-    transport = ensure_running(
-        open_transport, lambda: FILE, progress=lambda text, _done, _all: told.append(text)
-    )
-    assert transport is opened[-1]
-    assert [one.closed for one in opened] == [True, True, False]
-    assert falcon.firmware_tries == 3
-    assert [text for text in told if "try" in text] == [
+@pytest.mark.parametrize(("failing", "opened"), [(2, 3), (99, 10)])
+def test_each_failed_upload_is_followed_by_another_on_a_new_transport_up_to_ten(told, failing, opened):
+    falcon = bare(failing).falcon
+    wires: list[Direct] = []
+
+    def open_transport() -> Direct:
+        wires.append(Direct(falcon))
+        return wires[-1]
+
+    if failing < 10:
+        assert ensure_running(open_transport, lambda: FILE, told) is wires[-1]
+    else:
+        with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
+            ensure_running(open_transport, lambda: FILE, told)
+    assert falcon.firmware_tries == len(wires) == opened
+    assert [one.closed for one in wires] == [True] * (opened - 1) + [failing > 10]
+    assert told.tries == [
         f"firmware, try {k} of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"
-        for k in (1, 2)
+        for k in range(1, min(failing, 10) + 1)
     ]
 
 
-def test_ten_failed_uploads_are_the_end_with_what_to_do():
-    falcon = bare(failing_tries=99)
-    opened, open_transport = reopening(falcon)
-    with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
-        ensure_running(open_transport, lambda: FILE)
-    assert len(opened) == 10
-    assert all(one.closed for one in opened)
-
-
-def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch):
+def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch, told):
     # a try is 100 calls of 5 ms here, and of 40 ms in use: 8 s are two of them
     monkeypatch.setattr(module, "SILENT_S", 0.8)
-    told: list[str] = []
     with pytest.raises(DeviceError, match=r"in 2 tries; the last: no answer to 100 calls .*\(no hub\)"):
-        ensure_running(
-            lambda: Direct(bare(silent_hellos=10_000)),
-            lambda: FILE,
-            progress=lambda text, _done, _all: told.append(text),
-        )
-    assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
+        ensure_running(lambda: bare(silent_hellos=10_000), lambda: FILE, told)
+    assert told.tries == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
 
 
-def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(monkeypatch):
-    monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
-    running, transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))), Direct(bare())
-    assert ensure_running(lambda: running, find_firmware) is running
+def test_a_file_is_asked_for_where_none_runs_and_a_missing_one_closes_the_transport(told):
+    there, transport = running(), bare()
+    assert ensure_running(lambda: there, find_firmware, told) is there
     with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
-        ensure_running(lambda: transport, find_firmware)
+        ensure_running(lambda: transport, find_firmware, told)
     assert transport.closed
-
-
-def test_option_comes_before_environment(monkeypatch, tmp_path):
-    first, second = tmp_path / "first.bin", tmp_path / "second.bin"
-    first.write_bytes(b"first")
-    second.write_bytes(b"second")
-    monkeypatch.setenv("TISSUEID_FALCON_FIRMWARE", str(second))
-    assert find_firmware(first).content == b"first"
-    assert find_firmware().content == b"second"
 
 
 @pytest.mark.parametrize(
@@ -159,13 +132,15 @@ def test_a_file_that_is_no_firmware_is_refused(content, reason, tmp_path):
         find_firmware(file)
 
 
-def test_an_unknown_file_is_warned_of_and_a_known_one_is_not(monkeypatch, tmp_path):
-    file = tmp_path / "firmware.bin"
-    file.write_bytes(CONTENT)
+def test_option_comes_before_environment_and_an_unknown_file_is_warned_of(monkeypatch, tmp_path):
+    first, second = tmp_path / "first.bin", tmp_path / "second.bin"
+    first.write_bytes(CONTENT)
+    second.write_bytes(b"second")
+    monkeypatch.setenv("TISSUEID_FALCON_FIRMWARE", str(second))
+    assert find_firmware().content == b"second"
+    unknown = find_firmware(first)
     digest = hashlib.sha256(CONTENT).hexdigest()
-    unknown = find_firmware(file)
-    assert unknown.warning is not None
-    assert digest[:12] in unknown.warning
-    monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT)): "a known file"})
-    assert find_firmware(file).known_as == "a known file"
-    assert find_firmware(file).warning is None
+    assert unknown.content == CONTENT
+    assert digest[:12] in (unknown.warning or "")
+    monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT))})
+    assert find_firmware(first).warning is None

@@ -234,7 +234,6 @@ MOVES = {
     (State.CLOSED, machine.OPENED): State.OPEN,
     (State.OPEN, machine.FIRMWARE_OK): State.FIRMWARE,
     (State.FIRMWARE, machine.HOME): State.HOMING,
-    (State.HOMING, machine.HOMED): State.ARMED,
     **{(state, machine.SHUT): State.CLOSED for state in State},
     **{
         (state, event): State.FAULT

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_library import compiled
 from guarded import FREE
 
 from tissueid.haptics import guard as machine
@@ -52,12 +52,7 @@ def walk(step, seed: int) -> np.ndarray:
 
 def in_c(folder: Path):
     """The guard of the reference in C."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no gcc to compile the reference with")
-    library = folder / "servo_reference.so"
-    command = [compiler, "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-o", library, REFERENCE, "-lm"]
-    subprocess.run(command, check=True)
+    library = compiled(REFERENCE, folder, "-O2", "-ffp-contract=off")
     function = ctypes.CDLL(str(library)).reference_guard
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
     function.argtypes = [array, array, array, ctypes.c_double, array]

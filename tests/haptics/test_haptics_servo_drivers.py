@@ -8,7 +8,7 @@ import socket
 
 import numpy as np
 import pytest
-from c_library import compiled
+from c_library import SdkStub
 
 from tissueid.haptics import guard as machine
 from tissueid.haptics.device import HANDLES_SIZE, HOMED, PRESSED, REPLY, WORDS_SIZE, CompiledIO, compiled_io
@@ -25,10 +25,6 @@ LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
 #: Turns the driver's x, y, z into our y, z, x; its origin lies 0.1 m out.
 ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 ORIGIN = np.array([0.0, 0.0, 0.1])
-
-
-def address(library: ctypes.CDLL, name: str) -> int:
-    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value
 
 
 class Loop:
@@ -50,58 +46,43 @@ class Loop:
             send(self.io, self.memory, LIMITS, np.array(force), 1e-3, self.out)
 
 
-@pytest.fixture
-def driver(tmp_path):
-    """The stand-in of the Force Dimension driver, open."""
-    library = ctypes.CDLL(str(compiled("dhd_stub", tmp_path)))
-    library.dhdOpenType(60)
-    return library
+def address(library: ctypes.CDLL, name: str) -> int:
+    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value
 
 
-def force_dimension(library: ctypes.CDLL) -> Loop:
+def force_dimension(stub: SdkStub) -> Loop:
+    """A loop on the stand-in of the driver, open."""
+    stub.library.dhdOpenType(60)
     handles = np.zeros(HANDLES_SIZE, np.int64)
     names = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
-    handles[:4] = [*(address(library, name) for name in names), 5]
+    handles[:4] = [*(address(stub.library, name) for name in names), 5]
     constants = np.concatenate([ROTATION.ravel(), ORIGIN])
     return Loop(CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants))
 
 
 class TestForceDimension:
-    def test_position_and_buttons_are_read_in_our_frame(self, driver):
-        (ctypes.c_double * 3).in_dll(driver, "stub_position")[:] = (0.01, 0.02, 0.03)
-        ctypes.c_uint.in_dll(driver, "stub_buttons").value = 0x5
-        loop = force_dimension(driver)
+    def test_position_and_buttons_are_read_in_our_frame(self, sdk):
+        sdk.move(0.01, 0.02, 0.03)
+        sdk["buttons"] = 0x5
+        loop = force_dimension(sdk)
         assert loop.read() == REPLY_VALID
         assert loop.position.tolist() == (ROTATION @ [0.01, 0.02, 0.03] + ORIGIN).tolist()
         # centre and up of the SDK are centre and forward of the wire
         assert (loop.words[PRESSED], loop.words[HOMED]) == (0x4 | 0x2, 1)
 
-    def test_a_force_passes_the_guard_and_arrives_in_the_drivers_frame(self, driver):
-        loop = force_dimension(driver)
+    def test_a_force_passes_the_guard_and_arrives_in_the_drivers_frame(self, sdk):
+        loop = force_dimension(sdk)
         loop.send((0.0, 3.0, 4.0), times=10)
-        arrived = np.array((ctypes.c_double * 3).in_dll(driver, "stub_force"))
         assert loop.out == pytest.approx([0.0, 1.2, 1.6], rel=1e-12)
-        assert arrived == pytest.approx(ROTATION.T @ loop.out, rel=1e-12)
+        assert sdk["force"] == pytest.approx(ROTATION.T @ loop.out, rel=1e-12)
 
-    def test_a_driver_that_fails_once_to_read_or_to_send_is_a_lost_device(self, driver):
-        loop, sends = force_dimension(driver), force_dimension(driver)
-        fails = ctypes.c_int.in_dll(driver, "stub_fails")
-        fails.value = 1
+    def test_a_driver_that_fails_once_to_read_or_to_send_is_a_lost_device(self, sdk):
+        loop, sends = force_dimension(sdk), force_dimension(sdk)
+        sdk["fails"] = 1
         assert loop.read() == REPLY_LOST
         sends.send((0.0, 0.0, 0.0))
-        fails.value = 0
+        sdk["fails"] = 0
         assert sends.read() == REPLY_LOST
-
-
-@pytest.fixture
-def usb(tmp_path, monkeypatch):
-    """The stand-in of libusb with a Falcon that runs."""
-    library = compiled("usb_stub", tmp_path)
-    monkeypatch.setenv("TISSUEID_LIBUSB", str(library))
-    monkeypatch.delenv("FALCON_STUB", raising=False)
-    found = ctypes.CDLL(str(library))
-    found.stub_record.restype = ctypes.c_char_p
-    return found
 
 
 class TestFalcon:
@@ -124,12 +105,12 @@ class TestFalcon:
 
     def test_a_force_goes_out_as_the_drivers_own_packet(self, usb, device):
         loop, force = Loop(device.compiled()), np.array([0.3, -0.2, 0.5])
-        usb.stub_clear()
+        usb.library.stub_clear()
         command(loop.io, loop.memory, LIMITS, force)
-        (sent,) = usb.stub_record().decode("ascii").splitlines()
+        (sent,) = usb.lines
         device._grip[:] = GUESS_M
         device._write(force)
-        by_driver = usb.stub_record().decode("ascii").splitlines()[-1]
+        by_driver = usb.lines[-1]
         # the same numbers; the light of the driver's own state is red, that of the loop's green and blue
         assert sent.split()[:14] == by_driver.split()[:14]
         assert sent.split()[14:] == [f"{0x41 + 0x01 + 0x02 + 0x04:02x}", "41", "3e"]
@@ -138,7 +119,7 @@ class TestFalcon:
         loop = Loop(device.compiled())
         loop.send((0.0, 0.0, 0.0))
         loop.read()
-        usb.stub_unplug()
+        usb.library.stub_unplug()
         assert loop.read() == REPLY_LOST
 
     def test_a_descriptor_gives_the_position_of_the_driver_or_says_that_there_is_none(self):

@@ -10,6 +10,8 @@ import pytest
 from tissueid.errors import BundleError, DeviceError
 from tissueid.haptics import sim as k
 from tissueid.haptics.arm import TIME, Arm
+from tissueid.haptics.device import HOMED, REPLY, WORDS_SIZE
+from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.replay import ReplayDevice
@@ -56,8 +58,8 @@ def pushed(device: SimulatedDevice, force_N: list[float]) -> None:
 
 def error_m(device: SimulatedDevice) -> np.ndarray:
     """Difference of a reading from the true position."""
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
-    simulated_sample(device.memory, device.parameters, place, counts)
+    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
+    simulated_sample(device.memory, device.parameters, place, counts, words)
     return place - device.true_position_m
 
 
@@ -123,11 +125,11 @@ def test_the_compiled_blocks_are_the_device():
     device = SimulatedDevice(hand=pressing(), seed=9)
     io = device.compiled()
     assert io.kind == "tissueid.haptics.sim:SIMULATED"
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
+    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
     device.open()
     for _ in range(50):
-        said = simulated_sample(io.memory, io.constants, place, counts)
-        assert said == k.VALID | k.HOMED
+        simulated_sample(io.memory, io.constants, place, counts, words)
+        assert (words[REPLY], words[HOMED]) == (REPLY_VALID, 1)
         simulated_command(io.memory, io.constants, QUIET)
         simulated_advance(io.memory, io.constants, 1e-3)
     assert device.time_s == pytest.approx(0.05, abs=1e-12)
@@ -148,20 +150,25 @@ def test_in_real_time_the_arm_moves_with_the_clock():
     assert device.time_s == pytest.approx(0.054, abs=1e-12)
 
 
-SAID = {k.FAULT_SILENT: 0, k.FAULT_GONE: -1, k.FAULT_UNHOMED: k.VALID, k.FAULT_FROZEN: k.VALID | k.HOMED}
+#: Reply and homing that a scripted fault leaves.
+SAID = {
+    k.FAULT_SILENT: (REPLY_NONE, 0), k.FAULT_GONE: (REPLY_LOST, 0), k.FAULT_UNHOMED: (REPLY_VALID, 0),
+    k.FAULT_FROZEN: (REPLY_VALID, 1),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "said"), SAID.items())
 def test_scripted_faults_begin_at_their_time(kind, said):
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY)
     device.parameters[[FAULT_KIND, FAULT_AT]] = kind, 0.010
-    place, counts = np.zeros(3), np.zeros(3, np.int64)
+    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
     answers, seen = [], []
     for _ in range(40):
-        answers.append(simulated_sample(device.memory, device.parameters, place, counts))
+        simulated_sample(device.memory, device.parameters, place, counts, words)
+        answers.append((int(words[REPLY]), int(words[HOMED])))
         seen.append(int(counts[0]))
         pushed(device, [5.0, 0.0, 0.0])
-    assert set(answers[:10]) == {k.VALID | k.HOMED}
+    assert set(answers[:10]) == {(REPLY_VALID, 1)}
     assert set(answers[11:]) == {said}
     assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
 

@@ -41,8 +41,7 @@ class AskedDevice:
 
     def given(self) -> tuple[str, ...]:
         """Names of those that not every device has."""
-        named = {"port": self.port, "firmware": self.firmware, "calibration": self.calibration}
-        return tuple(name for name, value in named.items() if value is not None)
+        return tuple(name for name in ("port", "firmware", "calibration") if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +93,13 @@ class CompiledIO:
 
 #: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
 ZERO_COMMANDS = 20
+
+#: How long homing may take before it is given up [s].
+HOMING_TIMEOUT_S = 60.0
+#: Pause between two readings while the user is waited for [s].
+TICK_S = 0.001
+#: The most of a time-out that one reading takes [s]: a host that stood still has not waited.
+MOST_A_READING_S = 0.1
 
 _FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
 
@@ -289,6 +295,23 @@ class HapticDevice(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _wait_until(self, reached: Callable[[], bool], timeout_s: float, why_not: Callable[[], str]) -> None:
+        """Read and send zero force until something is reached; DeviceError late, on a fault, or lost."""
+        waited_s, before = 0.0, time.monotonic()
+        zero = np.zeros(3)
+        while not reached():
+            now = time.monotonic()
+            waited_s, before = waited_s + min(now - before, MOST_A_READING_S), now
+            if waited_s > timeout_s:
+                raise DeviceError(why_not())
+            self.while_waiting()
+            self.read()
+            if self.state is State.FAULT:
+                msg = f"homing ended: {FAULT_WORDS[self.fault]}"
+                raise DeviceError(msg)
+            self.write_force(zero, TICK_S)
+            time.sleep(TICK_S)
+
     def _lost(self, error: Exception) -> DeviceError:
         """FAULT of a device that is gone, in words."""
         machine.transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
@@ -320,41 +343,6 @@ class HapticDevice(ABC):
         machine.observe(
             self.guard_memory, self._limits, reply, homed, buttons, moved, self._velocity, float("nan"), dt
         )
-
-
-#: How long homing may take before it is given up [s].
-HOMING_TIMEOUT_S = 60.0
-#: Pause between two readings [s].
-TICK_S = 0.001
-#: The most of a time-out that one reading takes [s]: a host that stood still has not waited.
-MOST_A_READING_S = 0.1
-
-
-def wait_with_zero_force(
-    device: HapticDevice, reached: Callable[[], bool], timeout_s: float, why_not: Callable[[], str]
-) -> None:
-    """Read and send zero force until something is reached; DeviceError late, on a fault, or lost."""
-    waited_s, before = 0.0, time.monotonic()
-    zero = np.zeros(3)
-    while not reached():
-        now = time.monotonic()
-        waited_s, before = waited_s + min(now - before, MOST_A_READING_S), now
-        if waited_s > timeout_s:
-            raise DeviceError(why_not())
-        device.while_waiting()
-        device.read()
-        if device.state is State.FAULT:
-            msg = f"homing ended: {FAULT_WORDS[device.fault]}"
-            raise DeviceError(msg)
-        device.write_force(zero, TICK_S)
-        time.sleep(TICK_S)
-
-
-def await_homed(
-    device: HapticDevice, timeout_s: float, why_not: Callable[[], str] = lambda: "homing never completed"
-) -> None:
-    """Wait until the guard has seen enough homed replies (ARMED); as :func:`wait_with_zero_force`."""
-    wait_with_zero_force(device, lambda: device.state is State.ARMED, timeout_s, why_not)
 
 
 #: Words of a reading: what came (:mod:`tissueid.haptics.guard`), whether homed, buttons, and commands

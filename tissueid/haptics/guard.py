@@ -72,8 +72,8 @@ _HEARTBEAT, _PARENT_DIED, _TRANSPORT = (
 RISING, RELEASING, RECOVERING, YIELDING = 0.0, 1.0, 2.0, 3.0
 
 #: Events of :func:`transition`.
-OPENED, FIRMWARE_OK, HOME, HOMED, ENGAGE, DISENGAGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
-RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 6.0, 7.0, 8.0, 9.0, 10.0, 11.0
+OPENED, FIRMWARE_OK, HOME, ENGAGE, DISENGAGE = 0.0, 1.0, 2.0, 3.0, 4.0
+RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 5.0, 6.0, 7.0, 8.0, 9.0, 10.0
 
 
 def new_guard() -> FloatArray:
@@ -174,8 +174,6 @@ def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
     if event == HOME:
         memory[HOMED_REPLIES] = 0.0
         return _advance(memory, FIRMWARE, HOMING)
-    if event == HOMED:
-        return _advance(memory, HOMING, ARMED)
     if event == ENGAGE:
         memory[WANTED] = 1.0 if state not in (FAULTED, CLOSED) else 0.0
         return bool(memory[WANTED] == 1.0)
@@ -402,9 +400,7 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     if memory[DELAYED_TICKS] > 0.0:
         lamps |= _LATENCY
     finite = math.isfinite(force[0]) and math.isfinite(force[1]) and math.isfinite(force[2])
-    out[0] = 0.0
-    out[1] = 0.0
-    out[2] = 0.0
+    out[0] = out[1] = out[2] = 0.0
     # an unknown depth (NaN) is not a free tool
     free = memory[PENETRATION] <= 0.0 or (finite and _length(force) < limits[bar.ENGAGE_BELOW_N])
     if memory[STATE] == ARMED and memory[READY] != 0.0 and free:

@@ -84,14 +84,10 @@ class Hand:
         knots = self.knots()
         block[layout.KNOTS] = len(knots)
         block[layout.FIRST_KNOT : layout.FIRST_KNOT + layout.KNOT_COLUMNS * len(knots)] = knots.ravel()
-        block[[layout.HAND_STIFFNESS, layout.HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
-        block[layout.RIGID] = float(self.rigid)
-        block[[layout.TREMOR, layout.TREMOR_HZ, layout.TREMOR_PHASE]] = (
-            self.tremor_m,
-            self.tremor_hz,
-            self.tremor_phase,
-        )
-        block[layout.TREMOR_AXIS : layout.TREMOR_AXIS + 3] = self.tremor_axis
+        block[layout.HAND_STIFFNESS : layout.TREMOR_AXIS + 3] = (
+            self.stiffness_N_per_m, self.damping_N_s_per_m, self.rigid,
+            self.tremor_m, self.tremor_hz, self.tremor_phase, *self.tremor_axis,
+        )  # fmt: skip
         return block
 
 
@@ -185,8 +181,10 @@ class Stroke:
 
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _SPEED = rf"at\s+{_NUMBER}\s*mm\s*/\s*(min|s)"
-_INDENT = re.compile(rf"indent\s+{_NUMBER}\s*mm\s+{_SPEED}")
-_RETRACT = re.compile(rf"retract\s+(?:to\s+{_NUMBER}\s*mm\s+)?{_SPEED}")
+_MOVES = {
+    "indent": re.compile(rf"indent\s+{_NUMBER}\s*mm\s+{_SPEED}"),
+    "retract": re.compile(rf"retract\s+(?:to\s+{_NUMBER}\s*mm\s+)?{_SPEED}"),
+}
 _HOLD = re.compile(rf"hold\s+{_NUMBER}\s*s")
 
 
@@ -206,19 +204,16 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
         line = " ".join(part.split())
         if not line:
             continue
-        if (found := _INDENT.fullmatch(line)) is not None:
-            target, speed = float(found[1]), _speed(found[2], found[3], line)
-            if target <= depth:
-                msg = f"{line!r} does not go deeper: the tool is at {depth:g} mm there"
-                raise UsageError(msg)
-            strokes.append(Stroke("indent", target, (target - depth) / speed))
-        elif (found := _RETRACT.fullmatch(line)) is not None:
+        kind = line.partition(" ")[0]
+        if kind in _MOVES and (found := _MOVES[kind].fullmatch(line)) is not None:
             target = -SCRIPT_CLEARANCE_MM if found[1] is None else float(found[1])
             speed = _speed(found[2], found[3], line)
-            if target >= depth:
-                msg = f"{line!r} does not go back: the tool is at {depth:g} mm there"
+            way = target - depth if kind == "indent" else depth - target
+            if way <= 0.0:
+                where = "deeper" if kind == "indent" else "back"
+                msg = f"{line!r} does not go {where}: the tool is at {depth:g} mm there"
                 raise UsageError(msg)
-            strokes.append(Stroke("retract", target, (depth - target) / speed))
+            strokes.append(Stroke(kind, target, way / speed))
         elif (found := _HOLD.fullmatch(line)) is not None and 0.0 < float(found[1]) <= MOST_HOLD_S:
             strokes.append(Stroke("hold", depth, float(found[1])))
         else:

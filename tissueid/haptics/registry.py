@@ -62,11 +62,6 @@ def device_names() -> list[str]:
     return [*DEVICES, *sorted(_plugins(DEVICE_GROUP))]
 
 
-def environment_names() -> list[str]:
-    """Every force law that another distribution adds."""
-    return sorted(entry.name for entry in entry_points(group=ENVIRONMENT_GROUP))
-
-
 def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
     """Import what a name stands for, with the plug-in's own failure as the reason."""
     try:
@@ -121,14 +116,14 @@ def reported_devices() -> dict[str, Capabilities]:
 
 def environment_law(name: str) -> Callable[..., Any]:
     """The force law that another distribution registered; UsageError, or DeviceError where it fails."""
-    for entry in entry_points(group=ENVIRONMENT_GROUP):
-        if entry.name == name:
-            law = _loaded("force law", name, entry.load)
-            if not callable(law):
-                msg = f"force law {name!r}: its entry point is {type(law).__name__}, not a function"
-                raise DeviceError(msg)
-            return law  # type: ignore[no-any-return]
-    there = ", ".join(environment_names()) or "none"
+    laws = entry_points(group=ENVIRONMENT_GROUP)
+    for entry in laws.select(name=name):
+        law = _loaded("force law", name, entry.load)
+        if not callable(law):
+            msg = f"force law {name!r}: its entry point is {type(law).__name__}, not a function"
+            raise DeviceError(msg)
+        return law  # type: ignore[no-any-return]
+    there = ", ".join(sorted(laws.names)) or "none"
     msg = f"no force law named {name!r}; installed: {there} (entry-point group {ENVIRONMENT_GROUP})"
     raise UsageError(msg)
 

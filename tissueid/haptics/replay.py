@@ -39,10 +39,9 @@ class ReplayDevice(HapticDevice):
         self._clock = clock
         self._started_s: float | None = None
         self._written = 0
-        self._time_s = np.zeros(1)
-        self._position_m = np.array([CENTRE_M])
+        self._time_s, self._position_m = np.zeros(1), np.array([CENTRE_M])
         self._buttons = np.zeros(1, np.int64)
-        self._loaded = False
+        self._log = log
         if log is not None:
             self._load(Path(log))
 
@@ -78,11 +77,9 @@ class ReplayDevice(HapticDevice):
             msg = f"{path}: its {times.size} usable records hold no motion that goes forward in time"
             raise DeviceError(msg)
         self._time_s, self._position_m = times - times[0], places
+        self._buttons = np.zeros(times.size, np.int64)
         if "buttons" in (records.dtype.names or ()):
             self._buttons = records["buttons"][sound].astype(np.int64)
-        else:
-            self._buttons = np.zeros(times.size, np.int64)
-        self._loaded = True
 
     def _elapsed(self) -> float:
         if not self.real_time:
@@ -90,7 +87,7 @@ class ReplayDevice(HapticDevice):
         return 0.0 if self._started_s is None else self._clock() - self._started_s
 
     def _open(self) -> None:
-        if not self._loaded:
+        if self._log is None:
             msg = "replay: no log was named; give one with --replay LOG"
             raise DeviceError(msg)
         self._started_s = None

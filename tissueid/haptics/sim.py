@@ -19,10 +19,11 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.arm import ARM_MEMORY, HAND_FORCE, POSITION, TIME, Arm, arm_step, new_arm
-from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import (
+    HOMED,
     PRESSED,
     REPLY,
+    WORDS_SIZE,
     Access,
     Capabilities,
     CompiledIO,
@@ -51,22 +52,19 @@ QUEUE_COLUMNS = 4
 QUEUE_LENGTH = 32
 SIM_MEMORY = QUEUE + QUEUE_COLUMNS * QUEUE_LENGTH
 
-#: Bits of what :func:`simulated_sample` returns; 0 is "no answer", negative "the device is gone".
-VALID, HOMED = 1, 2
-
 
 @tick_part
 def simulated_sample(
-    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
-) -> int:
-    """Write counts (3,) and their position (3,) [m]; bits VALID and HOMED, 0 without answer, -1 if gone."""
-    kind = int(parameters[FAULT_KIND])
-    if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:
-        kind = FAULT_NONE
-    if kind == FAULT_GONE:
-        return -1
-    if kind == FAULT_SILENT:
-        return 0
+    memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray, words: IntArray
+) -> None:
+    """Write counts (3,), their position (3,) [m] and the words of a reading (WORDS_SIZE,)."""
+    kind = int(parameters[FAULT_KIND]) if memory[TIME] >= parameters[FAULT_AT] else FAULT_NONE
+    answers = kind not in (FAULT_GONE, FAULT_SILENT)
+    words[REPLY] = REPLY_VALID if answers else (REPLY_LOST if kind == FAULT_GONE else REPLY_NONE)
+    words[HOMED] = 1 if answers and kind != FAULT_UNHOMED else 0
+    words[PRESSED] = int(parameters[layout.BUTTONS])
+    if not answers:
+        return
     quantum = parameters[layout.QUANTUM]
     for i in range(3):
         if kind != FAULT_FROZEN:
@@ -77,7 +75,6 @@ def simulated_sample(
         counts[i] = int(said)
         # the middle of the count, so that rounding has no mean
         position[i] = (said + 0.5 - parameters[layout.PHASE + i]) * quantum
-    return VALID if kind == FAULT_UNHOMED else VALID | HOMED
 
 
 @tick_part
@@ -124,10 +121,7 @@ class SimulatedIO(NamedTuple):
 def _sense(io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Let the arm move for ``dt`` and read its encoders."""
     simulated_advance(io.memory, io.parameters, dt)
-    said = simulated_sample(io.memory, io.parameters, position, counts)
-    words[REPLY] = REPLY_LOST if said < 0 else (REPLY_VALID if said > 0 else REPLY_NONE)
-    words[IS_HOMED] = 1 if said > 0 and (said & HOMED) != 0 else 0
-    words[PRESSED] = int(io.parameters[layout.BUTTONS])
+    simulated_sample(io.memory, io.parameters, position, counts, words)
 
 
 @tick_kernel
@@ -219,6 +213,7 @@ class SimulatedDevice(HapticDevice):
         self._clock_s: float | None = None
         self._place = np.zeros(3)
         self._said = np.zeros(3, np.int64)
+        self._words = np.zeros(WORDS_SIZE, np.int64)
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:
@@ -266,17 +261,17 @@ class SimulatedDevice(HapticDevice):
             if self._clock_s is not None:
                 simulated_advance(self.memory, self.parameters, now - self._clock_s)
             self._clock_s = now
-        said = simulated_sample(self.memory, self.parameters, self._place, self._said)
-        if said < 0:
+        simulated_sample(self.memory, self.parameters, self._place, self._said, self._words)
+        if self._words[REPLY] == REPLY_LOST:
             msg = "unplugged by a scripted fault"
             raise OSError(msg)
         return DeviceSample(
             time_s=self.time_s,
             position_m=self._place.copy(),
             counts=self._said.copy(),
-            buttons=int(self.parameters[layout.BUTTONS]),
-            homed=bool(said & HOMED),
-            valid=bool(said & VALID),
+            buttons=int(self._words[PRESSED]),
+            homed=bool(self._words[HOMED]),
+            valid=bool(self._words[REPLY] == REPLY_VALID),
         )
 
     def _write(self, force_N: FloatArray) -> None:

@@ -58,8 +58,8 @@ def falcon(request: pytest.FixtureRequest) -> Iterator[FalconDevice]:
         port=request.config.getoption("--falcon-port"),
         firmware=request.config.getoption("--falcon-firmware"),
         calibration=calibration,
-        tell=tell,
     )
+    device.tell = tell
     with device:
         yield device
 

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import tomllib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +77,7 @@ class Calibration:
 
     def legs(self) -> Geometry:
         """The geometry with the calibrated zero angle."""
-        return GEOMETRIES[self.geometry].with_zero_angle(self.zero_angle_deg)
+        return replace(GEOMETRIES[self.geometry], zero_angle_deg=self.zero_angle_deg)
 
 
 def calibration_path() -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,6 @@ from tissueid.haptics.device import (
     DetectedDevice,
     DeviceSample,
     HapticDevice,
-    await_homed,
-    wait_with_zero_force,
 )
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
@@ -35,13 +33,11 @@ from tissueid.haptics.falcon.transport import (
     FileTransport,
     LibUsb,
     Transport,
-    UsbNode,
     UsbTransport,
 )
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import UNSEEN_TICKS
-
-Tell = Callable[[str], None]
+from tissueid.haptics.states import State
 
 #: What a user does to home a Falcon, in order.
 HOMING_STEPS = (
@@ -66,8 +62,8 @@ class FalconDevice(HapticDevice):
     """A Novint Falcon over USB, a serial port, or the emulator's descriptor.
 
     ``limits``, ``calibration``: by default the user's; ``port``: path of a terminal, or a descriptor of which
-    a copy is used; USB by default; ``firmware``: a file; by default the environment names it; ``tell``: told
-    what the user has to do; ``homing_timeout_s``: for each of the two movements of homing.
+    a copy is used; USB by default; ``firmware``: a file; by default the environment names it;
+    ``homing_timeout_s``: for each of the two movements of homing.
     """
 
     name = "falcon"
@@ -80,15 +76,12 @@ class FalconDevice(HapticDevice):
         port: str | int | None = None,
         firmware: str | os.PathLike[str] | None = None,
         calibration: Calibration | None = None,
-        tell: Tell | None = None,
         homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         self.calibration = load_calibration() if calibration is None else calibration
         super().__init__(limits_of(self.calibration) if limits is None else limits)
         self._port = port
         self._firmware = firmware
-        if tell is not None:
-            self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._geometry = self.calibration.legs().block()
         self._transport: Transport | None = None
@@ -145,7 +138,7 @@ class FalconDevice(HapticDevice):
         except DeviceError as error:
             return [DetectedDevice(cls.name, "USB, not searched", error.message)]
         try:
-            return [DetectedDevice(cls.name, node.path, _hindrance(usb, node)) for node in usb.falcons()]
+            return [DetectedDevice(cls.name, node, _hindrance(usb, node)) for node in usb.falcons()]
         finally:
             usb.close()
 
@@ -164,11 +157,9 @@ class FalconDevice(HapticDevice):
     def home(self) -> None:
         """Wait with zero force until the user homed it and pulled the grip out; DeviceError late or lost."""
         self.tell(HOMING_STEPS[0])
-        await_homed(self, self._homing_timeout_s, self._not_homed)
+        self._wait_until(lambda: self.state is State.ARMED, self._homing_timeout_s, self._not_homed)
         self.tell(HOMING_STEPS[1])
-        wait_with_zero_force(
-            self, lambda: bool(self._grip[2] > PULLED_OUT_M), self._homing_timeout_s, self._not_pulled
-        )
+        self._wait_until(lambda: bool(self._grip[2] > PULLED_OUT_M), self._homing_timeout_s, self._not_pulled)
 
     def compiled(self) -> CompiledIO | None:
         """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
@@ -191,9 +182,7 @@ class FalconDevice(HapticDevice):
         self._parser = PacketParser()
         self._invalid = 0
         try:
-            self._transport = ensure_running(
-                self._open_transport, self._find_firmware, progress=self._tell_progress
-            )
+            self._transport = ensure_running(self._open_transport, self._find_firmware, self._tell_progress)
             self._command()
         except BaseException:
             self._close()
@@ -315,7 +304,7 @@ def limits_of(calibration: Calibration, *, hands_off: bool = False) -> GuardLimi
     return replace(limits, dead_man=False, frozen_s=AT_STOP_S) if hands_off else limits
 
 
-def _hindrance(usb: LibUsb, node: UsbNode) -> str:
+def _hindrance(usb: LibUsb, node: str) -> str:
     """Why a Falcon that is there can't be opened; empty if it can."""
     try:
         usb.open(node).close()

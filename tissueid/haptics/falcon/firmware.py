@@ -31,7 +31,7 @@ VARIABLE = "TISSUEID_FALCON_FIRMWARE"
 #: Uploads tried, each on a newly opened transport.
 TRIES = 10
 #: First and last digits of the SHA-256 of files that users report to work, with their size [bytes].
-KNOWN = {("1119e39c", "96a1", 8492): "nvent_firmware.bin"}
+KNOWN = {("1119e39c", "96a1", 8492)}  # nvent_firmware.bin
 #: No firmware of a Falcon is near this long; a wrong file is refused before it is sent [bytes].
 LONGEST = 65_536
 
@@ -67,18 +67,7 @@ class Firmware:
 
     path: Path
     content: bytes
-    known_as: str | None  # name under which the very file is known to work; None is worth a warning
-
-    @property
-    def warning(self) -> str | None:
-        """Warning of a file nobody knows."""
-        if self.known_as is not None:
-            return None
-        digest = hashlib.sha256(self.content).hexdigest()
-        return (
-            f"{self.path} is no firmware known to work ({len(self.content)} bytes, sha256 {digest[:12]}...);"
-            " it is sent as it is, since you named it"
-        )
+    warning: str | None  # of a file nobody knows
 
 
 def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
@@ -101,15 +90,13 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
         msg = f"firmware file {file} {what}; name another with --firmware FILE"
         raise DeviceError(msg)
     digest = hashlib.sha256(content).hexdigest()
-    known = next(
-        (
-            name
-            for (first, last, size), name in KNOWN.items()
-            if digest.startswith(first) and digest.endswith(last) and len(content) == size
-        ),
-        None,
+    if (digest[:8], digest[-4:], len(content)) in KNOWN:
+        return Firmware(file, content, None)
+    warning = (
+        f"{file} is no firmware known to work ({len(content)} bytes, sha256 {digest[:12]}...);"
+        " it is sent as it is, since you named it"
     )
-    return Firmware(file, content, known)
+    return Firmware(file, content, warning)
 
 
 def is_running(transport: Transport) -> bool:
@@ -126,7 +113,7 @@ def is_running(transport: Transport) -> bool:
     return False
 
 
-def upload(transport: Transport, content: bytes, progress: Progress | None = None) -> None:
+def upload(transport: Transport, content: bytes, progress: Progress) -> None:
     """One try to load firmware, told as message, bytes done and in all; UploadError: open the device anew."""
     _say_hello(transport)
     _get_ready(transport)
@@ -139,19 +126,14 @@ def upload(transport: Transport, content: bytes, progress: Progress | None = Non
                 f"the echo of bytes {start} to {start + len(chunk) - 1} of the firmware is missing or differs"
             )
             raise UploadError(msg)
-        if progress is not None:
-            progress("firmware", start + len(chunk), len(content))
-    if transport.modem is not None:
-        transport.modem.set_latency(LATENCY_RUN_MS)
+        progress("firmware", start + len(chunk), len(content))
+    transport.set_latency(LATENCY_RUN_MS)
     transport.set_baud(BAUD_RUN)
     transport.purge()
 
 
 def ensure_running(
-    open_transport: Callable[[], Transport],
-    firmware: Callable[[], Firmware],
-    *,
-    progress: Progress | None = None,
+    open_transport: Callable[[], Transport], firmware: Callable[[], Firmware], progress: Progress
 ) -> Transport:
     """A transport, which the caller closes, to a device whose firmware runs, loaded where it did not.
 
@@ -179,8 +161,7 @@ def ensure_running(
                     return transport
                 reason = "the device took the firmware but does not answer"
                 heard_s = time.monotonic()
-            if progress is not None:
-                progress(f"firmware, try {attempt} of {TRIES}: {reason}", 0, len(content))
+            progress(f"firmware, try {attempt} of {TRIES}: {reason}", 0, len(content))
             if time.monotonic() - heard_s >= SILENT_S:
                 break
     except BaseException:
@@ -197,15 +178,12 @@ def ensure_running(
 def _say_hello(transport: Transport) -> None:
     """Reset the device by its modem lines and ask for its loader."""
     transport.purge()
-    modem = transport.modem
-    if modem is not None:
-        modem.set_latency(LATENCY_UPLOAD_MS)
+    transport.set_latency(LATENCY_UPLOAD_MS)
     transport.set_baud(BAUD_HELLO)
-    if modem is not None:
-        modem.set_frame()
-        modem.set_rts(on=False)
-        modem.set_dtr(on=False)
-        modem.set_dtr(on=True)
+    transport.set_frame()
+    transport.set_rts(on=False)
+    transport.set_dtr(on=False)
+    transport.set_dtr(on=True)
     received = b""
     for _ in range(HELLO_TRIES):
         transport.write(HELLO)
@@ -220,8 +198,7 @@ def _say_hello(transport: Transport) -> None:
 
 def _get_ready(transport: Transport) -> None:
     """Go to the speed of the upload."""
-    if transport.modem is not None:
-        transport.modem.set_dtr(on=False)
+    transport.set_dtr(on=False)
     transport.set_baud(BAUD_UPLOAD)
     transport.write(READY)
     # a late answer to an earlier call may stand before it, and has no such byte

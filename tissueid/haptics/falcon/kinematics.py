@@ -13,7 +13,7 @@ device's axis at its base; legs 1 (top), 2 (right) and 3 (left).  [SI: m, rad, N
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -33,7 +33,6 @@ COUNTS_PER_TURN = 320 * 4
 class Geometry:
     """Lengths and angles of the legs, in the letters of Stamper (1997)."""
 
-    name: str
     #: a, b, c, d + e, f, r and s [m].
     thigh_m: float
     shin_m: float
@@ -45,16 +44,11 @@ class Geometry:
     gear: float  # turns of the encoder wheel for one turn of the arm
     #: Leg angle at count zero.  35, 40 and 50 have been reported: calibrate.
     zero_angle_deg: float
-    source: str = field(repr=False)  # where the numbers are from
 
     @property
     def radians_per_count(self) -> float:
         """Leg angle of one encoder count [rad]."""
         return 2.0 * math.pi / (COUNTS_PER_TURN * self.gear)
-
-    def with_zero_angle(self, degrees: float) -> Geometry:
-        """The same legs with another angle at count zero [deg]."""
-        return replace(self, zero_angle_deg=degrees)
 
     def block(self) -> NDArray[np.float64]:
         """The numbers for the kernels, shape (GEOMETRY_SIZE,), read-only."""
@@ -71,17 +65,12 @@ class Geometry:
 
 
 GEOMETRIES = {
-    "stamper": Geometry(
-        "stamper", 0.060, 0.1025, 0.01443, 0.0225, -0.025, 0.040, -0.02309, 110.0 / 14.25, 35.0,
-        "widely used with open drivers, in the notation of Stamper (1997)",
-    ),
-    "martin-hillier": Geometry(
-        "martin-hillier", 0.060, 0.1025, 0.0157, 0.023, -0.0262, 0.0366, -0.0272, 7.62, 35.0,
-        "Martin and Hillier (2009), as quoted by users; signs of f and s set to those of the first",
-    ),
-}  # fmt: skip
+    # widely used with open drivers, in the notation of Stamper (1997)
+    "stamper": Geometry(0.060, 0.1025, 0.01443, 0.0225, -0.025, 0.040, -0.02309, 110.0 / 14.25, 35.0),
+    # Martin and Hillier (2009), as quoted by users; signs of f and s set to those of the first
+    "martin-hillier": Geometry(0.060, 0.1025, 0.0157, 0.023, -0.0262, 0.0366, -0.0272, 7.62, 35.0),
+}
 DEFAULT_GEOMETRY = GEOMETRIES["stamper"]
-
 
 #: Three numbers, and three rows of them.
 Vector = tuple[float, float, float]
@@ -309,22 +298,11 @@ def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vecto
 
 
 @tick_kernel
-def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
-    """Write ``D = dp/dtheta`` (row: coordinate; column: leg) [m/rad]; False where there is none."""
-    regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
-    if regular:
-        for k in range(3):
-            out[k, 0], out[k, 1], out[k, 2] = first[k], second[k], third[k]
-    return regular
-
-
-@tick_kernel
-def torque_kernel(position: FloatArray, force: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
+def _torques(position: FloatArray, force: FloatArray, geometry: FloatArray) -> tuple[bool, Vector]:
     """Arm torques ``D^T F`` [N m] that push the hand with a force [N]; False where there is no Jacobian."""
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
     push = (force[0], force[1], force[2])
-    out[0], out[1], out[2] = _dot(first, push), _dot(second, push), _dot(third, push)
-    return regular
+    return regular, (_dot(first, push), _dot(second, push), _dot(third, push))
 
 
 @tick_kernel
@@ -345,9 +323,7 @@ def motor_units(
     force, no Jacobian or no finite number.  Returns whether the command is not what was asked for.
     """
     out[0] = out[1] = out[2] = 0
-    regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
-    push = (force[0], force[1], force[2])
-    torque = (_dot(first, push), _dot(second, push), _dot(third, push))
+    regular, torque = _torques(position, force, geometry)
     finite = math.isfinite(torque[0]) and math.isfinite(torque[1]) and math.isfinite(torque[2])
     # a torque that may be squared
     largest = units_per_Nm * _largest(torque)
@@ -420,22 +396,11 @@ def forward(
     return position
 
 
-def jacobian(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
-    """``dp/dtheta`` (3, 3) at a grip position, row: coordinate; column: leg [m/rad]; else WorkspaceError."""
-    position = _vector(position_m, "a position")
-    out = np.empty((3, 3))
-    if not jacobian_kernel(position, _block(geometry), out):
-        msg = f"there is no Jacobian at {position.tolist()} m: outside the workspace, or a leg is stretched"
-        raise WorkspaceError(msg)
-    return out
-
-
 def torque(position_m: ArrayLike, force_N: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
     """Torques (3,) [N m] that push the hand with a force (3,) [N], ``(dp/dtheta)^T F``; or WorkspaceError."""
     position = _vector(position_m, "a position")
-    force = _vector(force_N, "a force")
-    out = np.empty(3)
-    if not torque_kernel(position, force, _block(geometry), out):
+    regular, torques = _torques(position, _vector(force_N, "a force"), _block(geometry))
+    if not regular:
         msg = f"there is no Jacobian at {position.tolist()} m: outside the workspace, or a leg is stretched"
         raise WorkspaceError(msg)
-    return out
+    return np.array(torques)

@@ -30,6 +30,7 @@ MOTOR_LIMIT = 4095
 
 #: LED bits of the wire.  Which colour is which has been read, not seen: no unit confirmed it here.
 LED_GREEN, LED_BLUE, LED_RED = 0x02, 0x04, 0x08
+ALL_LEDS = LED_GREEN | LED_BLUE | LED_RED
 
 START = 0x3C  # '<'
 END = 0x3E  # '>'
@@ -49,8 +50,6 @@ _ARMED, _ENGAGED = int(State.ARMED), int(State.ENGAGED)
 FILLED, ENCODERS, HOMED, BUTTONS = 0, 16, 19, 20
 #: Whole replies, candidates that broke, bytes that belong to no reply.
 PACKETS, INVALID, DROPPED, PARSER_SIZE = 21, 22, 23, 24
-#: Fields of a reply in a row: three encoders, homed flags, buttons.
-REPLY_FIELDS = 5
 
 
 @tick_kernel
@@ -77,7 +76,7 @@ def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> Non
         value = motor[i] % RANGE if inside else 0
         for nibble in range(4):
             out[1 + 4 * i + nibble] = OFFSET + ((value >> (4 * nibble)) & 0xF)
-    out[STATUS_AT] = OFFSET + (leds & (LED_GREEN | LED_BLUE | LED_RED)) + (HOMING_BIT if homing else 0)
+    out[STATUS_AT] = OFFSET + (leds & ALL_LEDS) + (HOMING_BIT if homing else 0)
     out[UNKNOWN_AT] = OFFSET
     out[END_AT] = END
 
@@ -135,20 +134,6 @@ def parse_byte(memory: IntArray, byte: int) -> int:
     return 1
 
 
-@tick_kernel
-def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
-    """Take many bytes; how many replies they completed, each a row of ``replies`` (n // 16 + 1, 5)."""
-    count = 0
-    for byte in data:
-        if parse_byte(memory, int(byte)) == 1:
-            for k in range(REPLY_FIELDS):
-                replies[count, k] = memory[ENCODERS + k]
-            count += 1
-    return count
-
-
-ALL_LEDS = LED_GREEN | LED_BLUE | LED_RED
-
 #: ``Reply.homed`` with all three legs homed.
 ALL_HOMED = 0b111
 
@@ -198,12 +183,12 @@ class PacketParser:
 
     def feed(self, data: bytes) -> list[Reply]:
         """Take the next bytes, in pieces of any length; the replies that they completed, in order."""
-        fields = np.empty((len(data) // PACKET_BYTES + 1, REPLY_FIELDS), dtype=np.int64)
-        count = parse_bytes(self._memory, np.frombuffer(data, dtype=np.uint8), fields)
-        return [
-            Reply((first, second, third), homed, buttons)
-            for first, second, third, homed, buttons in fields[:count].tolist()
-        ]
+        replies = []
+        for byte in data:
+            if parse_byte(self._memory, byte) == 1:
+                first, second, third, homed, buttons = self._memory[ENCODERS:PACKETS].tolist()
+                replies.append(Reply((first, second, third), homed, buttons))
+        return replies
 
     @property
     def packets(self) -> int:

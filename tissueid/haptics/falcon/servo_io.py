@@ -12,7 +12,7 @@ from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import HOMED as IS_HOMED
 from tissueid.haptics.device import PRESSED, REPLY, Access, CompiledIO, register
 from tissueid.haptics.device import UNANSWERED as WITHOUT_ANSWER
-from tissueid.haptics.falcon.kinematics import angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.packets import (
     ALL_HOMED,
     BUTTONS,
@@ -58,8 +58,6 @@ NEVER = 1 << 40
 ALONE_COUNTS, STILL_COUNTS = 160, 4
 #: Counts before the first reply: from there every place is a jump.
 NOWHERE = 1 << 20
-#: Middle of the workspace [m]: where the first Newton iteration starts.
-GUESS_M = (0.0, 0.0, 0.12)
 
 _poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
 _read = libc_function("read", types.int64, types.int32, types.int64, types.int64)
@@ -122,12 +120,6 @@ def _parts(given: CompiledIO) -> FalconParts:
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
-
-
-def _usb_io(given: CompiledIO) -> UsbIO:
-    """The tuple of a USB device."""
-    address, handle, bulk_out, bulk_in, timeout_ms = (int(value) for value in given.handles[:5])
-    return UsbIO(address, handle, bulk_out, bulk_in, timeout_ms, _parts(given))
 
 
 @tick_kernel
@@ -280,4 +272,11 @@ DESCRIPTOR = register(
         _command_descriptor,
     )
 )
-USB = register(Access(UsbIO, _usb_io, _sense_usb, _command_usb))
+USB = register(
+    Access(
+        UsbIO,
+        lambda given: UsbIO._make((*given.handles[:5].tolist(), _parts(given))),
+        _sense_usb,
+        _command_usb,
+    )
+)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import contextlib
 import ctypes
 import ctypes.util
@@ -15,7 +14,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from ctypes import POINTER, byref, c_char_p, c_int, c_ssize_t, c_ubyte, c_uint, c_uint16, c_void_p
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,18 +87,6 @@ class FileTransport:
         """The file descriptor, for the compiled loop; -1 when closed."""
         return self._descriptor
 
-    @property
-    def modem(self) -> FileTransport | None:
-        """Itself where a serial port has modem lines; None for a pseudo-terminal or a socket."""
-        if not self._is_terminal:
-            return None
-        lines = array.array("i", [0])
-        try:
-            fcntl.ioctl(self._descriptor, termios.TIOCMGET, lines)
-        except OSError:
-            return None
-        return self
-
     def write(self, data: bytes) -> None:
         """Send all bytes, waiting up to a second for room."""
         deadline = time.monotonic() + WRITE_TIMEOUT_S
@@ -159,7 +145,7 @@ class FileTransport:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
 
-    # --- modem lines of a serial port, by its driver
+    # --- modem lines of a serial port, by its driver; a pseudo-terminal and a socket have none
 
     def set_dtr(self, on: bool) -> None:
         """Data terminal ready."""
@@ -174,14 +160,15 @@ class FileTransport:
 
     def set_latency(self, milliseconds: int) -> None:
         """By the driver's file in sysfs, which only root may write; without it the link is just slow."""
-        name = Path(os.ttyname(self._descriptor)).name
-        timer = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
         with contextlib.suppress(OSError):
+            name = Path(os.ttyname(self._descriptor)).name
+            timer = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
             timer.write_text(str(milliseconds), encoding="ascii")
 
     def _set_line(self, line: int, on: bool) -> None:
-        request = termios.TIOCMBIS if on else termios.TIOCMBIC
-        fcntl.ioctl(self._descriptor, request, struct.pack("I", line))
+        with contextlib.suppress(OSError):
+            request = termios.TIOCMBIS if on else termios.TIOCMBIC
+            fcntl.ioctl(self._descriptor, request, struct.pack("I", line))
 
     def _make_raw(self) -> None:
         """Every byte passes as it is: no echo, no line editing, no flow control by bytes."""
@@ -263,19 +250,6 @@ NOT_FOUND = (
 )
 
 
-@dataclass(frozen=True)
-class UsbNode:
-    """Place of a Falcon on the bus."""
-
-    bus: int
-    address: int
-
-    @property
-    def path(self) -> str:
-        """The node that needs the permission."""
-        return f"/dev/bus/usb/{self.bus:03d}/{self.address:03d}"
-
-
 class LibUsb:
     """The loaded library with one context; DeviceError where it is not installed, or is not libusb."""
 
@@ -287,13 +261,13 @@ class LibUsb:
             msg = f"libusb can't be started ({self.error_name(code)}); is /dev/bus/usb there?"
             raise DeviceError(msg)
 
-    def falcons(self) -> list[UsbNode]:
-        """Every Falcon that is plugged in, whether or not it may be opened."""
+    def falcons(self) -> list[str]:
+        """Node of every Falcon that is plugged in, whether or not it may be opened."""
         with self._devices() as found:
             return [node for node, _ in found]
 
-    def open(self, node: UsbNode | None = None) -> UsbTransport:
-        """Open a Falcon, claim its interface, and set it to the speed of running firmware.
+    def open(self, node: str | None = None) -> UsbTransport:
+        """Open the first Falcon or the one at a node, claim its interface, set the speed of running firmware.
 
         Raises DeviceError: not found, no permission (with the node and the udev line), or in use.
         """
@@ -331,8 +305,8 @@ class LibUsb:
         return (self.library.libusb_error_name(code) or b"unknown error").decode("ascii", "replace")
 
     @contextmanager
-    def _devices(self) -> Iterator[list[tuple[UsbNode, c_void_p]]]:
-        """Falcons and libusb's pointers to them, which hold inside the block."""
+    def _devices(self) -> Iterator[list[tuple[str, c_void_p]]]:
+        """Nodes of Falcons, which need the permission, and libusb's pointers, which hold inside the block."""
         devices = POINTER(c_void_p)()
         count = self.library.libusb_get_device_list(self._context, byref(devices))
         if count < 0:
@@ -353,29 +327,29 @@ class LibUsb:
             return False
         return struct.unpack_from("HH", descriptor, VENDOR_AT) == (VENDOR, PRODUCT)
 
-    def _node(self, device: c_void_p) -> UsbNode:
-        return UsbNode(
-            self.library.libusb_get_bus_number(device), self.library.libusb_get_device_address(device)
-        )
+    def _node(self, device: c_void_p) -> str:
+        bus = self.library.libusb_get_bus_number(device)
+        address = self.library.libusb_get_device_address(device)
+        return f"/dev/bus/usb/{bus:03d}/{address:03d}"
 
-    def _refusal(self, code: int, node: UsbNode) -> str:
+    def _refusal(self, code: int, node: str) -> str:
         if code == ERROR_ACCESS:
             return (
-                f"no permission for {node.path}, which is the Falcon. As root write this line into "
+                f"no permission for {node}, which is the Falcon. As root write this line into "
                 f"{UDEV_FILE}: {UDEV_RULE} , then run 'udevadm control --reload' and plug it in again"
             )
         if code == ERROR_BUSY:
-            return f"the Falcon at {node.path} is in use by another program; end that one first"
+            return f"the Falcon at {node} is in use by another program; end that one first"
         if code == ERROR_NO_DEVICE:
-            return f"the Falcon at {node.path} went away while it was opened; plug it in again"
-        return f"the Falcon at {node.path} can't be opened: {self.error_name(code)}"
+            return f"the Falcon at {node} went away while it was opened; plug it in again"
+        return f"the Falcon at {node} can't be opened: {self.error_name(code)}"
 
 
 class UsbTransport:
     """A claimed Falcon. Made by :meth:`LibUsb.open`."""
 
-    def __init__(self, usb: LibUsb, handle: c_void_p, node: UsbNode) -> None:
-        self.where = node.path
+    def __init__(self, usb: LibUsb, handle: c_void_p, node: str) -> None:
+        self.where = node
         self._usb = usb
         self._handle = handle
 
@@ -389,11 +363,6 @@ class UsbTransport:
         """Address of ``libusb_bulk_transfer``."""
         function = self._usb.library.libusb_bulk_transfer
         return ctypes.cast(function, c_void_p).value or 0
-
-    @property
-    def modem(self) -> UsbTransport:
-        """Itself: the chip has modem lines."""
-        return self
 
     def prepare(self) -> None:
         """The order in which a Falcon is opened: purge, latency 1 ms, 1.5 Mbaud, purge."""

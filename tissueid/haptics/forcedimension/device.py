@@ -11,14 +11,14 @@ import ctypes
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from ctypes import POINTER, byref, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint, c_void_p
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
@@ -30,10 +30,10 @@ from tissueid.haptics.device import (
     DetectedDevice,
     DeviceSample,
     HapticDevice,
-    await_homed,
     declared,
 )
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.states import State
 
 LIBRARY_VARIABLE = "TISSUEID_FORCEDIM"
 SDK_VARIABLES = ("FDSDK", "FORCEDIM_SDK")
@@ -71,19 +71,16 @@ class Sdk:
     def __init__(self) -> None:
         self.path, library = _load()
         self.library = declared(library, _PROTOTYPES, f"{self.path} is no Force Dimension SDK of use")
-        if self.version()[:2] < OLDEST:
+        numbers = [c_int() for _ in range(4)]
+        self.library.dhdGetSDKVersion(*map(byref, numbers))
+        version = tuple(number.value for number in numbers)
+        if version[:2] < OLDEST:
             msg = (
-                f"the Force Dimension SDK at {self.path} is {'.'.join(map(str, self.version()))}; "
+                f"the Force Dimension SDK at {self.path} is {'.'.join(map(str, version))}; "
                 f"{'.'.join(map(str, OLDEST))} or newer is needed"
             )
             raise DeviceError(msg)
         self.identity = -1
-
-    def version(self) -> tuple[int, ...]:
-        """Major, minor, release, revision."""
-        numbers = [c_int() for _ in range(4)]
-        self.library.dhdGetSDKVersion(*map(byref, numbers))
-        return tuple(number.value for number in numbers)
 
     def open_falcon(self) -> None:
         """Open the first Falcon; DeviceError with what the SDK says."""
@@ -100,32 +97,23 @@ class Sdk:
             self.library.dhdStop(identity)
             self.library.dhdClose(identity)
 
+    def call(self, function: str, *arguments: Any) -> None:
+        """Ask something of the open device; DeviceError with what the SDK says."""
+        if getattr(self.library, function)(*arguments, self.identity) not in {DONE, TIME_GUARD, SATURATED}:
+            msg = f"{function} failed: {self.last_error()}"
+            raise DeviceError(msg)
+
     def is_homed(self) -> bool:
         """True where the device's position is known."""
         status = (c_int * STATUS_ENTRIES)()
-        self._done("dhdGetStatus", self.library.dhdGetStatus(status, self.identity))
+        self.call("dhdGetStatus", status)
         return bool(status[STATUS_RESET])
 
-    def position(self) -> tuple[float, float, float]:
-        """Position in the SDK's frame [m]."""
-        x, y, z = c_double(), c_double(), c_double()
-        code = self.library.dhdGetPosition(byref(x), byref(y), byref(z), self.identity)
-        self._done("dhdGetPosition", code)
-        return x.value, y.value, z.value
-
-    def buttons(self) -> int:
-        """Bits of the buttons held, in the SDK's numbering."""
-        return int(self.library.dhdGetButtonMask(self.identity))
-
-    def set_force(self, x: float, y: float, z: float) -> None:
-        """Force on the hand in the SDK's frame [N]."""
-        self._done("dhdSetForce", self.library.dhdSetForce(x, y, z, self.identity))
-
-    def prepare(self, largest_N: float) -> None:
-        """No gravity compensation, no more than this force [N], and motors on."""
-        self._done("dhdSetGravityCompensation", self.library.dhdSetGravityCompensation(0, self.identity))
-        self._done("dhdSetMaxForce", self.library.dhdSetMaxForce(largest_N, self.identity))
-        self._done("dhdEnableForce", self.library.dhdEnableForce(1, self.identity))
+    def position(self) -> FloatArray:
+        """Position in the SDK's frame [m], shape (3,)."""
+        place = [c_double() for _ in range(3)]
+        self.call("dhdGetPosition", *map(byref, place))
+        return np.array([coordinate.value for coordinate in place])
 
     def address(self, function: str) -> int:
         """Address of a function, for the compiled loop."""
@@ -134,11 +122,6 @@ class Sdk:
     def last_error(self) -> str:
         """Words of the SDK on its last error."""
         return (self.library.dhdErrorGetLastStr() or b"unknown error").decode("utf-8", "replace")
-
-    def _done(self, function: str, code: int) -> None:
-        if code not in {DONE, TIME_GUARD, SATURATED}:
-            msg = f"{function} failed: {self.last_error()}"
-            raise DeviceError(msg)
 
 
 def candidates() -> Iterator[str]:
@@ -204,12 +187,9 @@ class ForceDimensionDevice(HapticDevice):
         self,
         limits: GuardLimits | None = None,
         *,
-        tell: Callable[[str], None] | None = None,
         homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         super().__init__(GuardLimits() if limits is None else limits)
-        if tell is not None:
-            self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._sdk: Sdk | None = None
 
@@ -223,9 +203,6 @@ class ForceDimensionDevice(HapticDevice):
         """A Falcon that the SDK can open; without the SDK there is nothing to say."""
         try:
             sdk = Sdk()
-        except DeviceError:
-            return []
-        try:
             sdk.open_falcon()
         except DeviceError:
             return []
@@ -248,19 +225,17 @@ class ForceDimensionDevice(HapticDevice):
     def home(self) -> None:
         """Wait, with zero force, until the SDK knows the position; DeviceError after the time-out."""
         self.tell("Homing: pull the grip all the way out, then push it all the way in.")
-        await_homed(self, self._homing_timeout_s)
+        self._wait_until(
+            lambda: self.state is State.ARMED, self._homing_timeout_s, lambda: "homing never completed"
+        )
 
     def compiled(self) -> CompiledIO | None:
         """The addresses of three of the SDK's functions; None when closed."""
         if self._sdk is None:
             return None
         handles = np.zeros(HANDLES_SIZE, np.int64)
-        handles[:4] = (
-            self._sdk.address("dhdGetPosition"),
-            self._sdk.address("dhdSetForce"),
-            self._sdk.address("dhdGetButtonMask"),
-            self._sdk.identity,
-        )
+        asked = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
+        handles[:4] = (*map(self._sdk.address, asked), self._sdk.identity)
         constants = np.concatenate([ROTATION.ravel(), ORIGIN_M])
         return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 
@@ -269,7 +244,9 @@ class ForceDimensionDevice(HapticDevice):
         sdk.open_falcon()
         self._sdk = sdk
         try:
-            sdk.prepare(self.limits.clamp_N)
+            sdk.call("dhdSetGravityCompensation", 0)
+            sdk.call("dhdSetMaxForce", self.limits.clamp_N)
+            sdk.call("dhdEnableForce", 1)
         except DeviceError:
             self._close()
             raise
@@ -283,16 +260,15 @@ class ForceDimensionDevice(HapticDevice):
         sdk = self._opened()
         return DeviceSample(
             time_s=time.monotonic(),
-            position_m=ROTATION @ np.array(sdk.position()) + ORIGIN_M,
+            position_m=ROTATION @ sdk.position() + ORIGIN_M,
             counts=np.zeros(3, np.int64),
-            buttons=wire_buttons(sdk.buttons()),
+            buttons=wire_buttons(int(sdk.library.dhdGetButtonMask(sdk.identity))),
             homed=sdk.is_homed(),
             valid=True,
         )
 
-    def _write(self, force_N: NDArray[np.float64]) -> None:
-        x, y, z = (ROTATION.T @ force_N).tolist()
-        self._opened().set_force(x, y, z)
+    def _write(self, force_N: FloatArray) -> None:
+        self._opened().call("dhdSetForce", *(ROTATION.T @ force_N).tolist())
 
     def _opened(self) -> Sdk:
         if self._sdk is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,11 @@ class EmulatorDevice(FalconDevice):
         port: str | None = None,
         firmware: str | os.PathLike[str] | None = None,
         calibration: Calibration | None = None,
-        tell: Callable[[str], None] | None = None,
     ) -> None:
         if port is not None:
             msg = f"--device emulator makes its own port; for one that runs at {port} say --device falcon"
             raise UsageError(msg)
-        super().__init__(
-            limits, port="", firmware=firmware, calibration=calibration or Calibration(), tell=tell
-        )
+        super().__init__(limits, port="", firmware=firmware, calibration=calibration or Calibration())
         self._arguments = tuple(arguments)
         self._process: EmulatorProcess | None = None
 

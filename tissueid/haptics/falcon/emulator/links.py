@@ -52,9 +52,7 @@ def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> Non
         if not virtual:
             falcon.advance(now - last)
         last = now
-        if not readable:
-            continue
-        if not serve_once(descriptor, falcon):
+        if readable and not serve_once(descriptor, falcon):
             return
 
 
@@ -66,9 +64,7 @@ def serve_once(descriptor: int, falcon: EmulatedFalcon) -> bool:
             # bytes that came with the rate of the running firmware belong to it
             falcon.set_baud(baud)
         answer = falcon.receive(data)
-        wait = falcon.settings.usb_latency_s + falcon.answer_delay_s
-        if wait > 0.0:
-            time.sleep(wait)
+        time.sleep(falcon.answer_delay_s)
         if answer:
             os.write(descriptor, answer)
     except OSError:
@@ -149,11 +145,6 @@ class EmulatorProcess:
         )
         self.path = self._wait_for_path()
 
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
     def _wait_for_path(self) -> str:
         out = self._process.stdout
         ready = out is not None and select.select([out], [], [], START_S)[0]
@@ -170,9 +161,3 @@ class EmulatorProcess:
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

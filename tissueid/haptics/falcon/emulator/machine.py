@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -164,34 +164,26 @@ PULLED_M, PUSHED_M = (0.0, 0.0, 0.178), (0.0, 0.0, 0.080)
 HOME_S = 2.4
 #: Longest stretch of time over which the motors' force is held while the arm moves [s].
 HELD_FORCE_S = 1e-3
-#: Control requests of the USB serial chip.
-RESET, MODEM, BAUD_DIVISOR = 0, 1, 3
-DTR_HIGH = 0x0101
-DIVISOR_BAUD = {0x4138: 9600, 0x0015: 142_857, 0x0002: 1_500_000}
+#: Motor units for one N m of arm torque, and time from a command's arrival to its torque [s].
+UNITS_PER_NM = 6600.0
+MOTOR_DELAY_S = 5e-4
+#: Button that the emulated user holds: the dead man's.
+HELD_BUTTON = 0x04
 
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSettings:
     """Settings of an emulated Falcon."""
 
-    arm: Arm = field(default_factory=Arm)
     hand: Hand | None = None  # what holds the grip after homing; None rests it at the pulled-out end
     firmware_loaded: bool = True  # switched on with its firmware running
-    firmware_bytes: int | None = None  # as :class:`~tissueid.haptics.falcon.emulator.wire.BootLoader`
-    failing_tries: int = 0
-    silent_hellos: int = 0
-    long_greeting: bool = False
+    failing_tries: int = 0  # uploads that fail before one succeeds
     homes: bool = True  # false: the user never homes the device
     #: After homing the user waits for the blue lamp, which a driver shows with force; time stands still until
     #: then.
     waits_for_blue: bool = False
-    units_per_Nm: float = 6600.0  # motor units for one N m of arm torque
-    motor_delay_s: float = 5e-4  # time from a command's arrival to its torque [s]
-    #: Time after which an answer reaches the host [s]; used by links that have a clock.
-    usb_latency_s: float = 0.0
     #: Time that goes by at each command (virtual time); None: only by ``advance``.
     period_s: float | None = None
-    buttons: tuple[tuple[float, int], ...] = ((0.0, 0x04),)  # times [s] and the button bits from each on
     faults: tuple[ScriptedFault, ...] = ()
 
 
@@ -224,14 +216,9 @@ class EmulatedFalcon:
         self.commands = 0
         self.last_motors = (0, 0, 0)
         self.gone = False
-        self._boot = BootLoader(
-            firmware_bytes=settings.firmware_bytes,
-            failing_tries=settings.failing_tries,
-            silent_hellos=settings.silent_hellos,
-            long_greeting=settings.long_greeting,
-        )
+        self._boot = BootLoader(settings.failing_tries)
         self._reader = CommandReader()
-        self.parameters = with_homing(settings.hand, homes=settings.homes).write(settings.arm.block())
+        self.parameters = with_homing(settings.hand, homes=settings.homes).write(Arm().block())
         self.memory = new_arm(np.array(START_M))
         self._angles = np.zeros(3)
         leg_angles(np.array(START_M), LENGTHS, AZIMUTHS, self._angles)
@@ -273,30 +260,16 @@ class EmulatedFalcon:
         """Bit 0 for leg 1 and so on."""
         return int(sum(1 << leg for leg in range(3) if self._homed[leg]))
 
-    # --- lines of the serial chip
-    def control(self, request: int, value: int) -> None:
-        """A control request of the USB serial chip, as a libusb transport sends them."""
-        if request == MODEM and value == DTR_HIGH and not self.running:
-            self._boot.restart()
-        elif request == BAUD_DIVISOR and value in DIVISOR_BAUD:
-            self.set_baud(DIVISOR_BAUD[value])
-
+    # --- the wire
     def set_baud(self, baud: int) -> None:
         """The host chose a baud rate; that of the running firmware ends an upload."""
-        if self._boot.set_baud(baud) and not self.running:
-            self.running = True
+        self.running = self._boot.set_baud(baud) or self.running
 
-    # --- the wire
     def receive(self, data: bytes) -> bytes:
         """Take bytes of the host; the answer, ``gone`` if unplugged, ``answer_delay_s`` if stalled."""
-        answer = b""
         if not self.running:
-            answer, complete = self._boot.feed(data)
-            self.running = complete
-            return answer
-        for command in self._reader.feed(data):
-            answer += self._obey(command)
-        return answer
+            return self._boot.feed(data)
+        return b"".join(self._obey(command) for command in self._reader.feed(data))
 
     def _obey(self, command: Command) -> bytes:
         self.commands += 1
@@ -310,38 +283,30 @@ class EmulatedFalcon:
             self._homed[:] = False
         self.lamps = command.lamps
         self.last_motors = command.motors
-        self._under_way.append((self.time_s + self.settings.motor_delay_s, command.motors))
+        self._under_way.append((self.time_s + MOTOR_DELAY_S, command.motors))
         return self._answer()
 
     def _answer(self) -> bytes:
         counts = self.counts()
         homed = self.homed_bits if self._homing_mode else 0
         fault = self._fault()
-        self.answer_delay_s = 0.0
-        kind = None if fault is None else fault.kind
-        if kind != "frozen":
-            self._stuck = None
-        elif self._stuck is None:
-            self._stuck = counts
-        if self._stuck is not None:
-            counts = self._stuck
-        if fault is not None and kind == "jump":
-            counts = (counts[0] + int(fault.size), counts[1], counts[2])
-        if fault is not None and kind == "creep":
-            run_away = int(fault.size * (self.time_s - fault.at_s))
-            counts = (counts[0] + run_away, counts[1], counts[2])
-        if kind == "unhomed":
+        kind, size, at_s = ("", 0.0, 0.0) if fault is None else (fault.kind, fault.size, fault.at_s)
+        self._stuck = (self._stuck or counts) if kind == "frozen" else None
+        first, second, third = self._stuck or counts
+        if kind == "jump":
+            first += int(size)
+        elif kind == "creep":
+            first += int(size * (self.time_s - at_s))
+        elif kind == "unhomed":
             homed &= 0b101
-        packet = reply_bytes(counts, buttons=self._buttons(), homed=homed)
-        return self._spoilt(packet, fault)
+        self.gone = self.gone or kind == "unplug"
+        self.answer_delay_s = size * 1e-3 if kind == "stall" else 0.0
+        return self._spoilt(reply_bytes((first, second, third), buttons=HELD_BUTTON, homed=homed), kind)
 
-    def _spoilt(self, packet: bytes, fault: ScriptedFault | None) -> bytes:
+    @staticmethod
+    def _spoilt(packet: bytes, kind: str) -> bytes:
         """The packet as a fault of the wire leaves it."""
-        kind = None if fault is None else fault.kind
-        if kind == "unplug":
-            self.gone = True
-            return b""
-        if kind == "silence":
+        if kind in {"unplug", "silence"}:
             return b""
         if kind == "bad packets":
             return packet[:1] + bytes(letter | 0x80 for letter in packet[1:15]) + packet[15:]
@@ -351,8 +316,6 @@ class EmulatedFalcon:
             return packet[:6] + bytes([packet[6] ^ 0x20]) + packet[7:]
         if kind == "doubled":
             return packet + packet
-        if fault is not None and kind == "stall":
-            self.answer_delay_s = fault.size * 1e-3
         return packet
 
     def _fault(self) -> ScriptedFault | None:
@@ -363,13 +326,6 @@ class EmulatedFalcon:
                     self._spent.add(index)
                 return fault
         return None
-
-    def _buttons(self) -> int:
-        pressed = 0
-        for begin, bits in self.settings.buttons:
-            if self.time_s >= begin:
-                pressed = bits
-        return pressed
 
     def counts(self) -> tuple[int, int, int]:
         """Encoder counts as the device knows them: from an unknown zero on a leg that is not homed."""
@@ -396,7 +352,7 @@ class EmulatedFalcon:
 
     def _move(self, until: float) -> None:
         """Move the arm under the present torques, which push differently as the grip moves."""
-        torque = np.array(self._motors, dtype=np.float64) / -self.settings.units_per_Nm
+        torque = np.array(self._motors, dtype=np.float64) / -UNITS_PER_NM
         pushed = any(self._motors)
         place = self.memory[POSITION : POSITION + 3]
         while (left := until - self.time_s) > 1e-12:

@@ -102,40 +102,24 @@ class _Stage(Enum):
 class BootLoader:
     """The upload protocol, without a clock: it greets, then echoes every byte it is given.
 
-    ``firmware_bytes``: length after which the upload is complete; None leaves that to the change of baud
-    rate; ``failing_tries``: uploads whose echo is spoilt; ``long_greeting``: put a zero byte first, as some
-    stacks do.
+    The change of the baud rate completes the upload; ``failing_tries``: uploads whose echo is spoilt.
     """
 
-    firmware_bytes: int | None
     failing_tries: int = 0
-    silent_hellos: int = 0
-    long_greeting: bool = False
     baud: int | None = None
     taken: int = 0
     tries: int = 0
     _stage: _Stage = _Stage.GREETING
     _tail: bytes = b""
 
-    def restart(self) -> None:
-        """Begin anew, as when the DTR line rises or the device is switched on."""
-        self._stage = _Stage.GREETING
-        self._tail = b""
-        self.taken = 0
-
     def set_baud(self, baud: int) -> bool:
         """Take a new rate; True where that starts the firmware."""
         self.baud = baud
         return self._speaks(RUN_BAUD) and self._stage is _Stage.UPLOAD and self.taken > 0
 
-    def feed(self, data: bytes) -> tuple[bytes, bool]:
-        """Answer bytes of the host; True with the last byte of the firmware."""
-        answer = b""
-        for byte in data:
-            answer += self._take(bytes([byte]))
-            if self._stage is _Stage.UPLOAD and self.taken == self.firmware_bytes:
-                return answer, True
-        return answer, False
+    def feed(self, data: bytes) -> bytes:
+        """Answer bytes of the host."""
+        return b"".join(self._take(bytes([byte])) for byte in data)
 
     def _speaks(self, baud: int) -> bool:
         """The rate is the one this stage needs, or the transport has none."""
@@ -160,9 +144,6 @@ class BootLoader:
         self._tail = (self._tail + byte)[-len(HELLO) :]
         if self._tail == HELLO and self._speaks(HELLO_BAUD):
             self._tail = b""
-            if self.silent_hellos > 0:
-                self.silent_hellos -= 1
-                return b""
             self._stage = _Stage.READY
-            return (b"\x00" if self.long_greeting else b"") + GREETING
+            return GREETING
         return b""
