@@ -98,11 +98,6 @@ def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path):
     assert "Nothing could be read" in page.read_text(encoding="utf-8")
 
 
-def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path):
-    log = write_log(tmp_path / "good.csv")
-    run("inspect", log, "--html", tmp_path / "no" / "such" / "page.html", code=2, said="can't be written")
-
-
 def test_loops_are_measured(shared_data):
     text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0", "-v").stdout
     assert len(re.findall(r"^  loop \d", text, flags=re.MULTILINE)) == 3
