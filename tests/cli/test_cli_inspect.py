@@ -206,16 +206,6 @@ def test_a_served_page_takes_no_other_output(tmp_path, other):
     run("inspect", str(tmp_path), "--serve", *other, code=2, said=other[0])
 
 
-def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path):
-    (tmp_path / "one.csv").write_text("x", encoding="ascii")
-    write_study(
-        tmp_path,
-        '[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"',
-        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"',
-    )
-    run("inspect", str(tmp_path), code=3, said="line 2: one.csv: hold_from_s = 5 is not before end_s = 4")
-
-
 def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):
     shutil.copy(LOG, tmp_path / "one.csv")
     serving = subprocess.Popen(

@@ -114,15 +114,6 @@ def test_too_few_samples_after_contact_are_refused_by_that_name(holds: list[Tria
     assert [one.code for one in found.refused] == ["too_few_samples"]
 
 
-def test_a_stated_contact_that_is_never_reached_is_refused_with_the_range_of_the_record(
-    holds: list[Trial],
-) -> None:
-    options = replace(QUICK, segment=SegmentOptions(contact_displacement_mm=500.0))
-    (refused,) = identify(holds[:1], options=options).refused
-    assert refused.code == "no_contact"
-    assert "500 mm, is never reached: the record runs from 0 to" in refused.message
-
-
 def test_more_parameters_than_residuals_are_no_bug() -> None:
     """Fifteen rows, and fits of up to three branches with K of degree 2."""
     time = np.arange(15) * 0.1
