@@ -289,11 +289,8 @@ def _loader(
     return load
 
 
-@dataclass(frozen=True, slots=True)
-class Refit:
-    """Fits a specimen again: name, logs, options, and why, for the progress line."""
-
-    fit: Callable[[str, Sequence[LogHandle], FitOptions, str], SpecimenFit]
+#: Fits a specimen again: name, logs, options, and why, for the progress line.
+Refit = Callable[[str, Sequence[LogHandle], FitOptions, str], SpecimenFit]
 
 
 def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> SpecimenFit:
@@ -402,7 +399,7 @@ def _with_it(
         options = replace(options, branches=model.branches, stiffness_degree=model.stiffness_degree)
     handles = [*collected.groups.get(one.specimen, ()), one.handle]
     try:
-        fit = again.fit(name, handles, options, f"again, with {one.path}")
+        fit = again(name, handles, options, f"again, with {one.path}")
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(one.path, one.sheet, "fitted", error).message, []
     note = None if without is not None else "the specimen has no other trial"

@@ -18,7 +18,6 @@ import numpy as np
 from tissueid import __version__
 from tissueid.collection import (
     Collected,
-    Refit,
     TrialCache,
     collect,
     display_names,
@@ -365,7 +364,7 @@ def identify(
         return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit
 
     kept = without_excluded(refused, collected, study)
-    exclusions = exclusion_rows(collected, names, fits, options.fit, Refit(fit_again))
+    exclusions = exclusion_rows(collected, names, fits, options.fit, fit_again)
     inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
     missing = unmatched_sheets(study, collected, refused)
     everything = [*kept, *collected.left_out, *missing]

@@ -122,15 +122,6 @@ def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path, instant):
     assert SpreadPrior(1.5, 0.2).median == 1.5
 
 
-def test_several_specimens_are_named(tmp_path, instant):
-    write_log(tmp_path / "lab" / "a.csv", label="liver")
-    write_log(tmp_path / "lab" / "b.csv", label="heart")
-    ended = run("calibrate", tmp_path / "lab", "-o", tmp_path / "out", code=2)
-    assert "holds 2 specimens: choose one with --specimen: liver, heart" in ended.stderr
-    ended = run("calibrate", tmp_path / "lab", "-o", tmp_path / "out", "--specimen", "lung", code=2)
-    assert "holds no specimen 'lung'; there are liver, heart" in ended.stderr
-
-
 def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(tmp_path, instant, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "lab" / "a.csv", label="liver")

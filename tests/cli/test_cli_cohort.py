@@ -1,4 +1,4 @@
-"""From a study to its population on the command line."""
+"""``tissueid cohort``: from a study to its population, one set with the fit; specimens to feel."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cohort_outputs import cohort_folder
 from command_line import read_json, run, write_log, write_study
 
 from tissueid.population.members import thawed_among_fresh
 from tissueid.store.bundle import load_bundle
+from tissueid.store.results import validate_outputs
+from tissueid.store.schema import check
 
 #: One branch, constant K, few draws: what is tested is the way from a study to its population.
 SMALL = ("--branches", "1", "--stiffness-degree", "0", "--draws", "400")
@@ -50,7 +53,55 @@ def test_a_study_of_five_gets_its_population(cohort):
     assert "population of 5 specimens" in ended.stdout
     assert sorted(document["specimens_used"]) == [f"head {number}" for number in range(1, 6)]
     assert (out / "cohort.html").is_file()
-    assert run("validate", out).code == 0
+    run("validate", out, code=0)
+    run("cohort", out, "--covariate", "weight", code=2, said="stated are age_years")
+
+
+DRAWN = ("--device", "sim", "--virtual", "--draw-specimen")
+
+
+@pytest.mark.needs_jit
+def test_a_specimen_of_the_population_is_rendered(cohort):
+    script = ("--script", "indent 1 mm at 500 mm/min; retract at 500 mm/min", "--json")
+    felt = run("render", cohort[0] / "population.h5", *DRAWN, "7", *script, code=0)
+    draws = load_bundle(cohort[0] / "population.h5").draws
+    assert draws is not None
+    assert f"of {len(draws)} drawn from the population of 5 specimens" in felt.stderr + felt.stdout
+
+
+@pytest.mark.parametrize(
+    ("bundle", "seed", "said"),
+    [
+        ("bundle-head_1.h5", (), "tissueid cohort OUT"),
+        ("population.h5", ("seven",), "the seed is a whole number"),
+    ],
+)
+def test_a_specimen_that_can_not_be_drawn_is_refused(cohort, bundle, seed, said):
+    run("render", cohort[0] / bundle, *DRAWN, *seed, code=2, said=said)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.slow
+def test_the_numbers_are_those_of_the_specimens_each_time(tmp_path):
+    out = cohort_folder(tmp_path / "out", 6)
+    found = [run("cohort", out, "--group-by", "sex", "--no-held-out", "--json", code=0) for _ in range(2)]
+    document = found[0].json()
+    assert found[1].json() == document == read_json(out / "population.json")
+    check(document, "population", where="stdout")
+    validate_outputs(out)
+    rows = {row["name"]: row for row in document["population"]["quantities"]}
+    # F_s(6) = 4*6 + 0.8*36 + 0.05*216 = 63.6 N, specimens differ by 12 %: three errors of 4.9 %
+    assert rows["static_force_3_N"]["median"] == pytest.approx(63.6, rel=0.15)
+    assert rows["relaxation_time_s"]["median"] == pytest.approx(1.5, rel=0.08)
+    assert 0.04 < rows["static_force_3_N"]["cv"] < 0.35
+    assert "donor" in rows["static_force_3_N"]["levels"]
+
+
+def test_two_specimens_are_refused_and_the_set_stays(tmp_path):
+    folder = cohort_folder(tmp_path / "two", 2, study=False)
+    run("cohort", folder, "-q", code=4, said="a population takes 3 at least")
+    assert not (folder / "population.json").exists()
+    validate_outputs(folder)
 
 
 def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort):

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from command_line import LOG, QUICK, Ended, run, write_log
 
+from tissueid.ingest import RECIPES
+
 
 @pytest.fixture(scope="module")
 def two_outs(fitted_once, tmp_path_factory):
@@ -87,7 +89,7 @@ def test_wrong_usage_is_2(args, said, tmp_path, monkeypatch):
         (["--columns", "time"], "--columns"),
         (["--units", "force=blorb"], "blorb"),
         (["--specimen-by", "("], "not a regular expression"),
-        (["--recipe", "nope"], "nope"),
+        (["--recipe", "nope"], tuple(RECIPES)),
         (["--contact", "nan"], "--contact"),
         (["--contact", "deep"], "--contact"),
         (["--compression", "up"], "--compression"),
@@ -124,23 +126,18 @@ def test_a_required_parameter_that_is_not_identified_is_4(logs_10Hz, tmp_path):
     assert run("fit", *logs_10Hz, "-o", tmp_path, "-q", *QUICK, "--require", "none").code == 0
 
 
-def damaged(out: Path, to: Path) -> Path:
-    shutil.copytree(out, to)
-    return to
-
-
 def test_a_damaged_bundle_is_6(two_outs, tmp_path):
     whole = (two_outs[0] / "bundle.h5").read_bytes()
     broken = tmp_path / "broken.h5"
     broken.write_bytes(whole[: len(whole) // 2])
     run("validate", broken, code=6, said="broken.h5")
-    out = damaged(two_outs[0], tmp_path / "out")
+    out = shutil.copytree(two_outs[0], tmp_path / "out")
     (out / "bundle.h5").write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert run("validate", out).code == 6
 
 
 def test_a_mixed_set_is_6(two_outs, tmp_path):
-    out = damaged(two_outs[0], tmp_path / "out")
+    out = shutil.copytree(two_outs[0], tmp_path / "out")
     (out / "report.html").write_bytes((two_outs[1] / "report.html").read_bytes())
     run("validate", two_outs[1], out, code=6, said="report.html", shown=f"{two_outs[1]}: valid")
 

@@ -168,13 +168,12 @@ def test_a_posterior_fills_mean_sd_and_the_ends_of_both_intervals():
     assert known is not None
     assert known.ci95_total is not None
     name = "viscosity_N_s_per_mm"
-    parts = ("mean", "sd", "ci95_low", "ci95_high", "ci95_total_low", "ci95_total_high")
     expected = [known.mean, known.sd, *known.ci95, *known.ci95_total]
-    assert [float(first[f"{name}_{part}"]) for part in parts] == expected
+    assert [float(first[f"{name}{end}"]) for end in POSTERIOR_ENDS] == expected
     assert (first["sampler"], first["converged"], first["draws"]) == ("emcee", "TRUE", "4000")
     assert (first["noise"], float(first["phi"]), first["misfit"]) == ("ar1", 0.6, "FALSE")
     # of what is not identified no interval stands in a column
-    assert [second[f"relaxation_time_s_{part}"] for part in parts] == [""] * 6
+    assert [second[f"relaxation_time_s{end}"] for end in POSTERIOR_ENDS] == [""] * 6
     assert second["relaxation_time_s_identified"] == "FALSE"
 
 

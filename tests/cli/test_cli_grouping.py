@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import QUICK, read_json, run, write_log
 
-from tissueid.ingest import RECIPES, forget_readers
+from tissueid.ingest import forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, simulate
 from tissueid.synth.machines import mach1_text, shimadzu_text, zwick_workbook
 
@@ -46,24 +46,6 @@ def test_files_without_label_are_their_own_even_under_one_name(tmp_path):
     assert len(list((tmp_path / "out").glob("bundle-*.h5"))) == 3
     for one in document["specimens"]:
         assert one["model"]["static_pooling"] == "shared"
-
-
-def test_files_that_differ_in_their_suffix_alone_have_two_names(tmp_path):
-    write_log(tmp_path / "log.csv", label=None)
-    write_log(tmp_path / "log.txt", label=None)
-    document = fit(tmp_path / "out", tmp_path / "log.csv", tmp_path / "log.txt", *QUICK)
-    assert len(logs_of(document)) == 2
-    assert run("validate", tmp_path / "out").code == 0
-
-
-def test_a_label_and_a_file_of_that_name_stay_apart(tmp_path):
-    write_log(tmp_path / "a.csv", label="log")
-    write_log(tmp_path / "log.csv", label=None)
-    document = fit(tmp_path / "out", tmp_path / "a.csv", tmp_path / "log.csv", *QUICK)
-    names = logs_of(document)
-    assert len(names) == 2
-    assert "log" in names
-    assert run("validate", tmp_path / "out").code == 0
 
 
 def test_specimen_by_groups_by_its_first_group_and_wins_over_the_header(tmp_path):
@@ -220,18 +202,6 @@ def test_a_pattern_that_fits_nothing_is_a_wrong_option(files, tmp_path):
 def test_a_pattern_that_fits_some_names_the_others(files):
     ended = run("inspect", files["xlsx"], "--specimen-by", "hold-[12]", code=0, said="synthetic hold-3")
     assert "synthetic hold-1" not in ended.stderr
-
-
-def test_a_reader_that_is_none_names_every_one(files):
-    ended = run("inspect", files["txt"], "--recipe", "nope", code=2)
-    for name in RECIPES:
-        assert name in ended.stderr
-
-
-def test_inspect_says_why_a_reader_matched(files):
-    ended = run("inspect", files["txt"], "-v")
-    assert "Read as mach-1 (sure to 100%)".lower() in ended.stdout.lower()
-    assert "because the first line is <Mach-1 File>" in ended.stdout
 
 
 def test_marks_that_the_text_leaves_open_can_be_stated(tmp_path):

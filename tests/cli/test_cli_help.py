@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import subprocess
 import sys
 
 import pytest
 from command_line import REPOSITORY, run
+from test_cli_documentation import commands_of
 
 from tissueid import __version__
 from tissueid.cli.main import COMMANDS, GROUPS
@@ -71,17 +71,6 @@ def test_every_command_is_named_in_the_documentation(name):
     assert any(f"tissueid {name}" in page for page in pages)
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
-
-
-def readme_commands() -> list[list[str]]:
-    """The command lines of README that start with tissueid, comments removed."""
-    lines = [line for block in blocks("") for line in block.splitlines()]
-    split = [shlex.split(line, comments=True) for line in lines]
-    return [words[1:] for words in split if words and words[0] == "tissueid"]
-
-
 @pytest.fixture
 def reader_folder(tmp_path, datasets, monkeypatch):
     """An empty folder with a few recordings where README says they are."""
@@ -94,7 +83,7 @@ def reader_folder(tmp_path, datasets, monkeypatch):
 
 
 def test_readme_runs_as_printed(reader_folder):
-    commands = readme_commands()
+    commands = [one.words[1:] for one in commands_of(REPOSITORY / "README.md") if one.words[0] == "tissueid"]
     named = "lab_data/ inspect inspect study fit models validate report export watch synth render"
     assert [words[0] for words in commands] == named.split()
     for words in commands:
@@ -103,7 +92,7 @@ def test_readme_runs_as_printed(reader_folder):
     for name in table:
         assert list((reader_folder / "out").glob(name.replace("<specimen>", "*"))), name
     found: dict[str, object] = {}
-    for block in blocks("python"):
+    for block in re.findall(r"^```python\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL):
         exec(compile(block, "README.md", "exec"), found)
     viscosity = found["sampled"]["eta"]  # type: ignore[index]
     # truth: 63.62 N/mm times 0.021 s

@@ -37,16 +37,23 @@ def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
     return folder
 
 
-def test_the_simulated_device_gives_the_force_of_the_law(tmp_path):
-    quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
-    assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory):
+    """Output folder of a fit of one recording."""
+    folder = tmp_path_factory.mktemp("wall")
+    quick = ("--sampler", "none", "--no-study", "-q", "-o", folder / "out")
+    run("fit", recordings(folder, WHOLE) / "a-1.csv", *IMPACT, *quick, code=0)
+    return folder / "out"
+
+
+def test_the_simulated_device_gives_the_force_of_the_law(wall, tmp_path):
     ended = run(
-        "render", tmp_path / "out/bundle.h5", "--device", "sim", "--virtual", "--log", tmp_path / "felt.h5",
+        "render", wall / "bundle.h5", "--device", "sim", "--virtual", "--log", tmp_path / "felt.h5",
         "--script", "indent 3 mm at 12000 mm/min; hold 0.3 s; retract at 12000 mm/min; hold 0.2 s",
     )  # fmt: skip
     assert ended.code == 0, ended.stderr
     assert "below 50 mm/s is damped as one that began at it" in ended.stdout + ended.stderr
-    felt, bundle = read_session_log(tmp_path / "felt.h5").records, load_bundle(tmp_path / "out" / "bundle.h5")
+    felt, bundle = read_session_log(tmp_path / "felt.h5").records, load_bundle(wall / "bundle.h5")
     model, depth = bundle.contact_model(), felt["depth_mm"]
     static = model.static_force(bundle.theta, np.maximum(depth, 0.0))
     ratio = np.divide(felt["tissue_force_N"], static, out=np.zeros(depth.size), where=depth > 1.0)
@@ -111,13 +118,12 @@ def test_a_law_that_is_none_is_refused_with_its_file(tmp_path):
         load_scene(str(tmp_path / "scene.toml"))
 
 
-def test_formats_of_exponentials_refuse_a_speed_ratio(tmp_path):
-    quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
-    assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
+def test_formats_of_exponentials_refuse_a_speed_ratio(wall, tmp_path):
     for form in ("c-header", "abaqus", "febio"):
-        ended = run("export", tmp_path / "out", "--format", form, "-o", tmp_path / form, code=2)
-        assert "speed over that at contact" in ended.stderr
-    assert run("export", tmp_path / "out", "--format", "mat", "-o", tmp_path / "mat").code == 0
+        run(
+            "export", wall, "--format", form, "-o", tmp_path / form, code=2, said="speed over that at contact"
+        )
+    run("export", wall, "--format", "mat", "-o", tmp_path / "mat", code=0)
 
 
 def test_the_option_that_it_was_names_the_model(tmp_path):

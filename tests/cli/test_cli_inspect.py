@@ -98,11 +98,6 @@ def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path):
     assert "Nothing could be read" in page.read_text(encoding="utf-8")
 
 
-def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path):
-    log = write_log(tmp_path / "good.csv")
-    run("inspect", log, "--html", tmp_path / "no" / "such" / "page.html", code=2, said="can't be written")
-
-
 def test_loops_are_measured(shared_data):
     text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0", "-v").stdout
     assert len(re.findall(r"^  loop \d", text, flags=re.MULTILINE)) == 3
@@ -209,16 +204,6 @@ def test_the_command_line_takes_them_and_says_so(tmp_path):
 def test_a_served_page_takes_no_other_output(tmp_path, other):
     (tmp_path / "one.csv").write_text("x", encoding="ascii")
     run("inspect", str(tmp_path), "--serve", *other, code=2, said=other[0])
-
-
-def test_a_hold_that_begins_after_the_end_is_an_error_with_its_line(tmp_path):
-    (tmp_path / "one.csv").write_text("x", encoding="ascii")
-    write_study(
-        tmp_path,
-        '[[override]]\nfile = "one.csv"\nend_s = 4.0\nbecause = "x"',
-        '[[override]]\nfile = "one.csv"\nhold_from_s = 5.0\nbecause = "y"',
-    )
-    run("inspect", str(tmp_path), code=3, said="line 2: one.csv: hold_from_s = 5 is not before end_s = 4")
 
 
 def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):

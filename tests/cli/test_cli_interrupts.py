@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import LOG, QUICK, read_json, run, start, until, write_log
-
-from tissueid.store.files import IDENTIFICATION, POSTERIORS
-from tissueid.store.posteriors import load_posteriors
+from command_line import QUICK, run, start, until, write_log
 
 #: Options of two runs over the same logs, which give different numbers.
 RUNS = (QUICK, ("--branches", "2", "--stiffness-degree", "0", "--sampler", "none"))
@@ -43,11 +38,12 @@ def prepared(tmp_path_factory):
     return Prepared(log, (numbers[0], numbers[1]), seconds)
 
 
-def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> int:
-    """Kill fits at random moments; how many left one whole run, the old or the new."""
+@pytest.mark.parametrize(("kills", "seed"), [(3, 20), pytest.param(20, 21, marks=pytest.mark.slow)])
+def test_fits_killed_at_random_moments_leave_the_old_run_or_the_new(prepared, tmp_path, kills, seed):
+    out = tmp_path
     rng = np.random.default_rng(seed)
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
-    shown, whole = 0, 0
+    shown = 0
     for kill in range(kills):
         # half of the kills anywhere, half in the last third, where the files are written
         begin = 0.0 if kill % 2 else 0.67
@@ -61,42 +57,11 @@ def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> i
         shown = prepared.numbers.index(numbers)
         bundle = run("export", out).json()["specimens"][0]["model"]["branches"]
         assert bundle == shown + 1
-        whole += 1
     # the folder is of use afterwards
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
     assert (out / "identification.json").read_bytes() == prepared.numbers[0]
     assert len(list((out / ".runs").iterdir())) == 1
     assert not list(out.glob(".tmp-*"))
-    return whole
-
-
-def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared, tmp_path):
-    assert survived_kills(prepared, tmp_path, kills=3, seed=20) == 3
-
-
-@pytest.mark.slow
-def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared, tmp_path):
-    assert survived_kills(prepared, tmp_path, kills=20, seed=21) == 20
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
-def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets, tmp_path):
-    out = tmp_path / "out"
-    run("fit", write_log(tmp_path / "log.csv"), "-o", out, "-q", *QUICK)
-    before = (out / "identification.json").read_bytes()
-    runs = set((out / ".runs").iterdir())
-    with start("fit", datasets / "paper-a-30-10Hz", "-o", out) as process:
-        # the new run's folder appears when the work begins, and fitting 30 logs takes seconds from there
-        until(lambda: set((out / ".runs").iterdir()) != runs)
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "interrupted" in stderr
-    assert "Traceback" not in stderr
-    assert run("validate", out).code == 0
-    assert (out / "identification.json").read_bytes() == before
-    assert set((out / ".runs").iterdir()) == runs
 
 
 def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared, tmp_path):
@@ -108,38 +73,3 @@ def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared, tmp_path
     assert not (out / "identification.json").exists()
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[1]).code in (0, 4)
     assert (out / "identification.json").read_bytes() == prepared.numbers[1]
-
-
-#: Enough for some seconds of sampling, so that a chain is on the disk before it ends.
-DRAWS = "60000"
-#: A first run compiles its kernels.
-PATIENCE_S = 600.0
-
-
-@pytest.mark.slow
-def test_the_same_command_after_a_kill_gives_the_posterior_of_an_uninterrupted_run(tmp_path):
-    killed, whole = tmp_path / "killed", tmp_path / "whole"
-    command = ("fit", LOG, *QUICK, "--sampler", "emcee", "--draws", DRAWS, "--seed", "7", "-o")
-    process = start(*command, killed)
-    until(lambda: process.poll() is not None or any(killed.glob(".sampling/*.npz")), PATIENCE_S)
-    assert process.poll() is None, "sampled to its end before it could be killed"
-    process.kill()
-    process.communicate()
-    (saved,) = killed.glob(".sampling/*.npz")
-    with np.load(saved) as file:
-        steps = len(file["points"])
-    assert steps > 0
-    assert not (killed / IDENTIFICATION).exists()
-
-    for out in (killed, whole):
-        again = start(*command, out)
-        _, errors = again.communicate(timeout=PATIENCE_S)
-        assert again.returncode == 0, errors
-        assert not (out / ".sampling").exists()
-    (resumed,), (expected,) = (load_posteriors(out / POSTERIORS) for out in (killed, whole))
-    assert np.array_equal(resumed.chain, expected.chain)
-    assert np.array_equal(resumed.draws, expected.draws)
-    told = [read_json(out / IDENTIFICATION)["specimens"] for out in (killed, whole)]
-    assert told[0] == told[1]
-    # the kill came before the end: kept chains are thinned, their report counts every step
-    assert told[0][0]["sampler"]["detail"]["steps"] > steps

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run, write_study
+from command_line import run, write_csv, write_study
 
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -55,8 +55,7 @@ def recording(path: Path, branches: int, seed: int) -> None:
     depth = np.interp(time, [1.0, 2.0], [0.0, 5.0])
     force = model.force(theta, ContactPath(time, depth)) + rng.normal(0.0, 0.02, time.size)
     travel = np.interp(time, [0.0, 1.0, 2.0], [-5.0, 0.0, 5.0])
-    rows = [f"{t:.3f},{x:.4f},{f:.4f}" for t, x, f in zip(time, travel, force, strict=True)]
-    path.write_text("\n".join(["Time (s),Extension (mm),Load (N)", *rows, ""]), encoding="utf-8")
+    write_csv(path, time, travel, force)
 
 
 @pytest.fixture(scope="module")

@@ -36,9 +36,9 @@ def felt_by_a_real_machine(document: dict[str, Any], bundle: Path, out: Path, lo
     # another zero of travel, and a delay that was not undone
     depth = 3.0 + depth * document["motion_scale"]
     force = np.interp(time - 2e-3, time, force * document["force_scale"])
-    rows = [f"{t:.4f},{x:.5f},{f:.6f}" for t, x, f in zip(time, depth, force, strict=True)]
     machine = log.with_name("machine.csv")
-    machine.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows, ""]), encoding="ascii")
+    table = np.column_stack([time, depth, force])
+    np.savetxt(machine, table, "%.6f", ",", header="time (s),displacement (mm),force (N)", comments="")
     scales = ("--motion-scale", document["motion_scale"], "--force-scale", document["force_scale"])
     asked = ("--twin", "--against", log, "--felt", machine, *scales, "--out", out.with_name("real"))
     ended = run("render", bundle, *asked, "--json", code=0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterable
@@ -14,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_forms import ramp_hold_state
 from command_line import log_text, run, start, until, write_log, write_study
 from msgspec import structs
 
 from tissueid.documents import plain
 from tissueid.documents.inspect import Fit, Watch
-from tissueid.errors import InputError
 from tissueid.ingest import find_inputs, read_each
 from tissueid.inspection import describe_trial
 from tissueid.store.schema import first_problem
@@ -37,12 +36,10 @@ def ramp_hold(
     """1 mm of air, 4 mm of ramp, a hold; force 10 x plus a branch of 20 N/mm that relaxes in tau."""
     time_s = np.arange(0.0, 5.0 / speed + hold_s, 1.0 / rate_Hz)
     x = np.minimum(speed * time_s, 5.0)
-    depth = np.maximum(x - 1.0, 0.0)
-    into = np.clip(time_s - 1.0 / speed, 0.0, 4.0 / speed)
-    held = np.maximum(time_s - 5.0 / speed, 0.0)
-    branch = -20.0 * speed * tau_s * np.expm1(-into / tau_s) * np.exp(-held / tau_s)
+    in_contact = np.maximum(time_s - 1.0 / speed, 0.0)
+    state = ramp_hold_state(in_contact, speed_mm_s=speed, depth_mm=4.0, tau_s=tau_s)
     noise = np.random.default_rng(17).normal(0.0, 0.05, time_s.size)
-    force = gain * (10.0 * depth + branch) + noise
+    force = gain * (10.0 * np.maximum(x - 1.0, 0.0) + 20.0 * state) + noise
     return Trial(specimen, time_s, x, force, source=Source(path=name))
 
 
@@ -220,9 +217,7 @@ def test_a_session_goes_on_from_its_log(tmp_path):
     assert second.happenings() == []
     write_log(data / "two.csv", force_times=0.8)
     assert second.happenings() == ["verdict"]
-    assert second.judged == [("two.csv", ["one.csv", "bad.csv"])] or second.judged == [
-        ("two.csv", ["bad.csv", "one.csv"])
-    ]
+    assert [(name, set(earlier)) for name, earlier in second.judged] == [("two.csv", {"one.csv", "bad.csv"})]
     assert second.session.verdicts[-1].verdict.reason.startswith("20 % softer than the last push")
     assert all(valid(one) for one in load_log(log))
 
@@ -263,9 +258,8 @@ def test_a_verdict_is_what_inspect_says():
     found = plain(judge(trial))
     said = describe_trial(trial)
     assert isinstance(said, dict)
-    assert {name: found[name] for name in ("measured", "verdict", "flags")} == {
-        name: said[name] for name in ("measured", "verdict", "flags")
-    }
+    for name in ("measured", "verdict", "flags"):
+        assert found[name] == said[name]
     assert found["verdict"] == {"level": "good", "reason": None}
     (hold,) = found["measured"]["holds"]
     assert hold["tau"]["single_s"] == pytest.approx(0.5, rel=0.02)
@@ -331,6 +325,11 @@ def test_text_is_the_line_of_inspect(tmp_path):
     assert "refused: " in ended.stderr
 
 
+def test_a_folder_of_refusals_alone_is_3(tmp_path):
+    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
+    run("watch", tmp_path, *ONCE, code=3, shown="refused (")
+
+
 def test_recordings_of_a_session_before_may_be_passed_over(tmp_path):
     write_log(tmp_path / "old.csv")
     assert run("watch", tmp_path, *ONCE, "--json", "--new-only").stdout == ""
@@ -369,9 +368,8 @@ def test_the_study_of_the_folder_is_followed(tmp_path):
 
 
 def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path):
-    ended = run("watch", tmp_path / "nowhere", *ONCE)
+    ended = run("watch", tmp_path / "nowhere", *ONCE, said="there is no such folder")
     assert (ended.code, ended.stdout) == (2, "")
-    assert "there is no such folder" in ended.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
@@ -396,12 +394,3 @@ def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path):
     assert "Traceback" not in err
     # the log is written before the screen: the interrupt may come between the two
     assert out.count("F(1 s)") in (1, 2)
-
-
-def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path):
-    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
-    (item,) = read_each(tmp_path / "bad.csv")
-    assert isinstance(item, InputError)
-    assert subprocess.run(
-        [sys.executable, "-m", "tissueid", "watch", str(tmp_path), *ONCE], capture_output=True, check=False
-    ).returncode == 3  # fmt: skip

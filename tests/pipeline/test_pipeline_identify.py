@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tissueid
 from tissueid import collection, read_trials
-from tissueid.errors import InputError
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_trial
 from tissueid.measured.geometry import stated_geometry
@@ -80,18 +78,6 @@ def test_without_reload_nothing_is_thrown_away(holds: list[Trial], monkeypatch: 
     assert identify(holds, options=QUICK).exit.code == 0
 
 
-def test_a_reloaded_file_must_be_the_one_that_was_read(
-    holds: list[Trial], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(collection, "CACHE_BYTES", 0)
-
-    def other(source: Source) -> Trial:
-        return replace(holds[0], source=replace(source, sha256="0" * 64))
-
-    with pytest.raises(InputError, match="changed while it was being fitted"):
-        identify(holds, options=QUICK, reload=other)
-
-
 def test_a_generator_is_consumed_once_and_refusals_are_read_after_it(holds: list[Trial]) -> None:
     refused: list[Refusal] = []
     passes = []
@@ -128,15 +114,6 @@ def test_too_few_samples_after_contact_are_refused_by_that_name(holds: list[Tria
     assert [one.code for one in found.refused] == ["too_few_samples"]
 
 
-def test_a_stated_contact_that_is_never_reached_is_refused_with_the_range_of_the_record(
-    holds: list[Trial],
-) -> None:
-    options = replace(QUICK, segment=SegmentOptions(contact_displacement_mm=500.0))
-    (refused,) = identify(holds[:1], options=options).refused
-    assert refused.code == "no_contact"
-    assert "500 mm, is never reached: the record runs from 0 to" in refused.message
-
-
 def test_more_parameters_than_residuals_are_no_bug() -> None:
     """Fifteen rows, and fits of up to three branches with K of degree 2."""
     time = np.arange(15) * 0.1
@@ -157,13 +134,6 @@ def test_a_force_that_rises_at_the_very_end_is_no_bug() -> None:
     # the tool travels 19.7 mm in air: contact is found there, within its last samples, or not at all
     contact = describe_trial(Trial("late", time, time, force))["contact"]
     assert contact is None or contact["displacement_mm"] == pytest.approx(19.7, abs=0.5)
-
-
-def test_arrays_of_ones_own_are_fitted(holds: list[Trial]) -> None:
-    one = holds[-1]
-    own = Trial("mine", one.time_s, one.displacement_mm, one.force_N)
-    (fit,) = tissueid.identify([own], options=QUICK).specimens
-    assert fit.specimen == "mine"
 
 
 def test_specimens_keep_the_order_of_their_first_trial(holds: list[Trial]) -> None:
@@ -217,15 +187,6 @@ def test_progress_counts_up_to_its_total(holds: list[Trial]) -> None:
     assert told[-1][1:] == (1, 1)
 
 
-def test_a_description_is_that_of_the_schema_and_leaves_the_trial_alone(holds: list[Trial]) -> None:
-    one = holds[-1]
-    flipped = replace(one, displacement_mm=-one.displacement_mm, force_N=-one.force_N)
-    described = describe_trial(flipped)
-    assert first_problem([described], "inspect") is None
-    assert described["compression_sign"] == -1
-    assert described["peak_force"]["force_N"] == flipped.force_N[np.argmax(np.abs(flipped.force_N))]
-
-
 def names(*entries: tuple[str, str | None, str | None]) -> list[str]:
     """Display names of specimens, each given as (path, sheet, label or None)."""
     sources = [
@@ -265,16 +226,6 @@ def test_ten_thousand_names_are_found_at_once() -> None:
     # comparing each with each would take minutes
     assert time.process_time() - begin < 2.0
     assert len(set(shown)) == 10_000
-
-
-def test_the_readme_interface_reads_and_fits(datasets: Path) -> None:
-    trials = tissueid.read_trials(datasets / "paper-a-hold-100Hz")
-    found = tissueid.identify(trials)
-    estimate = found.specimens[0].parameter("viscosity_N_s_per_mm")
-    assert estimate.value is not None
-    assert estimate.stderr is not None
-    # truth: 63.62 N/mm times 0.021 s
-    assert abs(estimate.value - 63.62 * 0.021) <= 3.0 * estimate.stderr
 
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reports" / "paper-a" / "identification.json"

@@ -20,9 +20,9 @@ from tissueid.cli.output import (
     refuse_foreign,
     tell,
 )
-from tissueid.cli.reading import read_all, read_in_order, recorded_options
+from tissueid.cli.reading import read_all, recorded_options
 from tissueid.documents.selfcheck import SelfCheck
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, NotIdentifiedError, UsageError
 
 if TYPE_CHECKING:
     from tissueid.priors import Priors
@@ -40,8 +40,6 @@ tissueid calibrate lab_data/ --model "power * fung"
 tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
 """
 
-#: Exit code where the intervals do not hold what they claim.
-EXIT_NOT_CALIBRATED = 4
 #: Below so many simulations even gross errors stay within the bands.
 FEWEST = 20
 _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
@@ -123,7 +121,7 @@ def command(flags: _CalibrateFlags) -> int:
     tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=flags.quiet)
-    return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
+    return 0 if verdict.calibrated else NotIdentifiedError.exit_status
 
 
 def _with_noise(centre: Centre, flags: _CalibrateFlags) -> Centre:
@@ -269,9 +267,8 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
     try:
         study = locate_study((), named=manifest)[0] if manifest else None
         refused: list[Refusal] = []
-        return of_bundle_inputs(
-            read_all(read_in_order(paths, reading, study), refused), bundle, study=study, progress=progress
-        )
+        trials = read_all(paths, reading, study, refused)
+        return of_bundle_inputs(trials, bundle, study=study, progress=progress)
     except (InputError, UsageError):
         # the study or a file has changed since: a program stands in, and that is said
         return None
@@ -285,7 +282,7 @@ def _recordings(named: str, flags: _CalibrateFlags, progress: _Progress) -> Foun
     study, paths = locate_study((named,))
     refused: list[Refusal] = []
     given = Recordings(
-        read_all(read_in_order(paths, reading, study), refused),
+        read_all(paths, reading, study, refused),
         lambda source: read_decided_one(source.path, source.sheet, reading, study),
         named,
         study,

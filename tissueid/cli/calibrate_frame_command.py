@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from tissueid.cli.flags import FILE, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import checked, note, tell, write_output
-from tissueid.cli.reading import ReadingFlags, read_in_order, read_options
+from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.documents.folder import Frame
 
 EXAMPLES = """
@@ -28,17 +28,10 @@ def command(flags: _CalibrateFrameFlags) -> int:
     show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
     the file, under [calibration]: frame = "frame.json".
     """
-    from tissueid.result import Refusal
     from tissueid.store.files import json_bytes
     from tissueid.study.calibrate_frame import calibrate_frame
-    from tissueid.trial import Trial
 
-    reading = read_options(flags)
-    trials: list[Trial] = []
-    for item in read_in_order(flags.paths, reading):
-        if isinstance(item, Refusal):
-            raise item.as_error()
-        trials.append(item)
+    trials = list(read_all(flags.paths, read_options(flags)))
     written, document = checked(calibrate_frame(trials), "frame", Frame, where=flags.output)
     write_output(flags.output, json_bytes(written))
     tell(flags, written, _lines(document))

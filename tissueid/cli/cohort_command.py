@@ -10,6 +10,7 @@ from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.digits import together
 from tissueid.documents import typed
 from tissueid.documents.population import Population
+from tissueid.errors import NotIdentifiedError
 from tissueid.flags import warning_line
 
 if TYPE_CHECKING:
@@ -19,8 +20,6 @@ EXAMPLES = """
 tissueid cohort out
 tissueid cohort out --group-by sex --covariate age_years
 """
-
-NOT_CONVERGED = 4
 
 
 class _CohortFlags(OutputFlags):
@@ -59,18 +58,13 @@ def command(flags: _CohortFlags) -> int:
         echo_json(written.document)
     else:
         print_population(written, flags.out, quiet=flags.quiet)
-    return 0 if written.converged else NOT_CONVERGED
+    return 0 if written.converged else NotIdentifiedError.exit_status
 
 
 def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
     """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr."""
-    if not quiet:
-        _print_table(written, out)
-    for one in written.fit.left_out:
-        note(f"left out: {one.specimen}: {one.reason}", quiet=quiet)
-
-
-def _print_table(written: WrittenPopulation, out: str) -> None:
+    if quiet:
+        return
     document = typed(written.document, Population)
     found = document.population
     assert found is not None  # noqa: S101  (asked before)
@@ -100,3 +94,5 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
     if not written.felt:
         echo("No population.h5: specimens drawn from so open a population have no force that is a number")
     echo(f"Report: {out}/cohort.html")
+    for one in written.fit.left_out:
+        note(f"left out: {one.specimen}: {one.reason}")

@@ -21,7 +21,7 @@ from tissueid.cli.output import (
     tell,
     write_output,
 )
-from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
+from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
@@ -243,13 +243,11 @@ def _measured(path: str, flags: _CompareFlags) -> Sequence[Spread]:
 
     options = segment_options(flags)
     found = []
-    for item in read_in_order((path,), read_options(flags)):
-        if isinstance(item, Refusal):
-            raise item.as_error()
-        divided = segmented(item, options=options)
+    for trial in read_all((path,), read_options(flags)):
+        divided = segmented(trial, options=options)
         if isinstance(divided, Refusal):
             raise divided.as_error()
-        found.append(measured_of(item, divided))
+        found.append(measured_of(trial, divided))
     return spread(found)
 
 

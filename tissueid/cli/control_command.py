@@ -15,7 +15,6 @@ from tissueid.cli.flags import (
     FILE_THERE,
     FROM_0,
     REAL_FROM_0,
-    Flags,
     OutputFlags,
     argument,
     option,
@@ -24,6 +23,7 @@ from tissueid.cli.flags import (
 from tissueid.cli.output import refuse, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
+from tissueid.errors import NotIdentifiedError
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
@@ -36,14 +36,12 @@ tissueid control bundle.h5 --task impacts --no-projection
 tissueid control bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact
 tissueid control bundle.h5 --device sim
 """
-#: Exit code where the loop that was asked for did not stay bounded.
-DIVERGED = 4
 
 
-class _LoopFlags(Flags):
-    """Flags of the simulated loop."""
-
+class _ControlFlags(OutputFlags):
     # fmt: off
+    bundle: Path | None = argument(required=False, type=FILE_THERE)
+    # the simulated loop
     preset: str | None = option(
         "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
@@ -75,12 +73,7 @@ class _LoopFlags(Flags):
     )
     virtual_mass: float = option("Of the virtual tool.", type=ABOVE_0, default=2.0, metavar="KG")
     virtual_damping: float = option("N s/m.", type=REAL_FROM_0, default=0.0, metavar="B")
-    # fmt: on
-
-
-class _ControllerFlags(Flags):
-    """Flags of the controller."""
-
+    # the controller
     frozen: bool = option("Ask for the controller that does not adapt.")
     start: Literal["half", "zero", "true"] = option("First estimates, of what is true.", default="half")
     gamma: tuple[float, float, float] | None = option(
@@ -95,10 +88,7 @@ class _ControllerFlags(Flags):
     noise: float = option("Of the sensor.", type=REAL_FROM_0, default=0.0, metavar="N")
     seed: int = option("Of that noise.", type=FROM_0, default=0)
     device: str | None = option("Render on a device with a force sensor as well: sim.", metavar="NAME")
-
-
-class _ControlFlags(_LoopFlags, _ControllerFlags, OutputFlags):
-    bundle: Path | None = argument(required=False, type=FILE_THERE)
+    # fmt: on
 
 
 @subcommand("control", EXAMPLES)
@@ -124,7 +114,7 @@ def command(flags: _ControlFlags) -> int:
     written = as_document(runs, source=source, device=on_device)
     document = typed(written, Control)
     tell(flags, written, _lines(document))
-    return 0 if document.runs[0].measures.diverged_s is None else DIVERGED
+    return 0 if document.runs[0].measures.diverged_s is None else NotIdentifiedError.exit_status
 
 
 def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:

@@ -24,6 +24,7 @@ from tissueid.cli.output import (
     refuse_foreign,
 )
 from tissueid.documents.design import Design, Protocol
+from tissueid.errors import NotIdentifiedError
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine
@@ -40,8 +41,6 @@ tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_m
 tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
 """
 
-#: Exit code where no protocol on this machine reaches the wants.
-EXIT_NONE = 4
 _FILES = ("design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml")
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 #: Precision that is wanted where nothing is said.
@@ -133,7 +132,7 @@ def command(flags: _DesignFlags) -> int:
     if plan.best.reached:
         return 0
     note(f"no protocol on {machine.name!r} reaches what is wanted within the budget", quiet=flags.quiet)
-    return EXIT_NONE
+    return NotIdentifiedError.exit_status
 
 
 def _prepared(flags: _DesignFlags) -> tuple[Machine, Tissues, Asked, Against | None]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
+from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, part
 from tissueid.cli.output import note, refuse, tell
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -183,7 +183,7 @@ def command() -> None:
     """
 
 
-@subcommand("list", "tissueid devices list\ntissueid devices list --json", command)
+@part(command, "list", "", "--json")
 def list_devices(flags: OutputFlags) -> int:
     """List the devices of this machine, with what stands in the way of each."""
     from tissueid.haptics.registry import detect_all, device_names
@@ -198,7 +198,7 @@ def list_devices(flags: OutputFlags) -> int:
     return 0
 
 
-@subcommand("info", "tissueid devices info\ntissueid devices info falcon --json", command)
+@part(command, "info", "", "falcon --json")
 def info(flags: DeviceFlags) -> int:
     """Say what a device can do, and how much of it was measured."""
     device = made_device(flags, stand_in=True)
@@ -225,11 +225,7 @@ class _HomeFlags(DeviceFlags):
     )
 
 
-@subcommand(
-    "home",
-    "tissueid devices home\ntissueid devices home falcon --firmware firmware.bin --timeout 120",
-    command,
-)
+@part(command, "home", "", "falcon --firmware firmware.bin --timeout 120")
 def home(flags: _HomeFlags) -> int:
     """Load firmware if needed, and home the device with your hand; the motors stay without force."""
     with opened(made_device(flags)) as device:
@@ -248,13 +244,7 @@ class _TestFlags(DeviceFlags):
     save: bool = option("Keep the measured delay in the calibration.")
 
 
-@subcommand(
-    "test",
-    "tissueid devices test\n"
-    "tissueid devices test falcon --seconds 30 --save\n"
-    "tissueid devices test falcon --port /dev/ttyUSB0 --json",
-    command,
-)
+@part(command, "test", "", "falcon --seconds 30 --save", "falcon --port /dev/ttyUSB0 --json")
 def test(flags: _TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
     from tissueid.haptics.measure import measure_link
@@ -285,12 +275,7 @@ class _CalibrateForceFlags(MovedFlags):
     )
 
 
-@subcommand(
-    "calibrate-force",
-    "tissueid devices calibrate-force --mass 100\n"
-    "tissueid devices calibrate-force falcon --mass 100 --yes --json",
-    command,
-)
+@part(command, "calibrate-force", "--mass 100", "falcon --mass 100 --yes --json")
 def calibrate_force(flags: _CalibrateForceFlags) -> int:
     """Weigh a known mass with the device, and keep how many motor units make a newton.
 
@@ -315,11 +300,7 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     return 0
 
 
-@subcommand(
-    "calibrate-damping",
-    "tissueid devices calibrate-damping\ntissueid devices calibrate-damping falcon --yes --json",
-    command,
-)
+@part(command, "calibrate-damping", "", "falcon --yes --json")
 def calibrate_damping(flags: MovedFlags) -> int:
     """Let the free grip swing on a weak spring, and keep the damping of the arm.
 
@@ -339,11 +320,7 @@ def calibrate_damping(flags: MovedFlags) -> int:
     return 0
 
 
-@subcommand(
-    "calibrate-weight",
-    "tissueid devices calibrate-weight\ntissueid devices calibrate-weight falcon --yes --json",
-    command,
-)
+@part(command, "calibrate-weight", "", "falcon --yes --json")
 def calibrate_weight(flags: MovedFlags) -> int:
     """Hold the free grip at nine places, and keep the force that carries it there.
 
@@ -379,13 +356,7 @@ class _EmulateFlags(OutputFlags):
     fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 
-@subcommand(
-    "emulate",
-    "tissueid devices emulate\n"
-    "tissueid devices emulate --no-firmware --failing-tries 2\n"
-    'tissueid devices emulate --hand "slow press" --fault unplug@6',
-    command,
-)
+@part(command, "emulate", "", "--no-firmware --failing-tries 2", '--hand "slow press" --fault unplug@6')
 def emulate(flags: _EmulateFlags) -> int:
     """Emulate a Falcon on a pseudo-terminal, print its path, and serve it until Ctrl-C.
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from tissueid.cli.flags import OutputFlags, option, subcommand
-from tissueid.cli.output import echo, echo_json, note
+from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note
 
 EXAMPLES = """
 tissueid doctor --warm
 tissueid doctor --json
 """
-#: Exit code where a part of tissueid does not work.
-EXIT_MISSING = 7
 _MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
 
 
@@ -43,4 +41,4 @@ def command(flags: _DoctorFlags) -> int:
     missing = [check.name for check in checks if check.state == "missing"]
     if flags.as_json:
         echo_json({"checks": [asdict(check) for check in checks], "missing": missing})
-    return EXIT_MISSING if missing else 0
+    return EXIT_INCOMPLETE if missing else 0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, Flags, OutputFlags, argument, option, subcommand
+from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json_text, note, progress_bar, refuse
 from tissueid.cli.reading import (
     READING,
@@ -58,25 +58,7 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
         refuse(f'--contact-law {value}: name 1 model instead, as --model "power * impact"')
 
 
-class QuotingFlags(Flags):
-    """Flags that say which numbers are quoted beside those of the model."""
-
-    unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
-    frequencies: str | None = option(
-        "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
-        metavar="LIST",
-    )
-    depths: str | None = option("Depths [mm] at which each loop's stiffness is given.", metavar="LIST")
-    tip: str | None = option(
-        "Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].", metavar="SHAPE:SIZE"
-    )
-    thickness: float | None = option("Thickness of the layer under --tip.", metavar="MM")
-    poisson: float = option(
-        "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
-    )
-
-
-class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
+class _FitFlags(ReadingFlags, OutputFlags):
     # fmt: off
     contact_law: None = option("Moved to --model.", hidden=True, type=str, callback=_moved)
     paths: tuple[str, ...] = argument(required=True, type=PATH)
@@ -130,6 +112,20 @@ class _FitFlags(QuotingFlags, ReadingFlags, OutputFlags):
         "Study file. [default: study.toml of the folder that is fitted]", type=PATH, metavar="FILE"
     )
     no_study: bool = option("Fit without the folder's study.toml.")
+    # numbers that are quoted beside those of the model
+    unloading: bool = option("Fit retracts and cycles as well, with the law of contact loss.")
+    frequencies: str | None = option(
+        "Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+        metavar="LIST",
+    )
+    depths: str | None = option("Depths [mm] at which each loop's stiffness is given.", metavar="LIST")
+    tip: str | None = option(
+        "Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].", metavar="SHAPE:SIZE"
+    )
+    thickness: float | None = option("Thickness of the layer under --tip.", metavar="MM")
+    poisson: float = option(
+        "Poisson's ratio behind the moduli.", type=click.FloatRange(0.0, 0.5), default=0.5
+    )
     # fmt: on
 
 
@@ -264,7 +260,11 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
             stiffness_degree=None if flags.stiffness_degree == "auto" else int(flags.stiffness_degree),
             static=flags.static,
             noise=flags.noise,
-            **quoting_values(flags),
+            unloading=flags.unloading,
+            frequencies_Hz=_numbers(flags.frequencies, "--frequencies"),
+            depths_mm=_numbers(flags.depths, "--depths"),
+            geometry=_geometry(flags),
+            poisson=flags.poisson,
         ),
         segment=segment_options(flags),
         posterior=posterior,
@@ -286,7 +286,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
     return values
 
 
-def _geometry(flags: QuotingFlags) -> Geometry | None:
+def _geometry(flags: _FitFlags) -> Geometry | None:
     """Tip and thickness as typed."""
     from tissueid.measured.geometry import Geometry
     from tissueid.model.moduli import Indenter
@@ -303,17 +303,6 @@ def _geometry(flags: QuotingFlags) -> Geometry | None:
     except ValueError as error:
         msg = f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
         raise UsageError(msg) from error
-
-
-def quoting_values(flags: QuotingFlags) -> dict[str, Any]:
-    """The fields of ``FitOptions`` that these options fill."""
-    return {
-        "unloading": flags.unloading,
-        "frequencies_Hz": _numbers(flags.frequencies, "--frequencies"),
-        "depths_mm": _numbers(flags.depths, "--depths"),
-        "geometry": _geometry(flags),
-        "poisson": flags.poisson,
-    }
 
 
 #: Specimens from which on each gets one line of what was measured.

@@ -72,6 +72,12 @@ def subcommand(
     return decorate
 
 
+def part(group: click.Group, name: str, *examples: str) -> Callable[[Callable[[Any], int]], click.Command]:
+    """Make a command of a group, as :func:`subcommand` does; ``examples``: what follows its name in each."""
+    typed = (f"tissueid {group.name} {name} {example}".rstrip() for example in examples)
+    return subcommand(name, "\n".join(typed), group)
+
+
 def example_lines(examples: str) -> str:
     """The end of a command's help."""
     return "\b\nExamples:\n" + "".join(f"  {line}\n" for line in examples.strip().splitlines())

@@ -18,45 +18,48 @@ from tissueid.errors import EXIT_INTERRUPTED, TissueidError, was_interrupted
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-#: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
-COMMANDS = {
-    "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
-    "models": "List the laws that contact models are made of.",
-    "cohort": "Say what the specimens of a fit have in common: population, report.",
-    "rupture": "Study tests to rupture: force, work, speed, and what broke the tissue.",
-    "study": "Write, check, correct and publish the study file.",
-    "compare": "Say whether identified tissues differ, and whether a hand could feel it.",
-    "design": "Plan the protocol of least machine time for a wanted precision.",
-    "calibrate": "Check whether intervals hold what they claim, for your protocol.",
-    "calibrate-frame": "Measure how far machine and fixture give.",
-    "inspect": "Say what a recording holds and how it was read.",
-    "report": "Write the HTML report of a finished fit again.",
-    "export": "Write a finished fit in another format.",
-    "status": "Say how far a fit is, also while it goes on.",
-    "validate": "Check that an output folder is one whole run.",
-    "migrate": "Bring a folder or a bundle of an earlier version to this one.",
-    "watch": "Give a verdict after each test, beside the machine.",
-    "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
-    "synth": "Write synthetic recordings with a known truth.",
-    "render": "Feel an identified tissue on a device, or try it on a simulated one.",
-    "control": "Simulate the adaptive controller of admittance rendering against a tissue.",
-    "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
-    "reproduce": "Recompute the two papers this project starts from.",
-    "doctor": "Say what this machine can do with tissueid, and what stands in its way.",
-    "explain": "Say in plain words what a flag, a parameter or an exit code means.",
-    "config": "Say which settings are in force, and where each comes from.",
-    "completion": "Complete commands, options and files in your shell.",
-    "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
-}
-
-#: Group of the help -> its sub-commands; VISION.md says which promise each of them keeps.
+#: Group of the help -> its sub-commands -> what each does, from module ``tissueid.cli.<name>_command``;
+#: VISION.md says which promise each of them keeps.
 GROUPS = {
-    "Everyday": ("inspect", "fit", "report", "render", "export", "models", "status", "explain"),
-    "Study": ("study", "cohort", "compare", "rupture", "watch", "validate", "migrate"),
-    "Plan": ("design", "calibrate-frame"),
-    "Devices": ("devices", "view", "training"),
-    "Proof": ("calibrate", "reproduce", "control", "synth", "doctor", "config", "completion"),
+    "Everyday": {
+        "inspect": "Say what a recording holds and how it was read.",
+        "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+        "report": "Write the HTML report of a finished fit again.",
+        "render": "Feel an identified tissue on a device, or try it on a simulated one.",
+        "export": "Write a finished fit in another format.",
+        "models": "List the laws that contact models are made of.",
+        "status": "Say how far a fit is, also while it goes on.",
+        "explain": "Say in plain words what a flag, a parameter or an exit code means.",
+    },
+    "Study": {
+        "study": "Write, check, correct and publish the study file.",
+        "cohort": "Say what the specimens of a fit have in common: population, report.",
+        "compare": "Say whether identified tissues differ, and whether a hand could feel it.",
+        "rupture": "Study tests to rupture: force, work, speed, and what broke the tissue.",
+        "watch": "Give a verdict after each test, beside the machine.",
+        "validate": "Check that an output folder is one whole run.",
+        "migrate": "Bring a folder or a bundle of an earlier version to this one.",
+    },
+    "Plan": {
+        "design": "Plan the protocol of least machine time for a wanted precision.",
+        "calibrate-frame": "Measure how far machine and fixture give.",
+    },
+    "Devices": {
+        "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
+        "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
+        "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
+    },
+    "Proof": {
+        "calibrate": "Check whether intervals hold what they claim, for your protocol.",
+        "reproduce": "Recompute the two papers this project starts from.",
+        "control": "Simulate the adaptive controller of admittance rendering against a tissue.",
+        "synth": "Write synthetic recordings with a known truth.",
+        "doctor": "Say what this machine can do with tissueid, and what stands in its way.",
+        "config": "Say which settings are in force, and where each comes from.",
+        "completion": "Complete commands, options and files in your shell.",
+    },
 }
+COMMANDS = {name: meaning for group in GROUPS.values() for name, meaning in group.items()}
 
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
 #: waiting for each other.  Read when numpy is loaded, which is after this.
@@ -81,7 +84,7 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of :data:`GROUPS`."""
         del ctx
-        return [name for names in GROUPS.values() for name in names]
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The sub-command, imported now."""
@@ -121,9 +124,9 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the sub-commands without importing them."""
         del ctx
-        for title, names in GROUPS.items():
+        for title, group in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=17, col_spacing=2)
+                formatter.write_dl(list(group.items()), col_max=17, col_spacing=2)
 
 
 @click.command(

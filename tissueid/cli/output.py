@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 
+#: Exit code of a run that finished and left something out.
+EXIT_INCOMPLETE = 7
 #: Columns, and where texts behind a label begin.
 WIDTH, MARGIN = 98, 16
 #: Marks of direction that are no control characters.

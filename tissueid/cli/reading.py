@@ -248,12 +248,19 @@ class PatternCheck:
         echo(f"warning: {message}", fg="yellow", err=True)
 
 
-def read_all(items: Iterator[Trial | Refusal], refused: list[Refusal]) -> Iterator[Trial]:
-    """The trials among some items; refusals go to ``refused``."""
+def read_all(
+    paths: tuple[str, ...],
+    options: ReadOptions,
+    study: Study | None = None,
+    refused: list[Refusal] | None = None,
+) -> Iterator[Trial]:
+    """The trials of all paths; refusals go to ``refused``, the first is raised where nothing takes them."""
     from tissueid.result import Refusal
 
-    for item in items:
-        if isinstance(item, Refusal):
-            refused.append(item)
-        else:
+    for item in read_in_order(paths, options, study):
+        if not isinstance(item, Refusal):
             yield item
+        elif refused is None:
+            raise item.as_error()
+        else:
+            refused.append(item)

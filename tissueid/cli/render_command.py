@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completion_command import presets, scenes
-from tissueid.cli.flags import ABOVE_0, PATH, Flags, argument, option, subcommand
+from tissueid.cli.flags import ABOVE_0, PATH, argument, option, subcommand
 from tissueid.cli.output import draw, echo, echo_json, note, progress_bar, refuse
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
 from tissueid.errors import DeviceError, exit_code
@@ -55,10 +55,12 @@ _ALIKE = (
 DEMONSTRATED = "paper-a"
 
 
-class _TissueFlags(Flags):
-    """Flags of the tissue that is felt."""
+class RenderFlags(ViewerFlags):
+    """Everything that a session is asked for with."""
 
     # fmt: off
+    bundle: Path | None = argument(required=False)
+    # the tissue that is felt
     preset: str | None = option(
         "A tissue that comes along: paper-a, meat.", metavar="NAME", shell_complete=presets
     )
@@ -86,12 +88,7 @@ class _TissueFlags(Flags):
     plan: Path | None = option(
         "Axis and entry point to be guided to, instead of the scene's.", metavar="FILE"
     )
-    # fmt: on
-
-
-class _ScaleFlags(Flags):
-    """Flags of scale and surface."""
-
+    # its scale and surface
     force_scale: float | None = option("Device force over tissue force.", metavar="S")
     motion_scale: float | None = option("Device travel over tissue depth. [default: 5]", metavar="S")
     surface: str | None = option(
@@ -101,12 +98,7 @@ class _ScaleFlags(Flags):
         "Radius of the tool tip; another than identified is refused.", type=ABOVE_0, metavar="MM"
     )
     no_control: bool = option("The passivity controller only watches.")
-
-
-class _SessionFlags(Flags):
-    """Flags of the session."""
-
-    # fmt: off
+    # the session
     name: str = option(
         "auto, sim, emulator, falcon, forcedimension, or an installed one.",
         "--device", default="auto", metavar="NAME",
@@ -134,22 +126,12 @@ class _SessionFlags(Flags):
         "Where --twin writes. [default: twin, beside the BUNDLE]",
         type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
     )
-    # fmt: on
-
-
-class _BlindFlags(Flags):
-    """Flags of a blind comparison."""
-
+    # a blind comparison
     blind: bool = option("Compare without telling which is felt.")
     presentations: int | None = option("How many, evenly shared. [default: 10]", metavar="N")
     pseudonym: str | None = option("Letters and a number; never a name.", metavar="P17")
     key: Path | None = option("Where the answers go. [default: beside the log]", metavar="FILE")
-
-
-class RenderFlags(_TissueFlags, _ScaleFlags, _SessionFlags, _BlindFlags, ViewerFlags):
-    """Everything that a session is asked for with."""
-
-    bundle: Path | None = argument(required=False)
+    # fmt: on
 
 
 @subcommand("render", EXAMPLES)

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, REAL_FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, note, progress_bar, tell
+from tissueid.cli.output import EXIT_INCOMPLETE, echo, note, progress_bar, tell
 from tissueid.cli.reading import (
     ReadingFlags,
     read_all,
-    read_in_order,
     read_options,
     refuse_same_folder,
     segment_options,
@@ -32,7 +31,6 @@ tissueid rupture lab_data/ -o rupture --model "power * tangent * prony"
 """
 #: What may be asked for, written out so that help need not load it; a test holds it against the code.
 ASKED = ("none", "auto", "work", "weighted-force", "stored-energy", "depth")
-EXIT_INCOMPLETE = 7
 S_PER_MIN = 60.0
 
 
@@ -82,7 +80,7 @@ def _run(flags: _RuptureFlags, progress: Any) -> RuptureRun:
     study, paths = locate_study(flags.paths, named=flags.study, ignore=flags.no_study)
     refused: list[Refusal] = []
     return run_rupture(
-        read_all(read_in_order(paths, reading, study), refused),
+        read_all(paths, reading, study, refused),
         study=study,
         options=IdentifyOptions(fit=FitOptions(model=flags.model), segment=segment_options(flags)),
         reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),

@@ -17,20 +17,17 @@ from tissueid.cli.flags import (
     argument,
     example_lines,
     option,
-    subcommand,
+    part,
 )
-from tissueid.cli.output import echo, echo_json, note, refuse, write_output
-from tissueid.cli.reading import ReadingFlags, read_all, read_in_order, read_options
+from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, write_output
+from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.manifest import Study
     from tissueid.result import Refusal
-    from tissueid.trial import Trial
 
 #: Missing items printed without -v, after the essential ones.
 FEW_MISSING = 8
-EXIT_INCOMPLETE = 7
 
 EXAMPLES = """
 tissueid study init lab_data/
@@ -51,19 +48,12 @@ def command() -> None:
     """
 
 
-def _read_all(
-    paths: tuple[str, ...], flags: ReadingFlags, study: Study | None
-) -> tuple[list[Trial], list[Refusal]]:
-    refused: list[Refusal] = []
-    return list(read_all(read_in_order(paths, read_options(flags), study), refused)), refused
-
-
 class _InitFlags(ReadingFlags, OutputFlags):
     folder: str = argument(type=FOLDER_THERE)
     force: bool = option("Write over a study.toml that is there.")
 
 
-@subcommand("init", "tissueid study init lab_data/\ntissueid study init lab_data/ --force", command)
+@part(command, "init", "lab_data/", "lab_data/ --force")
 def init(flags: _InitFlags) -> int:
     """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
     from tissueid.ingest.manifest import MANIFEST
@@ -73,7 +63,8 @@ def init(flags: _InitFlags) -> int:
     target = folder / MANIFEST
     if target.exists() and not flags.force:
         refuse(f"{target} is there already: edit it, or write over it with --force")
-    trials, refused = _read_all((flags.folder,), flags, None)
+    refused: list[Refusal] = []
+    trials = list(read_all((flags.folder,), read_options(flags), refused=refused))
     if not trials:
         refuse(f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})")
     content = draft_study(folder, trials, refused).encode("utf-8")
@@ -90,9 +81,7 @@ class _CheckFlags(OutputFlags):
     study: str = argument(type=THERE)
 
 
-@subcommand(
-    "check", "tissueid study check lab_data/\ntissueid study check lab_data/study.toml --json", command
-)
+@part(command, "check", "lab_data/", "lab_data/study.toml --json")
 def check(flags: _CheckFlags) -> int:
     """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
 
@@ -132,11 +121,11 @@ class _ExcludeFlags(_IncludeFlags):
     because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
 
 
-@subcommand(
-    "exclude",
-    'tissueid study exclude lab_data/run_7.csv --because "the tool slipped"\n'
-    'tissueid study exclude "meat.xlsx::Sheet 3" --because "thawed" --study lab_data/',
+@part(
     command,
+    "exclude",
+    'lab_data/run_7.csv --because "the tool slipped"',
+    '"meat.xlsx::Sheet 3" --because "thawed" --study lab_data/',
 )
 def exclude(flags: _ExcludeFlags) -> int:
     """Take a recording out of the fit, with the reason; the report shows the numbers with and without it.
@@ -152,7 +141,7 @@ def exclude(flags: _ExcludeFlags) -> int:
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
 
 
-@subcommand("include", "tissueid study include lab_data/run_7.csv", command)
+@part(command, "include", "lab_data/run_7.csv")
 def include(flags: _IncludeFlags) -> int:
     """Take a recording back into the fit."""
     from tissueid.study.exclusions import find_manifest, include
@@ -183,12 +172,7 @@ class _ExportFlags(ReadingFlags, OutputFlags):
     date: str | None = option("Day of publication, YYYY-MM-DD. [default: today]")
 
 
-@subcommand(
-    "export",
-    "tissueid study export lab_data/ --crate crate/\n"
-    "tissueid study export lab_data/ --crate crate/ --anonymise",
-    command,
-)
+@part(command, "export", "lab_data/ --crate crate/", "lab_data/ --crate crate/ --anonymise")
 def export(flags: _ExportFlags) -> int:
     """Publish a study: recordings, study file and metadata in one folder."""
     from tissueid.collection import display_names
@@ -203,7 +187,8 @@ def export(flags: _ExportFlags) -> int:
     except ValueError as error:
         msg = f"--date is {flags.date!r}: write a day as 2024-05-31"
         raise UsageError(msg) from error
-    trials, refused = _read_all(paths, flags, study)
+    refused: list[Refusal] = []
+    trials = list(read_all(paths, read_options(flags), study, refused))
     names = display_names([(trial.specimen, trial.source) for trial in trials])
     trials = [replace(trial, specimen=names[trial.specimen]) for trial in trials]
     anonymiser = None

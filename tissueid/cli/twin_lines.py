@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.cli.output import echo, echo_json, made_folder, note, progress_bar, refuse, write_output
+from tissueid.cli.output import made_folder, note, progress_bar, refuse, tell, write_output
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
@@ -46,11 +46,7 @@ def twin(flags: RenderFlags) -> int:
     write_output(str(out / "twin.json"), json_bytes(plain(twinned.found)))
     write_output(str(out / "twin.svg"), svg_file(twin_drawing(twinned)))
     write_output(str(out / "twin.html"), render_twin(twinned).encode())
-    if flags.as_json:
-        echo_json(plain(twinned.found))
-    elif not flags.quiet:
-        for line in twin_lines(twinned.found):
-            echo(line)
+    tell(flags, plain(twinned.found), twin_lines(twinned.found))
     note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags.quiet)
     if flags.against is not None:
         seen = f"tissueid view {out / 'felt.h5'} --beside {flags.against}"

@@ -176,12 +176,11 @@ def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
 
 def _print_fit(one: Watch) -> None:
     found = {} if one.fit is None else {entry.name: entry for entry in one.fit.parameters}
-    known = []
-    for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity")):
-        if key in found:
-            one_of = found[key]
-            unit = "" if one_of.value is None else f" {one_of.unit}"
-            known.append(f"{label} {with_error(one_of.value, one_of.stderr)}{unit}")
+    known = [
+        f"{label} {with_error(entry.value, entry.stderr)}{'' if entry.value is None else f' {entry.unit}'}"
+        for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity"))
+        if (entry := found.get(key)) is not None
+    ]
     echo(f"    this test alone: {', '.join(known) or 'could not be fitted'}")
 
 

@@ -21,7 +21,6 @@ from typing import Any
 
 from tissueid.collection import (
     Collected,
-    Refit,
     display_names,
     exclusion_rows,
     study_document,
@@ -210,7 +209,7 @@ def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusa
     def never(*_: Any) -> Any:
         raise AssertionError
 
-    rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, Refit(never))
+    rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)
     return kept, [plain_json(row) for row in rows]
 
 
