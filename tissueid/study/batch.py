@@ -484,8 +484,8 @@ class _Cohort:
             self.progress(", ".join(running.values()), done, total)
 
         def tasks() -> Iterator[Task]:
-            for position, job in waiting.items():
-                yield Task(position, what, packed(self._job(position)), job.specimen)
+            for position in waiting:
+                yield Task(position, what, packed(self._job(position)))
 
         crew = workplace.workforce(len(waiting), seconds, here, asked=True)
         for outcome in crew.run(tasks(), started):

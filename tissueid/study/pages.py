@@ -199,7 +199,7 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
             target = page_path(out, path.name)
             if not target.exists():
                 names[number] = target
-                yield Task(number, PAGE, path.read_bytes(), path.name)
+                yield Task(number, PAGE, path.read_bytes())
 
     for made, outcome in enumerate(crew.run(tasks(), lambda *_: None), 1):
         target = names.pop(outcome.number)
