@@ -78,8 +78,8 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     """One run whose surveys and jobs are answered from the template; stages to stdout."""
     from tissueid.cli.main import main
     from tissueid.store.files import sha256_of
+    from tissueid.store.index import RecordingRow
     from tissueid.study import batch, inventory, pages
-    from tissueid.study.inventory import Found
     from tissueid.study.tasks import packed
 
     stages = Stages()
@@ -87,9 +87,10 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     file_of = renamed(template.read_bytes())
     digests = {path.name: sha256_of(path) for path in (data / ONE).iterdir()}
 
-    def look_into(file: Any, _keep: object = None) -> list[Found]:
+    def look_into(file: Any, _keep: object = None) -> list[RecordingRow]:
         path = Path(file.path)
-        return [Found(None, digests[path.name], path.parent.name, 150)]
+        name = path.parent.name
+        return [RecordingRow(file.path, None, digests[path.name], name, 150, "trial", name)]
 
     class Answered:
         """In place of a specimen's result: what packs it is told its name."""

@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from fit_factory import THETA, identification, specimen_fit
+from fit_factory import THETA, identification, specimen_fit, write_results
 from posterior_factory import sampled
 
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import write_results
 
 #: Relative uncertainty of F_s, K and tau in each specimen's own posterior.
 OWN = np.array([0.01, 0.01, 0.01, 0.03, 0.03])

@@ -7,10 +7,12 @@ speed v the branch carries K v tau (1 - exp(-t / tau)), in the hold it decays fr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tissueid.flags import Flag
+from tissueid.pipeline import IdentifyOptions
 from tissueid.result import (
     Curve,
     Estimate,
@@ -24,6 +26,10 @@ from tissueid.result import (
     SpecimenFit,
     TrialFit,
 )
+from tissueid.store.files import IDENTIFICATION, json_bytes
+from tissueid.store.merged import merge_files, specimen_bytes
+from tissueid.store.outputs import OutputSet
+from tissueid.study.specimen_job import result_of
 
 STATIC = (4.0, 0.8, 0.05)
 STIFFNESS, TAU_S = 6.0, 1.5
@@ -204,3 +210,19 @@ def identification(fits: Sequence[SpecimenFit], *, refused: bool = False) -> Ide
             "inputs": inputs,
         },
     )
+
+
+def write_results(run: OutputSet, found: Identification) -> None:
+    """Write the files of a finished fit into an output set, as `tissueid fit` does."""
+    run.write(IDENTIFICATION, json_bytes(found.as_json()))
+    files, inputs = {}, {}
+    for number, fit in enumerate(found.specimens):
+        result = result_of(replace(found, specimens=(fit,)), shown=fit.specimen, options=IdentifyOptions())
+        files[fit.specimen], inputs[fit.specimen] = (
+            run.path(f"{number}.h5"),
+            result.bundle.provenance["inputs"],
+        )
+        files[fit.specimen].write_bytes(specimen_bytes(result))
+    merge_files(run, files, inputs, found.provenance)
+    for path in files.values():
+        path.unlink()

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import read_json, run
-from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit
+from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit, write_results
 from posterior_factory import posterior, sampled
 from rendered_tissues import PAPER_A, bundle_of
 from scipy.io import loadmat
@@ -29,7 +29,6 @@ from tissueid.result import SpecimenFit
 from tissueid.store.bundle import write_bundle
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import write_results
 from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
 from tissueid.uncertainty import netcdf_bytes
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from command_line import QUICK, read_json, run, write_log
-from fit_factory import identification, specimen_fit
+from fit_factory import identification, specimen_fit, write_results
 from posterior_factory import sampled
 from typed_call import typed_call
 
@@ -28,7 +28,6 @@ from tissueid.report.specimen_lines import (
     warning_lines,
 )
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import write_results
 from tissueid.trial import Axes
 
 alarm_lines = typed_call(alarm_lines)

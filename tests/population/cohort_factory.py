@@ -11,13 +11,18 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import Member, TrialRow
-from tissueid.population.stage_one import StageOne
+from tissueid.population.stage_one import Design, StageOne
 from tissueid.result import Curve, ModelChoice
 
 #: Typical tissue: paper A's order of magnitude, K constant, 8 mm.
 TYPICAL = np.array([20.0, -1.2, 0.35, 63.62, 0.021])
 COORDINATES = Coordinates(kelvin_voigt(1, 0, 8.0))
 UNITS = {"length": "mm", "force": "N", "time": "s"}
+
+
+def plain_design(count: int) -> Design:
+    """No covariates and no levels."""
+    return Design(np.ones((count, 1)), ("mean",), np.zeros((0, count), dtype=np.int64))
 
 
 def lkj_factor(rng: np.random.Generator, size: int, shape: float) -> np.ndarray:

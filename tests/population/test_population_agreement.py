@@ -14,9 +14,9 @@ from cohort_factory import members
 from tissueid.population.agreement import (
     agreement,
     confounding_flags,
+    confounding_of,
     order_effect,
     repeatability,
-    speed_confounding,
 )
 from tissueid.population.cohort import specimens_for_mean, specimens_for_sd
 from tissueid.population.members import Member
@@ -41,9 +41,7 @@ def test_intraclass_correlation_is_the_ratio_of_variances() -> None:
     # sums of squares in closed form: each specimen has ln gains -w, +w
     w, between = 0.04, 0.12
     cohort = with_gains(*[(math.exp(-w), math.exp(w))] * 40)
-
     found = repeatability(cohort, np.full(20_000, between), np.random.default_rng(0))
-
     assert found is not None
     within2 = 40 * 2.0 * w**2 / 40
     assert (found.logs, found.groups, found.freedom) == (80, 40, 40)
@@ -57,9 +55,7 @@ def test_limits_of_agreement_are_those_of_bland_and_altman() -> None:
     changes = np.array([0.02, -0.05, 0.01, 0.06, -0.01, 0.03, -0.04, 0.05])
     cohort = with_gains(*[(1.0 / math.exp(c / 2), math.exp(c / 2)) for c in changes])
     force = {one.specimen: 100.0 for one in cohort}
-
     found = agreement(cohort, force)
-
     assert found is not None
     sd = changes.std(ddof=1)
     # t of 7 degrees of freedom, from a table
@@ -77,9 +73,7 @@ def test_a_slope_common_to_all_specimens_is_the_order_effect() -> None:
         tuple(np.exp(rng.normal(0.0, 0.2) - 0.03 * np.arange(5) + 0.005 * rng.standard_normal(5)))
         for _ in range(6)
     ]
-
     found = order_effect(with_gains(*gains))
-
     assert found is not None
     # 30 logs, sum of squares of the runs 6 * 10: an error of 0.005 / sqrt(60)
     assert found.per_run == pytest.approx(-0.03, abs=4 * 0.005 / math.sqrt(60))
@@ -90,7 +84,6 @@ def test_a_slope_common_to_all_specimens_is_the_order_effect() -> None:
 
 def test_logs_without_gains_of_their_own_say_nothing() -> None:
     cohort = with_gains((1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0))
-
     assert repeatability(cohort, np.full(100, 0.1), np.random.default_rng(0)) is None
     assert agreement(cohort, {one.specimen: 1.0 for one in cohort}) is None
     assert order_effect(cohort) is None
@@ -101,7 +94,6 @@ def test_logs_at_other_speeds_or_sites_are_no_repeats() -> None:
     first, second = cohort[0].trials
     other_speed = replace(cohort[0], trials=(first, replace(second, speed_mm_s=2.0 * first.speed_mm_s)))
     other_site = replace(cohort[0], trials=(first, replace(second, site="left")))
-
     assert repeatability((other_speed, other_site), np.full(100, 0.1), np.random.default_rng(0)) is None
 
 
@@ -112,10 +104,8 @@ def test_cohort_size_gives_the_interval_it_promises() -> None:
     many = specimens_for_sd(between, own, 0.1)
     rng = np.random.default_rng(3)
     sd = math.hypot(between, own)
-
     means = np.exp((sd * rng.standard_normal((4000, n))).mean(axis=1))
     spreads = np.sqrt((sd * rng.standard_normal((1000, many))).var(axis=1, ddof=1) - own**2)
-
     # 95 % of 4000 with an error of 0.35 %, four of them; whole specimens add a little
     assert ((means > 1 / 1.05) & (means < 1.05)).mean() == pytest.approx(0.95, abs=0.015)
     # large-sample formula of a spread: 95 % within 2 %
@@ -140,9 +130,7 @@ SLOW, MIDDLE, FAST = 10.0 / 60.0, 100.0 / 60.0, 500.0 / 60.0
 def test_speeds_that_share_no_specimen_are_confounded_with_them(
     speeds: tuple[tuple[float, ...], ...], kind: str, says: str
 ) -> None:
-    # each specimen with a log at each of its speeds
-    found = speed_confounding(with_logs(*([{"speed_mm_s": speed} for speed in own] for own in speeds)))
-
+    found = confounding_of(speeds)
     assert found is not None
     assert found.kind == kind
     assert says in found.sentence

@@ -45,9 +45,7 @@ def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name: st
     law = kelvin_voigt(2, 1, 6.0) if name == "kelvin-voigt" else parsed(name).model(6.0, 0.01, 8.0)
     coordinates = Coordinates(law)
     phi = 0.3 * rng.standard_normal((4, coordinates.size))
-
     theta = coordinates.to_theta(phi)
-
     assert coordinates.to_phi(theta)[0] == pytest.approx(phi, abs=1e-9)
     assert coordinates.log_jacobian(phi)[0] == pytest.approx(numeric_jacobian(coordinates, phi[0]), abs=1e-6)
     assert len(coordinates.names) == len(coordinates.words) == len(coordinates.units) == phi.shape[1]
@@ -60,37 +58,28 @@ def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name: st
 def test_a_shape_beyond_its_bounds_is_refused() -> None:
     coordinates = Coordinates(parsed("power * stretched").model(6.0, 0.01, 8.0))
     good, steep = [12.0, 1.5, 30.0, 0.4, 0.5], [12.0, 4.5, 30.0, 0.4, 0.5]
-
     assert coordinates.passive(np.array([good, steep])).tolist() == [True, False]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(places())
-def test_theta_and_phi_are_one_to_one(case: tuple[Coordinates, np.ndarray]) -> None:
+def test_theta_and_phi_are_one_to_one_and_the_jacobian_is_that_of_the_map(
+    case: tuple[Coordinates, np.ndarray],
+) -> None:
     coordinates, phi = case
-
     back, floored = coordinates.to_phi(coordinates.to_theta(phi))
-
     assert floored == 0
     # forces over six decades go through coefficients that cancel: 1e-6 of the largest is 1e-8 relative here
     assert back[0] == pytest.approx(phi, abs=1e-6)
-
-
-@settings(max_examples=30, deadline=None)
-@given(places())
-def test_the_jacobian_is_that_of_the_map(case: tuple[Coordinates, np.ndarray]) -> None:
-    coordinates, phi = case
-    phi = 0.3 * phi
     # over 15 coordinates
-    assert coordinates.log_jacobian(phi)[0] == pytest.approx(numeric_jacobian(coordinates, phi), abs=1e-5)
+    near = 0.3 * phi
+    assert coordinates.log_jacobian(near)[0] == pytest.approx(numeric_jacobian(coordinates, near), abs=1e-5)
 
 
 def test_quantities_are_forces_and_viscosities_at_their_depths() -> None:
     coordinates = Coordinates(kelvin_voigt(2, 1, 6.0))
     theta = np.array([20.0, -1.2, 0.35, 60.0, 10.0, 0.02, 5.0, 1.0, 4.0])
-
     found = coordinates.quantities(theta)[0]
-
     static = [20.0 * x - 1.2 * x**2 + 0.35 * x**3 for x in (2.0, 4.0, 6.0)]
     first = [(60.0 + 10.0 * x) * 0.02 for x in (3.0, 6.0)]
     second = [(5.0 + 1.0 * x) * 4.0 for x in (3.0, 6.0)]
@@ -102,9 +91,7 @@ def test_what_is_zero_is_floored_and_counted() -> None:
     coordinates = Coordinates(kelvin_voigt(1, 0, 6.0))
     theta = np.tile([20.0, -1.2, 0.35, 60.0, 0.02], (5, 1))
     theta[1, 3] = 0.0
-
     phi, floored = coordinates.to_phi(theta)
-
     assert floored == 1
     assert phi[1, 3] == pytest.approx(np.log(60.0 * 0.02 * FLOOR_SHARE), rel=1e-12)
 
@@ -114,5 +101,4 @@ def test_tissue_that_pulls_or_whose_times_do_not_ascend_is_not_passive() -> None
     good = [20.0, -1.2, 0.35, 60.0, 0.02, 5.0, 4.0]
     pulls = [20.0, -12.0, 1.5, 60.0, 0.02, 5.0, 4.0]
     swapped = [20.0, -1.2, 0.35, 60.0, 4.0, 5.0, 0.02]
-
     assert coordinates.passive(np.array([good, pulls, swapped])).tolist() == [True, False, False]

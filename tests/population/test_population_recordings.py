@@ -13,14 +13,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cohort_factory import COORDINATES, TYPICAL, lkj_factor
+from cohort_factory import COORDINATES, TYPICAL, lkj_factor, plain_design
 
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.stage_one import Design
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
@@ -115,7 +114,7 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
     members = [one for one in found if one is not None]
     stage, _ = stage_one(members, COORDINATES)
     options = SamplerOptions(seed=seed, workers=1)
-    population = sample_population(stage, Design.plain(len(members)), STATED, options)
+    population = sample_population(stage, plain_design(len(members)), STATED, options)
     draws = np.concatenate([population.mean, population.sd.reshape(-1, COORDINATES.size)], axis=1)
     first, last = np.quantile(draws, [0.025, 0.975], axis=0)
     expected = np.concatenate([truth.mean, truth.sd])

@@ -7,7 +7,7 @@ import math
 import emcee
 import numpy as np
 import pytest
-from cohort_factory import lkj_factor, monte_carlo_errors, normal_stage
+from cohort_factory import lkj_factor, monte_carlo_errors, normal_stage, plain_design
 from scipy.special import gammaln
 
 from tissueid.population.kernels import draw_scales
@@ -51,11 +51,9 @@ def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth:
         np.zeros(0, np.int64),
     )
     priors = PopulationPriors()
-
     found = sample_population(
-        stage, Design.plain(12), priors, SamplerOptions(tails="normal", sweeps=3000, blocks=2)
+        stage, plain_design(12), priors, SamplerOptions(tails="normal", sweeps=3000, blocks=2)
     )
-
     assert found.smoothed.size == smooth
     assert found.converged
     draws = {"mean": found.coefficient[:, :, 0, 0], "ln_sd": np.log(found.sd[:, :, 0])}
@@ -84,7 +82,6 @@ def test_scales_follow_prior_and_data_together() -> None:
                 above[p] += (factor @ factor.T)[1, 0] < (low @ low.T)[1, 0]
         ranks.append(above / 200.0)
     ranks = np.array(ranks)
-
     inside = ((ranks > 0.05) & (ranks < 0.95)).mean(axis=0)
     # 90 % of 150: a standard deviation of 2.4 %, four numbers, 3.5 of them
     assert inside == pytest.approx(0.9, abs=0.086)
@@ -100,9 +97,7 @@ def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_me
     low = lkj_factor(rng, p, 1.0)
     places = mean + sd * (rng.standard_normal((n, p)) @ low.T)
     stage = normal_stage(places, np.array([0.03, 0.05, 0.4]), rng, draws=600)
-
-    found = sample_population(stage, Design.plain(n), None, SamplerOptions(sweeps=1500, blocks=4))
-
+    found = sample_population(stage, plain_design(n), None, SamplerOptions(sweeps=1500, blocks=4))
     assert found.converged
     # posterior standard deviations, four of them
     away = (np.median(found.mean, axis=0) - mean) / found.mean.std(axis=0)
@@ -120,9 +115,7 @@ def test_heavy_tails_are_found_and_the_outlier_is_named() -> None:
     places = 0.1 * rng.standard_normal((30, 2))
     places[13] = (1.2, -0.9)
     stage = normal_stage(places, np.full(2, 0.02), rng, draws=600)
-
-    found = sample_population(stage, Design.plain(30), None, SamplerOptions(sweeps=800, blocks=2))
-
+    found = sample_population(stage, plain_design(30), None, SamplerOptions(sweeps=800, blocks=2))
     assert int(found.far.argmax()) == 13
     assert found.far[13] > 0.99
     # the others make the mean: nine standard deviations off would move it by 0.04
@@ -144,9 +137,7 @@ def test_effects_of_covariates_and_levels_are_told_apart() -> None:
     stage = normal_stage(places, np.full(2, 0.02), rng, draws=500)
     names = tuple(f"d{k}" for k in range(15))
     design = Design(np.column_stack([np.ones(n), x]), ("mean", "x"), donor[None, :], ("donor",), (names,))
-
     found = sample_population(stage, design, None, SamplerOptions(sweeps=800, blocks=2))
-
     slope = found.coefficient[:, :, 1].reshape(-1, 2)
     assert np.abs((slope.mean(axis=0) - [0.2, -0.1]) / slope.std(axis=0)).max() < 4.0
     between = np.log(found.level_sd[:, :, 0].reshape(-1, 2))
@@ -159,10 +150,8 @@ def test_the_same_seed_gives_the_same_draws_whatever_the_threads() -> None:
     rng = np.random.default_rng(10)
     stage = normal_stage(0.2 * rng.standard_normal((6, 2)), np.array([0.02, 3.0]), rng, draws=600)
     short = {"settle": 50, "sweeps": 60, "blocks": 1, "seed": 3}
-
-    one = sample_population(stage, Design.plain(6), None, SamplerOptions(workers=1, **short))
-    two = sample_population(stage, Design.plain(6), None, SamplerOptions(workers=2, **short))
-
+    one = sample_population(stage, plain_design(6), None, SamplerOptions(workers=1, **short))
+    two = sample_population(stage, plain_design(6), None, SamplerOptions(workers=2, **short))
     assert one.smoothed.size > 0
     assert np.array_equal(one.coefficient, two.coefficient)
     assert np.array_equal(one.nu, two.nu)
@@ -172,11 +161,9 @@ def test_stated_priors_are_used() -> None:
     rng = np.random.default_rng(13)
     stage = normal_stage(0.4 * rng.standard_normal((4, 2)), np.full(2, 0.02), rng, draws=500)
     tight = PopulationPriors(between=SpreadPrior(0.05, 0.05))
-
     found = sample_population(
-        stage, Design.plain(4), tight, SamplerOptions(tails="normal", sweeps=400, blocks=1)
+        stage, plain_design(4), tight, SamplerOptions(tails="normal", sweeps=400, blocks=1)
     )
-
     # a prior of 5 % on the spread outweighs four specimens that spread eight times as far
     assert np.median(found.sd) < 0.075
 
@@ -230,9 +217,8 @@ def test_two_stages_agree_with_joint_sampling(own: tuple[float, float], smooth: 
         stage.linear,
         stage.ascending,
     )
-
     two = sample_population(
-        stage, Design.plain(SPECIMENS), None, SamplerOptions(sweeps=20_000, blocks=1, settle=2000)
+        stage, plain_design(SPECIMENS), None, SamplerOptions(sweeps=20_000, blocks=1, settle=2000)
     )
     walkers = 64
     start = np.concatenate([measured.mean(axis=0), np.log([0.2, 0.2]), [0.0, 2.0], measured.ravel()])
@@ -248,7 +234,6 @@ def test_two_stages_agree_with_joint_sampling(own: tuple[float, float], smooth: 
     )
     sampler.random_state = np.random.RandomState(5).get_state()
     sampler.run_mcmc(start + spread * rng.standard_normal((walkers, start.size)), 16_000)
-
     assert two.smoothed.size == smooth
     assert two.converged
     joint = sampler.get_chain(discard=3000, thin=20).swapaxes(0, 1)[:, :, :6]

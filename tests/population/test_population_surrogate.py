@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cohort_factory import COORDINATES, TYPICAL
+from cohort_factory import COORDINATES, TYPICAL, plain_design
 
 from tissueid.population.chain import log_mixture
 from tissueid.population.kernels import factor, inverse_factor
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.stage_one import Design, Mixture, mixture_of
+from tissueid.population.stage_one import Mixture, mixture_of
 from tissueid.result import ModelChoice
 
 LINEAR = np.array([True, True, False])
@@ -34,7 +34,6 @@ def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below: floa
     phi[77, :2] += np.log(15.0)
     reference[77] = -below
     found = mixture_of(phi, reference, LINEAR, np.random.default_rng(0))
-
     assert np.abs((found.middle - expected.middle) / OWN).max() < 0.2
     for place in phi[:40]:
         near, centre = place, expected.centre
@@ -50,9 +49,7 @@ def test_a_prior_that_varies_is_divided_out_of_the_likelihood() -> None:
     prior = -0.5 * ((phi[:, 0] - 4.05) / 0.1) ** 2
     rng = np.random.default_rng(2)
     kept = phi[rng.random(len(phi)) < np.exp(prior)]
-
     found = mixture_of(kept, -0.5 * ((kept[:, 0] - 4.05) / 0.1) ** 2, LINEAR, rng)
-
     # the likelihood is a normal around 4 again: 3 errors of the mean of some thousand draws
     assert found.middle[0] == pytest.approx(4.0, abs=3.0 * 0.05 / np.sqrt(1000.0) + 0.002)
     assert 1.0 / np.sqrt(found.precision[0, 0]) == pytest.approx(0.05, rel=0.1)
@@ -87,9 +84,8 @@ def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarra
 def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force() -> None:
     made, places = open_by_a_factor(10, 0.3)
     stage, _ = stage_one(made, COORDINATES)
-
     assert not stage.linear[:3].any()
-    found = sample_population(stage, Design.plain(10), None, SamplerOptions(chains=4))
+    found = sample_population(stage, plain_design(10), None, SamplerOptions(chains=4))
     assert found.converged
     # ten specimens of a spread of 0.15, each open by 0.3: their mean is known to a tenth
     assert np.abs(np.median(found.mean, axis=0) - places.mean(axis=0)).max() < 0.3
@@ -102,17 +98,14 @@ def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_
     theta[:, :3] *= np.exp(0.4 * rng.standard_normal((4000, 1)))
     model = ModelChoice("kelvin-voigt", 1, 3, 0, "partial")
     stage, _ = stage_one([Member("s", model, 8.0, theta, np.zeros(4000))], COORDINATES)
-
     assert stage.linear.tolist() == [False, False, False, True, False]
 
 
 def test_few_draws_are_one_normal() -> None:
     draws = np.random.default_rng(6).standard_normal((319, 3))
     logarithms = np.zeros(3, dtype=bool)
-
     few = mixture_of(draws[:-1], np.zeros(318), logarithms, np.random.default_rng(0))
     enough = mixture_of(np.vstack([draws, draws[:1]]), np.zeros(320), logarithms, np.random.default_rng(0))
-
     assert few.log_weight.size == 1
     assert enough.log_weight.size == 3
     # of one normal: the mean of its draws
@@ -126,7 +119,6 @@ def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
     phi = middle + 0.03 * rng.standard_normal((4000, 3))
     phi += np.where(rng.random(4000) < 0.7, 0.04, 0.4)[:, None] * rng.standard_normal((4000, 1)) * [1, 1, 0]
     logarithms = np.zeros(3, dtype=bool)
-
     found = mixture_of(phi, np.zeros(4000), logarithms, rng)
 
     def density(shift: float) -> float:
@@ -151,7 +143,5 @@ def test_factors_are_those_of_numpy() -> None:
     # condition numbers below a hundred: rounding only
     assert factor(matrix) == pytest.approx(low, rel=1e-10)
     assert inverse_factor(low) == pytest.approx(np.linalg.inv(low), rel=1e-10)
-
-
-def test_a_matrix_that_is_not_positive_definite_has_no_factor() -> None:
+    # one that is not positive definite has none
     assert np.isnan(np.diag(factor(np.array([[1.0, 2.0], [2.0, 1.0]])))).any()

@@ -11,11 +11,9 @@ from report_pages import document_of, grave, open_all, page, violations, wide
 from typed_call import typed_call
 
 from tissueid.documents import typed
-from tissueid.documents.study import StudyCheck
 from tissueid.documents.twin import Twin
 from tissueid.report.page import Beside
 from tissueid.report.twin_page import twin_sections
-from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import completeness_of_result
 from tissueid.study.pages import rendering_of
@@ -46,7 +44,7 @@ def whole():
     """A page with every part that a report can have."""
     fit = sampled(specimen_fit(trials=3, samples=120, identified=False))
     specimen = document_of(fit)["specimens"][0]
-    described = typed(plain_json(completeness_of_result(None).as_json("study.toml")), StudyCheck)
+    described = completeness_of_result(None)
     return page(
         fit,
         refused=True,

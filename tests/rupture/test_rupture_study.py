@@ -46,16 +46,13 @@ def test_a_trend_with_speed_that_the_likeliest_leaves_says_none_of_them() -> Non
     assert "none of the criteria" in found.reason
 
 
-def test_nothing_goes_into_the_bundles_unless_it_is_asked_for(cohort: list[Failure]) -> None:
-    found = rupture_study(cohort, weight=1.5)
-    assert (found.decision.answer, found.decision.criterion) == ("decided", "work")
-    assert (found.taken, dict(found.laws)) == ("none", {})
-
-
 def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_threshold(
     cohort: list[Failure],
 ) -> None:
+    # one that is asked for is taken whatever the evidence says, and nothing unless it is asked for
+    assert rupture_study(cohort, weight=1.5, asked="depth").taken == "depth"
     found = rupture_study(cohort, weight=1.5, asked="auto")
+    assert (found.decision.answer, found.decision.criterion) == ("decided", "work")
     work = next(one for one in found.thresholds if one.criterion == "work")
     assert found.taken == "work"
     assert {name: law.threshold for name, law in found.laws.items()} == dict(work.specimens)
@@ -64,10 +61,6 @@ def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_thresh
         # drawn a little toward the others: 5 % from test to test, 15 % between specimens
         assert np.log(law.threshold) == pytest.approx(own, abs=0.05)
         assert (law.residual, law.population, law.population_ci95) == (0.2, work.median, work.ci95)
-
-
-def test_a_criterion_that_is_asked_for_is_taken_whatever_the_evidence_says(cohort: list[Failure]) -> None:
-    assert rupture_study(cohort, weight=1.5, asked="depth").taken == "depth"
 
 
 def only_own_speed(failures: list[Failure]) -> list[Failure]:
@@ -95,10 +88,10 @@ def test_one_speed_tells_no_criterion(cohort: list[Failure]) -> None:
     assert "one speed" in found.decision.reason
 
 
-def test_the_fall_of_absorbed_energy_is_beside_the_force_and_the_work_criterion_is_qualified(
-    cohort: list[Failure],
-) -> None:
-    said = " ".join(sentences(rupture_study(cohort, weight=1.5)))
+def test_without_a_wish_no_law_is_taken_and_the_work_criterion_is_qualified(cohort: list[Failure]) -> None:
+    found = rupture_study(cohort, weight=1.5)
+    assert (found.taken, dict(found.laws)) == ("none", {})
+    said = " ".join(sentences(found))
     assert "less energy is absorbed at higher speed" in said
     assert "contradicts its source on this point" in said
     assert "no fall of the force at rupture follows from it" in said

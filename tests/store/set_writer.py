@@ -8,12 +8,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from fit_factory import identification, specimen_fit
+from fit_factory import identification, specimen_fit, write_results
 
 from tissueid.result import Identification
 from tissueid.store.files import REPORT
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import write_results
 
 
 def commit(out: Path, run: Identification, **files: bytes) -> Identification:

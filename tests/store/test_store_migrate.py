@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import identification, specimen_fit, write_results
 
 from tissueid.cli.main import main
 from tissueid.errors import BundleError
@@ -18,7 +18,7 @@ from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION, Index
 from tissueid.store.migrate import migrate_bundle, migrate_folder
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import validate_outputs, write_results
+from tissueid.store.results import validate_outputs
 
 RELEASED = sorted((Path(__file__).parent / "released").glob("bundle-v*.h5"))
 

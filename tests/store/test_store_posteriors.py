@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from fit_factory import identification, specimen_fit
+from fit_factory import identification, specimen_fit, write_results
 from posterior_factory import sampled
 from set_writer import commit
 
 from tissueid.errors import BundleError
 from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
 from tissueid.store.files import POSTERIORS
+from tissueid.store.hdf5 import new_file
 from tissueid.store.outputs import OutputSet
-from tissueid.store.posteriors import load_posteriors, posteriors_of_fits, write_posteriors
-from tissueid.store.results import output_problems, read_results, write_results
+from tissueid.store.posteriors import StoredPosterior, load_posteriors, posteriors_of_fits, put_posteriors
+from tissueid.store.results import output_problems, read_results
 
 FITS = (
     sampled(specimen_fit("a", trials=2, samples=50)),
     specimen_fit("b", trials=1, samples=50),
     sampled(specimen_fit("c", trials=1, samples=70, sheet="S 1"), total=False, seed=4),
 )
+
+
+def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path) -> None:
+    with new_file(path) as file:
+        put_posteriors(file, posteriors)
 
 
 def test_draws_chains_and_bands_come_back(tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ def write_cohort(folder: Path, specimens: int) -> Path:
 def numbers_of(out: Path) -> dict[str, Any]:
     """Everything a run found, without times: the document, and hashes of every curve and draw."""
     found: dict[str, Any] = {"document": json.loads((out / "identification.json").read_bytes())}
+    for specimen in found["document"]["specimens"]:
+        (specimen["sampler"] or {}).pop("wall_s", None)
     for document, curves, posterior in each_result(out):
         arrays = [getattr(one.curve, name) for one in curves for name in ("time_s", "force_N", "model_N")]
         if posterior is not None:

@@ -31,10 +31,10 @@ def recording(
     return "\n".join([*([header, ""] if header else []), names, "(sec),(mm),(N)", *rows, ""])
 
 
-def manifest_in(folder: Path, text: str, *, head: str = HEAD) -> Path:
+def manifest_in(folder: Path, text: str) -> Path:
     """The study file of a folder."""
     path = folder / "study.toml"
-    path.write_text(head + text, encoding="utf-8")
+    path.write_text(HEAD + text, encoding="utf-8")
     return path
 
 
@@ -53,6 +53,13 @@ def fit(*args: str | Path, out: Path) -> tuple[int, dict[str, Any]]:
     code = main(["fit", *QUICK, *map(str, args), "-o", str(out), "-q"])
     path = out / "identification.json"
     return code, json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def fit_lab(
+    folder: Path, manifest: str, *args: str, out: str = "out", **times: float
+) -> tuple[int, dict[str, Any]]:
+    """Exit code and identification.json of the fit of :func:`lab` in ``folder/lab``."""
+    return fit(lab(folder / "lab", manifest, **times), *args, out=folder / out)
 
 
 def specimen(document: dict[str, Any], name: str) -> dict[str, Any]:

@@ -86,9 +86,9 @@ def full_study() -> Study:
 
 def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_worst() -> None:
     best = completeness(full_study())
-    assert (best.grade, best.share, best.missing, best.usable) == ("A", 1.0, (), True)
+    assert (best.grade, best.share, best.missing) == ("A", 1.0, ())
     worst = completeness(Study("study.toml"))
-    assert (worst.grade, worst.share, worst.usable) == ("F", 0.0, False)
+    assert (worst.grade, worst.share) == ("F", 0.0)
     assert len(worst.missing) == len(ITEMS)
 
 
@@ -99,10 +99,10 @@ def test_one_essential_item_less_costs_the_grade_and_names_the_specimen() -> Non
     assert found.grade == "C"
     assert found.share > 0.95
     (missing,) = found.missing
-    assert (missing.item.keys, missing.where) == (("thickness_mm",), ("b",))
+    assert (missing.keys, missing.where) == (("thickness_mm",), ("b",))
     # what the study says holds for every specimen
     general = replace(study, about={**study.about, "thickness_mm": 5.0}, specimens={"a": {}, "b": less})
-    assert "thickness_mm" not in {key for one in completeness(general).missing for key in one.item.keys}
+    assert "thickness_mm" not in {key for one in completeness(general).missing for key in one.keys}
 
 
 def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(

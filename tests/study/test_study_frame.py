@@ -111,24 +111,6 @@ def test_tissue_is_not_taken_for_a_rigid_block() -> None:
     assert caught.value.code == "not_rigid"
 
 
-def test_the_series_oracle_keeps_tissue_and_frame_in_equilibrium() -> None:
-    """x_c = x + u(F) and the closed-form branch state along the tip's own path, by an independent route."""
-    from frame_series import crosshead_and_force
-
-    frame = seating_frame(300.0, 0.05, 10.0)
-    log = Log("hold", (Move(4.0, 250.0), Hold(1.0)))
-    time = np.arange(0.0, 1.9, 1e-4)
-    travel, force = crosshead_and_force(log, frame, time)
-    tip = travel - np.array([frame.deflection(f) for f in force])
-    state = np.zeros(time.size)
-    decay = np.exp(-1e-4 / TAU_S)
-    for i in range(1, time.size):
-        state[i] = decay * state[i - 1] + (1 - decay) * TAU_S / 1e-4 * (tip[i] - tip[i - 1])
-    expected = tip * (20.0 + tip * (-1.2 + 0.35 * tip)) + STIFFNESS_N_PER_MM * state
-    # the recursion takes the tip as straight between samples: 2e-6 of the branch force
-    assert force == pytest.approx(expected, abs=2e-3)
-
-
 def small_plan(rate_Hz: float) -> Recipe:
     """Six ramps and two holds of 3 s: paper-a-30 without its waiting."""
     ramps = tuple(Log(f"ramp-{v:.0f}", (Move(8.0, v),)) for v in (70.0, 100.0, 150.0, 250.0, 500.0))
@@ -170,13 +152,10 @@ def test_a_nonlinear_frame_is_taken_off_as_its_calibration_says() -> None:
     rng = np.random.default_rng(SEEDS[1])
     calibration = as_curve(calibrate_frame([rigid_block(frame, rng) for _ in range(3)]))
     trials = series_trials(small_plan(1000.0), frame, sigma_N=0.1, rng=rng)
-    (fit,) = identify(trials, study=study_of(replace_range(calibration)), options=ONE_BRANCH).specimens
+    # as if calibrated as far as the tissue's force goes, some 290 N
+    reaching = replace(calibration, range_N=(0.0, 300.0))
+    (fit,) = identify(trials, study=study_of(reaching), options=ONE_BRANCH).specimens
     assert np.abs(errors(fit)).max() <= 0.02
-
-
-def replace_range(frame: FrameCurve) -> FrameCurve:
-    """The same curve said to be calibrated as far as the tissue's force goes (some 290 N)."""
-    return FrameCurve(frame.force_N, frame.compliance_mm_per_N, frame.covariance, range_N=(0.0, 300.0))
 
 
 def test_without_a_calibration_the_flag_says_what_a_frame_would_do() -> None:
@@ -223,10 +202,9 @@ def test_noise_of_the_force_does_not_enter_the_depth() -> None:
 def test_forces_far_beyond_the_calibration_are_refused_and_a_little_beyond_is_said() -> None:
     trials = series_trials(small_plan(100.0), linear_frame(1000.0), sigma_N=0.1, rng=np.random.default_rng(6))
     peak = max(float(trial.force_N.max()) for trial in trials)
-    base = model.linear_frame(1000.0)
 
     def calibrated_to(force: float) -> FrameCurve:
-        return FrameCurve(base.force_N, base.compliance_mm_per_N, base.covariance, range_N=(0.0, force))
+        return replace(model.linear_frame(1000.0), range_N=(0.0, force))
 
     far = identify(trials, study=study_of(calibrated_to(peak / 3.0)), options=ONE_BRANCH)
     assert {one.code for one in far.refused} == {"frame_range"}

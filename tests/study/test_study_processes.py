@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,34 +39,26 @@ def test_a_task_whose_process_died_once_is_computed_in_another(tmp_path: Path) -
     assert found[0].fault is None
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_errors_are_faults_of_their_task_alone(workers: int) -> None:
+def test_errors_are_faults_of_their_task_alone() -> None:
     tasks = [task(0, "out_of_memory"), task(1, "with_a_bug"), task(2, "doubled")]
-    found = outcomes(tasks, workers)
     here = {one.number: one for one in InThisProcess().run(tasks, lambda *_: None)}
-    for one in (found, here):
-        assert [fault.code if (fault := one[n].fault) else None for n in range(3)] == [
-            "out_of_memory",
-            "job_failed",
-            None,
-        ]
-        assert one[2].result == b"abab"
-    assert "IndexError" in str(found[1].fault)
+    for found in (outcomes(tasks), here):
+        codes = [fault.code if (fault := found[n].fault) else None for n in range(3)]
+        assert codes == ["out_of_memory", "job_failed", None]
+        assert "IndexError" in str(found[1].fault)
+        assert found[2].result == b"abab"
 
 
 def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before() -> None:
     taken: list[int] = []
 
-    def tasks() -> list[Task]:
-        return [task(number, "doubled") for number in range(9)]
-
-    def noticed() -> object:
-        for one in tasks():
-            taken.append(one.number)
-            yield one
+    def tasks() -> Iterator[Task]:
+        for number in range(9):
+            taken.append(number)
+            yield task(number, "doubled")
 
     with LocalProcesses(2) as crew:
-        ahead = [len(taken) - done for done, _ in enumerate(crew.run(noticed(), lambda *_: None), 1)]  # type: ignore[arg-type]
+        ahead = [len(taken) - done for done, _ in enumerate(crew.run(tasks(), lambda *_: None), 1)]
     assert len(ahead) == 9
     # two are computed while a third has just been handed over
     assert max(ahead) <= 3

@@ -106,4 +106,4 @@ def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_car
     assert completeness_of_result(result).grade == "A"
     result["specimens"][1]["storage"] = None
     (missing,) = completeness_of_result(result).missing
-    assert (missing.item.keys, missing.where) == (("storage",), ("b",))
+    assert (missing.keys, missing.where) == (("storage",), ("b",))

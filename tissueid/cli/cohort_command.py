@@ -42,18 +42,18 @@ def command(flags: _CohortFlags) -> int:
     population.json, population.h5 and cohort.html into it, all at once or not at all; tissueid render draws
     a specimen from population.h5 and makes it felt.
     """
-    from tissueid.study.cohort import PopulationRequest, write_population
+    from tissueid.population.cohort import CohortOptions
+    from tissueid.population.sampler import SamplerOptions
+    from tissueid.study.cohort import write_population
 
-    request = PopulationRequest(
+    options = CohortOptions(
         group_by=flags.group_by,
         covariates=flags.covariates,
-        tails=flags.tails,
-        seed=flags.seed,
+        sampler=SamplerOptions(tails=flags.tails, seed=flags.seed),
         hold_out=not flags.no_held_out,
-        mix_states=flags.mix_states,
     )
     with progress_bar(show=not flags.quiet) as progress:
-        written = write_population(Path(flags.out), request, progress)
+        written = write_population(Path(flags.out), options, progress, mix_states=flags.mix_states)
     if flags.as_json:
         echo_json(written.document)
     else:

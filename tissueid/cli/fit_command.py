@@ -191,12 +191,14 @@ def _population(flags: _FitFlags, study: Study | None, fitted: int) -> int:
     if wanted == "no" or not fitted:
         return 0
     from tissueid.cli.cohort_command import print_population
-    from tissueid.study.cohort import PopulationRequest, write_population
+    from tissueid.population.cohort import CohortOptions
+    from tissueid.population.sampler import SamplerOptions
+    from tissueid.study.cohort import write_population
 
     try:
         with progress_bar(show=not flags.quiet) as progress:
-            asked = PopulationRequest(seed=flags.seed, mix_states=flags.mix_states)
-            written = write_population(Path(flags.out), asked, progress)
+            options = CohortOptions(sampler=SamplerOptions(seed=flags.seed))
+            written = write_population(Path(flags.out), options, progress, mix_states=flags.mix_states)
     except (NotIdentifiedError, UsageError) as error:
         note(error.message, quiet=flags.quiet)
         return error.exit_status if flags.population == "yes" else 0

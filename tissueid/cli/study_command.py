@@ -21,6 +21,7 @@ from tissueid.cli.flags import (
 )
 from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
+from tissueid.documents import plain
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -89,27 +90,28 @@ def check(flags: _CheckFlags) -> int:
     where the file is not valid.
     """
     from tissueid.ingest.manifest import read_study, unmatched_files
-    from tissueid.study.completeness import completeness
+    from tissueid.study.completeness import ESSENTIAL, completeness
 
     study = read_study(flags.study)
-    found = completeness(study, unmatched_files(study))
+    unmatched = unmatched_files(study)
+    found = completeness(study, unmatched)
+    essential = sum(one.weight == ESSENTIAL for one in found.missing)
     if flags.as_json:
-        echo_json(found.as_json(study.path))
+        echo_json(plain(found))
     elif not flags.quiet:
         echo(f"{study.path}: grade {found.grade}, {100 * found.share:.0f} % of what is asked for is stated")
-        essential = sum(one.item.weight == 3 for one in found.missing)
         shown = found.missing if flags.verbose else found.missing[: essential + FEW_MISSING]
         for one in shown:
-            item, named = one.item, ", ".join([*one.where[:3], *["..."] * (len(one.where) > 3)])
+            named = ", ".join([*one.where[:3], *["..."] * (len(one.where) > 3)])
             where = f" (of {named})" if named else ""
-            mark = "essential" if item.weight == 3 else "missing  "
-            table = f"[[{item.table}]]" if item.table in {"specimen", "trial"} else f"[{item.table}]"
-            echo(f"  {mark}  {table} {' or '.join(item.keys)}{where}: {item.why}")
+            mark = "essential" if one.weight == ESSENTIAL else "missing  "
+            table = f"[[{one.table}]]" if one.table in {"specimen", "trial"} else f"[{one.table}]"
+            echo(f"  {mark}  {table} {' or '.join(one.keys)}{where}: {one.why}")
         if len(shown) < len(found.missing):
             echo(f"  and {len(found.missing) - len(shown)} more (-v prints them)")
-    for refusal in found.unmatched:
+    for refusal in unmatched:
         echo(str(refusal), fg="red", err=True)
-    return 0 if found.usable else EXIT_INCOMPLETE
+    return EXIT_INCOMPLETE if unmatched or essential else 0
 
 
 class _IncludeFlags(OutputFlags):

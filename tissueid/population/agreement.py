@@ -194,13 +194,11 @@ def confounding_flags(found: Confounding | None) -> list[Flag]:
     return [Flag("speed_confounded", message, {"kind": found.kind, "parts": len(found.parts)})]
 
 
-def speed_confounding(members: Sequence[Member]) -> Confounding | None:
-    """Connected parts of the graph of speeds and specimens; ``None`` where no speed is known."""
-    return confounding_of([[trial.speed_mm_s for trial in one.trials] for one in members])
-
-
 def confounding_of(speeds_of: Sequence[Sequence[float]]) -> Confounding | None:
-    """The same from the speeds of each specimen's tests [mm/s]."""
+    """Connected parts of the graph of speeds and specimens; ``None`` where no speed is known.
+
+    ``speeds_of``: speeds of each specimen's tests [mm/s].
+    """
     tested = [(who, speed) for who, own in enumerate(speeds_of) for speed in own if speed > 0.0]
     speeds: list[float] = []
     for _, speed in sorted(tested, key=lambda pair: pair[1]):

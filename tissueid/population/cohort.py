@@ -18,10 +18,10 @@ from tissueid.population.agreement import (
     Z95,
     agreement,
     confounding_flags,
+    confounding_of,
     interval_95,
     order_effect,
     repeatability,
-    speed_confounding,
 )
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import (
@@ -511,7 +511,7 @@ def cohort(
     """
     options, tick = options or CohortOptions(), tick or (lambda _: None)
     kept, left = fit_for_cohort(members)
-    confounding = speed_confounding(members)
+    confounding = confounding_of([[trial.speed_mm_s for trial in one.trials] for one in members])
     order = order_effect(members)
     flags = confounding_flags(confounding)
     if len(kept) < FEWEST_SPECIMENS:

@@ -217,11 +217,6 @@ class Design:
     levels: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()  # names of the groups of each level
 
-    @staticmethod
-    def plain(count: int) -> Design:
-        """No covariates and no levels."""
-        return Design(np.ones((count, 1)), ("mean",), np.zeros((0, count), dtype=np.int64))
-
     @property
     def offsets(self) -> IntArray:
         """First group of each level, among all groups."""

@@ -19,6 +19,7 @@ import json
 import os
 import shutil
 import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -97,8 +98,7 @@ def plain_json(value: Any) -> Any:
 
 def json_bytes(document: Any) -> bytes:
     """JSON with one spelling: UTF-8, two spaces, shortest round-trip numbers; NaN is a ValueError."""
-    text = json.dumps(plain_json(document), ensure_ascii=False, indent=2, allow_nan=False)
-    return (text + "\n").encode("utf-8")
+    return _spelled(document, 0) + b"\n"
 
 
 #: Public files of a run.
@@ -144,9 +144,7 @@ def file_names(specimens: Iterable[str], stem: str, suffix: str) -> dict[str, st
     """
     specimens = list(specimens)
     plain = {specimen: safe_name(specimen) for specimen in specimens}
-    met: dict[str, int] = {}
-    for name in plain.values():
-        met[_folded(name)] = met.get(_folded(name), 0) + 1
+    met = Counter(map(_folded, plain.values()))
     names = {}
     for specimen, name in plain.items():
         mark = hashlib.sha256(specimen.encode("utf-8")).hexdigest()[:8]

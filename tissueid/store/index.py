@@ -22,6 +22,7 @@ import os
 import platform
 import sqlite3
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass
@@ -350,85 +351,59 @@ def read_status(out: Path) -> dict[str, Any]:
         if run is None:
             msg = f"{out}: no run has begun here"
             raise BundleError(msg)
-        jobs = _read_jobs(database)
-        refused, refusals = _read_refusals(database, run["id"])
+        return _status(database, run)
     except sqlite3.Error as error:
         msg = f"{out / INDEX}: can't be read ({error}); the next `tissueid fit` begins it anew"
         raise BundleError(msg) from error
     finally:
         database.close()
-    alive = _alive(json.loads(run["process"]))
-    state = "stopped" if run["state"] == "running" and alive is False else run["state"]
+
+
+def _status(database: sqlite3.Connection, run: sqlite3.Row) -> dict[str, Any]:
+    process = json.loads(run["process"])
+    state = "stopped" if run["state"] == "running" and _alive(process) is False else run["state"]
     going = state == "running"
-    counts = jobs.counts
-    left = counts.get("waiting", 0) + counts.get("running", 0)
-    rate = _rate(run["started"], jobs.ends) if going else None
+    counts = Counter(dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall()))
+    left = counts["waiting"] + counts["running"]
+    rate = _rate(database, run["started"]) if going else None
+    known = "SELECT COUNT(*) FROM jobs WHERE state = 'done' AND seconds IS NULL"
+    refused = f"{_OF_RUN} AND kind = 'refused'"
+    of_state = "SELECT * FROM jobs WHERE state = ? ORDER BY position LIMIT ?"
+    refusals = database.execute(f"SELECT refusal {refused} {_IN_ORDER} LIMIT ?", (run["id"], _LISTED))
     return {
         "schema": "tissueid/status/1",
         "state": state,
         "started": run["started"],
         "ended": run["ended"],
-        "writer": json.loads(run["process"]) if going else None,
+        "writer": process if going else None,
         "reason": run["reason"],
-        "files": {"looked_into": run["surveyed"], "total": run["files"], "refused": refused},
+        "files": {
+            "looked_into": run["surveyed"],
+            "total": run["files"],
+            "refused": database.execute(f"SELECT COUNT(*) {refused}", (run["id"],)).fetchone()[0],
+        },
         "specimens": {
-            "total": sum(counts.values()) - counts.get("superseded", 0),
-            "done": counts.get("done", 0),
-            "known_before": jobs.known,
-            "running": counts.get("running", 0) if going else 0,
-            "waiting": left if not going else counts.get("waiting", 0),
-            "failed": counts.get("failed", 0),
+            "total": counts.total() - counts["superseded"],
+            "done": counts["done"],
+            "known_before": database.execute(known).fetchone()[0],
+            "running": counts["running"] if going else 0,
+            "waiting": counts["waiting"] if going else left,
+            "failed": counts["failed"],
         },
         "specimens_per_minute": None if rate is None else 60.0 * rate,
         "left_s": None if not rate else left / rate,
-        "running": jobs.running if going else [],
-        "failures": jobs.failures,
-        "refusals": refusals,
-    }
-
-
-@dataclass(frozen=True, slots=True)
-class _Jobs:
-    """Jobs of an index: how many in which state, those that run, and the newest ends."""
-
-    counts: dict[str, int]
-    running: list[dict[str, Any]]
-    failures: list[dict[str, Any]]
-    ends: list[float]
-    known: int
-
-
-def _read_jobs(database: sqlite3.Connection) -> _Jobs:
-    counts = dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall())
-    running = database.execute("SELECT * FROM jobs WHERE state = 'running' ORDER BY position")
-    failed = database.execute(
-        "SELECT * FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
-    )
-    ends = database.execute(
-        "SELECT began + seconds FROM jobs WHERE state = 'done' AND began IS NOT NULL"
-        " ORDER BY began + seconds DESC LIMIT ?",
-        (_RECENT,),
-    )
-    known = database.execute("SELECT COUNT(*) FROM jobs WHERE state = 'done' AND seconds IS NULL")
-    return _Jobs(
-        counts,
-        [
+        "running": [
             {key: row[key] for key in ("specimen", "worker", "attempts")}
             | {"seconds": max(time.time() - row["began"], 0.0)}
-            for row in running
+            for row in database.execute(of_state, ("running", counts["running"]))
+            if going
         ],
-        [{"specimen": row["specimen"], "reason": json.loads(row["reason"])["message"]} for row in failed],
-        [end for (end,) in ends],
-        known.fetchone()[0],
-    )
-
-
-def _read_refusals(database: sqlite3.Connection, run: int) -> tuple[int, list[str]]:
-    """Count of refused inputs, and the message of the first."""
-    these = f"{_OF_RUN} AND kind = 'refused'"
-    (count,) = database.execute(f"SELECT COUNT(*) {these}", (run,)).fetchone()
-    rows = database.execute(f"SELECT refusal {these} {_IN_ORDER} LIMIT ?", (run, _LISTED))
-    return count, [str(Refusal(**json.loads(row["refusal"]))) for row in rows]
+        "failures": [
+            {"specimen": row["specimen"], "reason": json.loads(row["reason"])["message"]}
+            for row in database.execute(of_state, ("failed", _LISTED))
+        ],
+        "refusals": [str(Refusal(**json.loads(row["refusal"]))) for row in refusals],
+    }
 
 
 def _alive(process: dict[str, Any]) -> bool | None:
@@ -444,10 +419,11 @@ def _alive(process: dict[str, Any]) -> bool | None:
     return True
 
 
-def _rate(started: float, ends: list[float]) -> float | None:
+def _rate(database: sqlite3.Connection, started: float) -> float | None:
     """Specimens a second over the last ones that were finished."""
+    ended = "SELECT began + seconds AS ended FROM jobs WHERE state = 'done' AND began IS NOT NULL"
+    ends = [row["ended"] for row in database.execute(f"{ended} ORDER BY ended DESC LIMIT ?", (_RECENT,))]
     if not ends:
         return None
-    first = started if len(ends) < _RECENT else ends[-1]
-    passed = time.time() - first
+    passed = time.time() - (started if len(ends) < _RECENT else ends[-1])
     return len(ends) / passed if passed > 0.0 else None

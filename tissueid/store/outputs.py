@@ -27,7 +27,7 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -296,17 +296,11 @@ class OutputSet:
         """Write one file of the set."""
         write_file(self.path(name), content)
 
-    @property
-    def previous_names(self) -> tuple[str, ...]:
-        """Public names of the current set, which this one will replace."""
-        return () if self._previous is None else tuple(self._previous.files)
-
-    def carry_over(self, names: Iterable[str] | None = None) -> None:
-        """Take files of the current set into this one as they are (all of them by default)."""
-        if self._previous is None:
-            return
-        for name in self._previous.files if names is None else names:
-            shutil.copyfile(self._previous.folder / name, self.path(name))
+    def carry_over(self, *, but: Collection[str] = ()) -> None:
+        """Take the files of the current set, but some, into this one as they are."""
+        if self._previous is not None:
+            for name in self._previous.files.keys() - but:
+                shutil.copyfile(self._previous.folder / name, self.path(name))
 
     def commit(self) -> None:
         """Make this run the current one and refresh the public names."""

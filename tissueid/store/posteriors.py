@@ -95,14 +95,8 @@ def _thinned(chain: FloatArray) -> FloatArray:
     return kept
 
 
-def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
-    """Write posteriors one after the other, whole or not at all; equal posteriors give equal bytes."""
-    with hdf5.new_file(Path(path)) as file:
-        put_posteriors(file, posteriors)
-
-
 def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
-    """Write posteriors into an open HDF5 file or a group of one."""
+    """Write posteriors into an open HDF5 file or a group of one; equal posteriors give equal bytes."""
     file.attrs["format"] = _FORMAT
     index = []
     for position, one in enumerate(posteriors):
@@ -137,7 +131,7 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
 
 
 def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
-    """Read what :func:`write_posteriors` wrote; BundleError if it is missing, damaged or of another kind."""
+    """Read a file of posteriors; BundleError if it is missing, damaged or of another kind."""
     again = "copy it again or run `tissueid fit` again"
     with hdf5.open_file(Path(path), "posteriors", again, "it where a posterior was sampled") as file:
         return get_posteriors(file)

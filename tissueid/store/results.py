@@ -19,54 +19,25 @@ from tissueid.documents.identification import Identification as IdentificationDo
 from tissueid.documents.identification import Specimen
 from tissueid.documents.twin import Twin
 from tissueid.errors import BundleError
-from tissueid.result import Identification
-from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
-from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
+from tissueid.store.bundle import load_bundle
+from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import (
     CURVES,
     IDENTIFICATION,
     ONLY_BUNDLE,
     POSTERIORS,
     bundle_names,
-    json_bytes,
-    plain_json,
     sha256_of,
 )
 from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
-from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
-from tissueid.store.posteriors import (
-    StoredPosterior,
-    load_posteriors,
-    posteriors_of_fits,
-    write_posteriors,
-)
+from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
+from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.schema import check
 
 #: Place of a twin in an output folder.
 TWIN = Path("twin") / "twin.json"
 _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
-
-
-def write_results(run: OutputSet, identification: Identification) -> IdentificationDocument:
-    """Write the numbers, bundles, curves and draws of a fit into an output set; the document for the report.
-
-    Raises BundleError: if the result breaks its schema or a bundle would not load again.
-    """
-    plain = plain_json(identification.as_json())
-    check(plain, "identification", where=IDENTIFICATION)
-    run.write(IDENTIFICATION, json_bytes(plain))
-    names = bundle_names(fit.specimen for fit in identification.specimens)
-    for fit in identification.specimens:
-        bundle = bundle_from_fit(fit, provenance=identification.provenance)
-        write_bundle(bundle, run.path(names[fit.specimen]))
-        if len(names) == 1:
-            write_bundle(bundle, run.path(ONLY_BUNDLE))
-    write_curves(curves_of_fits(identification.specimens), run.path(CURVES))
-    posteriors = posteriors_of_fits(identification.specimens)
-    if posteriors:
-        write_posteriors(posteriors, run.path(POSTERIORS))
-    return typed(plain, IdentificationDocument)
 
 
 def read_identification(out: Path | str) -> IdentificationDocument:
@@ -176,8 +147,7 @@ def output_problems(out: Path | str) -> list[str]:
     return [
         *_specimen_problems(out, run),
         *_bundle_problems(out, run, plain),
-        *_curve_problems(document, curves),
-        *_posterior_problems(document, posteriors),
+        *_name_problems(document, curves, posteriors),
     ]
 
 
@@ -273,15 +243,14 @@ def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) 
                 yield f"{name} and {IDENTIFICATION} differ in {key}"
 
 
-def _curve_problems(document: IdentificationDocument, curves: tuple[TrialCurve, ...]) -> Iterable[str]:
+def _name_problems(
+    document: IdentificationDocument,
+    curves: tuple[TrialCurve, ...],
+    posteriors: tuple[StoredPosterior, ...],
+) -> Iterable[str]:
     fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
     if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
         yield f"{CURVES} and {IDENTIFICATION} name different trials"
-
-
-def _posterior_problems(
-    document: IdentificationDocument, posteriors: tuple[StoredPosterior, ...]
-) -> Iterable[str]:
     sampled = [s.specimen for s in document.specimens if s.sampler is not None]
     if sampled != [entry.specimen for entry in posteriors]:
         yield f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens"

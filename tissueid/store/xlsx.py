@@ -33,6 +33,7 @@ _MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 _LINKS = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
 _PACKAGE = "http://schemas.openxmlformats.org/package/2006"
 _KIND = "application/vnd.openxmlformats-officedocument.spreadsheetml"
+_QUOTES = {'"': "&quot;"}
 #: Two formats of a cell: plain, and the bold of a head.
 _STYLES = (
     f'{_HEAD}<styleSheet xmlns="{_MAIN}"><fonts count="2"><font><sz val="11"/><name val="Calibri"/></font>'
@@ -119,7 +120,8 @@ def _relations(links: Iterable[tuple[str, str, str]]) -> str:
 
 def _workbook(names: Sequence[str]) -> str:
     told = "".join(
-        f'<sheet name="{_attribute(name)}" sheetId="{k}" r:id="rId{k}"/>' for k, name in enumerate(names, 1)
+        f'<sheet name="{escape(name, _QUOTES)}" sheetId="{k}" r:id="rId{k}"/>'
+        for k, name in enumerate(names, 1)
     )
     return f'{_HEAD}<workbook xmlns="{_MAIN}" xmlns:r="{_LINKS}"><sheets>{told}</sheets></workbook>'
 
@@ -163,7 +165,3 @@ def _cell(value: Cell, style: int) -> str:
     if value is None or not math.isfinite(value):
         return f"<c{own}/>"
     return f"<c{own}><v>{float(value)!r}</v></c>"
-
-
-def _attribute(text: str) -> str:
-    return escape(text, {'"': "&quot;"})

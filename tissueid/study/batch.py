@@ -59,9 +59,9 @@ from tissueid.study.inventory import (
     RecentTrials,
     Request,
     Workplace,
+    decided_row,
     expected_seconds,
     found_in,
-    recording_rows,
 )
 from tissueid.study.one_order import LawOrder, agreed, scores_of
 from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
@@ -362,11 +362,11 @@ class _Cohort:
             file = inventory.file(position)
             found = []
             for item in read_decided(Path(file.path), file.options, file.study):
-                found.append(found_in(item))
+                found.append(found_in(file.path, item))
                 if isinstance(item, InputError):
                     continue
                 self.recent.keep(item)
-                (row,) = recording_rows(file.path, found[-1:], inventory.parts)
+                row = decided_row(found[-1], file.study)
                 if row.kind in {"trial", "excluded"} and row.specimen not in names:
                     if names:
                         raise _SeveralSpecimensError
@@ -483,8 +483,8 @@ class _Cohort:
             self.progress(", ".join(running.values()), done, total)
 
         def tasks() -> Iterator[Task]:
-            for position, job in waiting.items():
-                yield Task(position, what, packed(self._job(position)), job.specimen)
+            for position in waiting:
+                yield Task(position, what, packed(self._job(position)))
 
         crew = workplace.workforce(len(waiting), seconds, here, asked=True)
         for outcome in crew.run(tasks(), started):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from tissueid.errors import NotIdentifiedError, printable
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle, population_priors
 from tissueid.population.members import thawed_among_fresh
-from tissueid.population.sampler import SamplerOptions
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
 from tissueid.store.files import IDENTIFICATION, json_bytes, plain_json, sha256_of
@@ -27,18 +26,6 @@ _DOCUMENT, _BUNDLE, _PAGE = "population.json", "population.h5", "cohort.html"
 STATES, MOST_NAMED = {"storage", "freeze_thaw_cycles"}, 5
 #: What is written into the output folder.
 POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
-
-
-@dataclass(frozen=True, slots=True)
-class PopulationRequest:
-    """Request for a cohort."""
-
-    group_by: str | None = None  # covariate whose groups are compared
-    covariates: tuple[str, ...] = ()
-    tails: str = "t"  # ``t`` or ``normal``
-    seed: int = 0
-    hold_out: bool = True  # predict every specimen from the others
-    mix_states: bool = False  # pool thawed specimens with fresh ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,24 +43,19 @@ class WrittenPopulation:
 
 
 def write_population(
-    out: Path, request: PopulationRequest, progress: Callable[[str, int, int], None]
+    out: Path, options: CohortOptions, progress: Callable[[str, int, int], None], *, mix_states: bool = False
 ) -> WrittenPopulation:
     """Draw the population of the specimens in an output folder and write it beside them.
 
-    Raises NotIdentifiedError: there are too few specimens with a posterior; each that takes no part is
+    ``options``: the study's priors take the place of theirs; ``mix_states``: pool thawed specimens with fresh
+    ones.  Raises NotIdentifiedError: there are too few specimens with a posterior; each that takes no part is
     named; BundleError: the folder is not whole, or another process writes into it.
     """
     with OutputSet(out) as run:
         identification = read_identification(out)
-        options = CohortOptions(
-            group_by=request.group_by,
-            covariates=request.covariates,
-            priors=population_priors(identification),
-            sampler=SamplerOptions(tails=request.tails, seed=request.seed),
-            hold_out=request.hold_out,
-        )
+        options = replace(options, priors=population_priors(identification))
         members = members_of(identification, each_result(out))
-        if not request.mix_states and not STATES & {request.group_by, *request.covariates}:
+        if not mix_states and not STATES & {options.group_by, *options.covariates}:
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
         source = sha256_of(out / IDENTIFICATION)
@@ -82,7 +64,7 @@ def write_population(
             raise NotIdentifiedError(_no_population(document))
         check(document, "population", where=_DOCUMENT)
         progress("writing the report", 0, 0)
-        run.carry_over(name for name in run.previous_names if name not in POPULATION_FILES)
+        run.carry_over(but=POPULATION_FILES)
         run.write(_DOCUMENT, json_bytes(document))
         bundle = population_bundle(fit, document)
         if bundle is not None:

@@ -6,72 +6,33 @@ specimens counts by the share of specimens that state it.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, Final, Literal
 
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
+from tissueid.documents import typed
 from tissueid.documents.identification import StudyRecord
+from tissueid.documents.inspect import Refusal as RefusedInput
+from tissueid.documents.study import Missing, StudyCheck
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 
-ESSENTIAL, ASKED, HELPS = 3, 2, 1
+ESSENTIAL: Final = 3
+ASKED: Final = 2
+HELPS: Final = 1
+Grade = Literal["A", "B", "C", "D", "E", "F"]
 #: Grade -> least share.
-GRADES: Mapping[str, float] = {"A": 0.95, "B": 0.80, "C": 0.60, "D": 0.40, "E": 0.20, "F": 0.0}
+GRADES: Mapping[Grade, float] = {"A": 0.95, "B": 0.80, "C": 0.60, "D": 0.40, "E": 0.20, "F": 0.0}
 #: Grades that need every item of weight 3.
 _NEEDS_ESSENTIALS = {"A", "B"}
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Item:
-    """One thing to state."""
+#: One thing to state: its table, keys of which any one will do, weight, and why it is asked for.
+Item = partial(Missing, where=())
 
-    table: str  # where it stands: ``study``, ``calibration``, ``tip``, ``specimen`` or ``trial``
-    keys: tuple[str, ...]  # any one of them will do
-    weight: int
-    why: str  # why it is asked for
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Missing:
-    """An item that is not, or not everywhere, stated; ``where`` names the specimens or trials without it."""
-
-    item: Item
-    where: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``missing`` object of ``schemas/study-check.schema.json``."""
-        return {**dataclasses.asdict(self.item), "keys": list(self.item.keys), "where": list(self.where)}
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Completeness:
-    """The verdict on a study file."""
-
-    grade: str  # a to F
-    share: float  # share of the weights that is stated
-    missing: tuple[Missing, ...]  # the weightiest first
-    unmatched: tuple[Refusal, ...]  # files and sheets that are named and not there
-
-    @property
-    def usable(self) -> bool:
-        """Nothing essential is missing and every named file is there."""
-        return not self.unmatched and all(one.item.weight < ESSENTIAL for one in self.missing)
-
-    def as_json(self, path: str) -> dict[str, Any]:
-        """The document of ``schemas/study-check.schema.json``."""
-        return {
-            "schema": "tissueid/study-check/1",
-            "path": path,
-            "grade": self.grade,
-            "share": self.share,
-            "missing": [one.as_json() for one in self.missing],
-            "unmatched": [one.as_json() for one in self.unmatched],
-        }
-
-
-ITEMS: tuple[Item, ...] = (
+ITEMS: tuple[Missing, ...] = (
     Item("specimen", ("species",), ESSENTIAL, "tissue of different species differs several-fold"),
     Item("specimen", ("tissue",), ESSENTIAL, "nothing can be compared without naming the tissue"),
     Item("specimen", ("thickness_mm",), ESSENTIAL, "a thin layer on a stiff support feels the support"),
@@ -114,13 +75,13 @@ ITEMS: tuple[Item, ...] = (
 )  # fmt: skip
 
 
-def _without(item: Item, tables: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+def _without(item: Missing, tables: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
     """Names of the tables that state none of the keys."""
     return tuple(name for name, table in tables.items() if all(table.get(key) is None for key in item.keys))
 
 
-def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completeness:
-    """Grade a study file; ``unmatched``: files that it names in vain."""
+def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> StudyCheck:
+    """Grade a study file; ``unmatched``: files and sheets that it names in vain."""
     calibration = dict(study.calibration.values)
     if study.calibration.frame is not None:
         calibration["frame"] = study.calibration.frame
@@ -134,13 +95,14 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
         "specimen": {name: {**study.about, **table} for name, table in study.specimens.items()},
         "trial": {str(entry.values["file"]): entry.values for entry in study.trials},
     }
-    return _graded(single, several, unmatched)
+    return _graded(study.path, single, several, unmatched)
 
 
-def completeness_of_result(study: StudyRecord | None) -> Completeness:
+def completeness_of_result(study: StudyRecord | None) -> StudyCheck:
     """Grade the ``study`` of identification.json; without one nothing is stated."""
     if study is None:
-        return _graded({"study": {}, "calibration": {}, "tip": {}}, {"specimen": {}, "trial": {}}, ())
+        nothing: dict[str, dict[str, Any]] = {"study": {}, "calibration": {}, "tip": {}}
+        return _graded("study.toml", nothing, {"specimen": {}, "trial": {}}, ())
     about = _stated(asdict(study.study))
     single = {
         "study": about,
@@ -149,7 +111,7 @@ def completeness_of_result(study: StudyRecord | None) -> Completeness:
     }
     specimens = {row.specimen: {**about, **_stated(asdict(row))} for row in study.specimens}
     trials = {row.path: asdict(row) for row in study.trials if row.listed}
-    return _graded(single, {"specimen": specimens, "trial": trials}, ())
+    return _graded("study.toml", single, {"specimen": specimens, "trial": trials}, ())
 
 
 def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,10 +119,11 @@ def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _graded(
+    path: str,
     single: Mapping[str, Mapping[str, Any]],
     several: Mapping[str, Mapping[str, Mapping[str, Any]]],
     unmatched: Sequence[Refusal],
-) -> Completeness:
+) -> StudyCheck:
     """The verdict on tables of which there is one, and of which there are several by name."""
     about = single["study"]
     stated, missing = 0.0, []
@@ -176,11 +139,12 @@ def _graded(
             where = lacking if len(lacking) < len(tables) else ()
         stated += item.weight * share
         if lacking:
-            missing.append(Missing(item, where))
-    missing.sort(key=lambda one: -one.item.weight)
+            missing.append(replace(item, where=where))
+    missing.sort(key=lambda one: -one.weight)
     total = stated / sum(item.weight for item in ITEMS)
-    whole = all(one.item.weight < ESSENTIAL for one in missing)
+    whole = all(one.weight < ESSENTIAL for one in missing)
     grade = next(
         name for name, least in GRADES.items() if total >= least and (whole or name not in _NEEDS_ESSENTIALS)
     )
-    return Completeness(grade, total, tuple(missing), tuple(unmatched))
+    vain = typed([one.as_json() for one in unmatched], tuple[RefusedInput, ...])
+    return StudyCheck("tissueid/study-check/1", path, grade, total, tuple(missing), vain)

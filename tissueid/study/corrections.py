@@ -185,39 +185,33 @@ class CorrectedInspection:
         or would not be. The file is then as it was.
         """
         with self._lock:
-            return self._decide(words)
+            inspection = self._current()
+            path, sheet, key = words.get("path"), words.get("sheet"), words.get("key")
+            place = inspection.place(str(path), sheet)
+            if place is None or key not in CORRECTED:
+                msg = "no such recording or decision on this page: load it again"
+                raise UsageError(msg)
+            known = inspection.shown[place].document
+            value = _value(str(key), words.get("value"), inspection.shown[place])
+            file = relative_name(known.path, self.manifest.parent.resolve())
+            correction = Correction(str(key), file, known.sheet, value, str(words.get("because") or ""))
+            content = corrected_text((self._seen or b"").decode("utf-8-sig"), correction).encode("utf-8")
+            study = study_of(content, self.manifest)
+            if value is None:
+                _refuse_hand(study, str(key), known)
+            trial = read_decided_one(known.path, known.sheet, self._reading, study)
+            drawn = inspection.remade(trial, study)
+            self._store(content)
+            inspection.put(place, drawn, study)
+            self._seen = content
+            done = "taken back in" if value is None else "written into"
+            return f"{key} of {file} is {done} {MANIFEST}"
 
     def _current(self) -> Inspection:
-        content = self._content()
+        content = self.manifest.read_bytes() if self.manifest.exists() else b""
         if self._inspection is None or content != self._seen:
             self._inspection, self._seen = self._inspect(), content
         return self._inspection
-
-    def _content(self) -> bytes:
-        return self.manifest.read_bytes() if self.manifest.exists() else b""
-
-    def _decide(self, words: Mapping[str, Any]) -> str:
-        inspection = self._current()
-        path, sheet, key = words.get("path"), words.get("sheet"), words.get("key")
-        place = inspection.place(str(path), sheet)
-        if place is None or key not in CORRECTED:
-            msg = "no such recording or decision on this page: load it again"
-            raise UsageError(msg)
-        known = inspection.shown[place].document
-        value = _value(str(key), words.get("value"), inspection.shown[place])
-        file = relative_name(known.path, self.manifest.parent.resolve())
-        correction = Correction(str(key), file, known.sheet, value, str(words.get("because") or ""))
-        content = corrected_text((self._seen or b"").decode("utf-8-sig"), correction).encode("utf-8")
-        study = study_of(content, self.manifest)
-        if value is None:
-            _refuse_hand(study, str(key), known)
-        trial = read_decided_one(known.path, known.sheet, self._reading, study)
-        drawn = inspection.remade(trial, study)
-        self._store(content)
-        inspection.put(place, drawn, study)
-        self._seen = content
-        done = "taken back in" if value is None else "written into"
-        return f"{key} of {file} is {done} {MANIFEST}"
 
     def _store(self, content: bytes) -> None:
         try:

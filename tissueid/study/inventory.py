@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from tissueid.pipeline import IdentifyOptions
 from tissueid.result import Refusal
 from tissueid.store.files import json_bytes, sha256_of
 from tissueid.store.index import Index, RecordingRow
-from tissueid.study.recordings import READING, StudyParts, read_decided
+from tissueid.study.recordings import READING, FileList, StudyParts, read_decided
 from tissueid.study.tasks import (
     Fault,
     InThisProcess,
@@ -53,9 +53,7 @@ def _nothing(*_: Any) -> None:
 class Request:
     """Request for a fit."""
 
-    #: Files in their order; a refusal stands in the place of what was refused.  A
-    #: :class:`tissueid.study.recordings.FileList` is small however many they are.
-    found: Sequence[tuple[Path, str | None] | Refusal]
+    found: FileList  # files in their order; a refusal stands in the place of what was refused
     reading: ReadOptions
     study: Study | None
     options: IdentifyOptions
@@ -102,18 +100,16 @@ class Workplace:
         ``asked``: the number of processes that the user asked for is meant for these tasks, however
         small.
         """
-        if self._opened is None and self._scheduler != LOCAL:
+        if self._opened is None and self._scheduler == LOCAL:
+            most = self._workers or os.cpu_count() or 1
+            small = seconds < WORTH_PROCESSES_S and (self._workers is None or not asked)
+            if min(most, tasks) < 2 or small:
+                return InThisProcess(function, one=self._workers == 1)
+            self._opened = self._stack.enter_context(LocalProcesses(most))
+        elif self._opened is None:
             from tissueid.study.cluster import DaskWorkers
 
             self._opened = self._stack.enter_context(DaskWorkers(self._scheduler))
-        if self._scheduler == LOCAL and self._opened is None:
-            workers = min(self._workers or os.cpu_count() or 1, tasks)
-            small = seconds < WORTH_PROCESSES_S and (self._workers is None or not asked)
-            if workers < 2 or small:
-                return InThisProcess(function, one=self._workers == 1)
-            most = self._workers or os.cpu_count() or 1
-            self._opened = self._stack.enter_context(LocalProcesses(most))
-        assert self._opened is not None  # noqa: S101  (opened above)
         return self._opened
 
 
@@ -132,26 +128,21 @@ class NamedFile:
     known: str | None = None  # SHA-256 it had when it was last read in this way
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Contents of a file: one recording, or the refusal in its place."""
-
-    sheet: str | None
-    sha256: str
-    specimen: str  # as the file was read
-    samples: int
-    refusal: Refusal | None = None
+def refused_row(refusal: Refusal) -> RecordingRow:
+    """The row of what could not be read."""
+    return RecordingRow(refusal.path, refusal.sheet, "", "", 0, "refused", "", refusal)
 
 
-def found_in(item: Trial | InputError) -> Found:
-    """Contents of a file by one item of its reader."""
+def found_in(path: str, item: Trial | InputError) -> RecordingRow:
+    """Row of one item of a file's reader, without the study's decisions."""
     if isinstance(item, InputError):
-        return Found(item.sheet, "", "", 0, Refusal.of(item))
-    return Found(item.source.sheet, item.source.sha256, item.specimen, int(item.time_s.size))
+        return replace(refused_row(Refusal.of(item)), path=path)
+    where, name = item.source, item.specimen
+    return RecordingRow(path, where.sheet, where.sha256, name, int(item.time_s.size), "trial", name)
 
 
-def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[Found] | None:
-    """Everything a file holds; ``None`` where it is the file that was known."""
+def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[RecordingRow] | None:
+    """Everything a file holds, as it was read; ``None`` where it is the file that was known."""
     if file.known:
         try:
             if sha256_of(Path(file.path)) == file.known:
@@ -161,7 +152,7 @@ def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> l
             pass
     found = []
     for item in read_decided(Path(file.path), file.options, file.study):
-        found.append(found_in(item))
+        found.append(found_in(file.path, item))
         if keep is not None and isinstance(item, Trial):
             keep(item)
     return found
@@ -187,23 +178,20 @@ def reading_key(options: ReadOptions, study: Study | None) -> str:
     return hashlib.sha256(text).hexdigest()[:32]
 
 
-def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) -> Iterator[RecordingRow]:
-    """Rows of a file's contents, with the study's decisions on them."""
-    study = None if parts is None else parts.of_file(path)
-    for one in found:
-        specimen, kind = one.specimen, "trial"
-        decision = None if study is None else study.decision(path, one.sheet)
-        if one.refusal is not None:
-            kind = "refused" if decision is None or decision.excluded is None else "refused_excluded"
-        elif study is not None and decision is not None:
-            frame = study.calibration.frame
+def decided_row(row: RecordingRow, study: Study | None) -> RecordingRow:
+    """The row of a recording with the study's decisions on it."""
+    specimen, kind = row.raw, "trial" if row.refusal is None else "refused"
+    if study is not None:
+        decision, frame = study.decision(row.path, row.sheet), study.calibration.frame
+        if row.refusal is not None:
+            kind = "refused" if decision.excluded is None else "refused_excluded"
+        else:
             specimen = str(decision.trial.get("specimen", specimen))
-            if decision.excluded is not None or (frame is not None and one.sha256 in frame.sources):
+            if decision.excluded is not None or (frame is not None and row.sha256 in frame.sources):
                 kind = "excluded"
             elif study.only_listed and not decision.listed:
                 kind = "unlisted"
-        said = (one.sheet, one.sha256, one.specimen, one.samples)
-        yield RecordingRow(path, *said, kind, specimen, one.refusal)
+    return replace(row, kind=kind, specimen=specimen)
 
 
 #: Samples kept between a survey and the jobs of one process [bytes].
@@ -260,17 +248,17 @@ class Inventory:
         options = reading if sheet is None else replace(reading, sheet=sheet)
         return NamedFile(position, path, options, None if self.parts is None else self.parts.of_file(path))
 
-    def put_down(self, file: NamedFile, found: Sequence[Found]) -> None:
+    def put_down(self, file: NamedFile, found: Iterable[RecordingRow]) -> None:
         """Say what a file holds."""
-        self._put_down(file.position, file.path, _key(file), found)
-
-    def _put_down(self, position: int, path: str, key: tuple[str, str], found: Sequence[Found]) -> None:
-        rows = list(recording_rows(path, found, self.parts))
-        self.index.add_file(position, *key, rows)
-        self._missing.discard(position)
+        rows = [decided_row(row, file.study) for row in found]
+        self._put_down(file.position, _key(file), rows)
         for row in rows:
             if row.refusal is None:
                 self.request.read(row.path, row.sheet)
+
+    def _put_down(self, position: int, key: tuple[str, str], rows: Sequence[RecordingRow]) -> None:
+        self.index.add_file(position, *key, rows)
+        self._missing.discard(position)
 
     def put_down_refusals(self) -> None:
         """Put down what was refused before any file was opened."""
@@ -278,7 +266,8 @@ class Inventory:
             for position, one in enumerate(self.request.found):
                 if isinstance(one, Refusal):
                     key = one.path, f"refused before it was read, {position}"
-                    self._put_down(position, one.path, key, [Found(one.sheet, "", "", 0, one)])
+                    study = None if self.parts is None else self.parts.of_file(one.path)
+                    self._put_down(position, key, [decided_row(refused_row(one), study)])
 
     def complete(self, workplace: Workplace, recent: RecentTrials, progress: Progress) -> None:
         """Look into every file that was not looked into yet."""
@@ -326,15 +315,12 @@ class Inventory:
             assert fault is not None  # noqa: S101  (a task has either)
             file = self.file(chunk[0])
             refusal = Refusal(file.path, None, fault.code, f"it can't be read: {fault.message}")
-            self.put_down(file, [Found(None, "", "", 0, refusal)])
+            self.put_down(file, [refused_row(refusal)])
             return
         for position, found in unpacked(result):
             file = self.file(position)
-            if found is None:
-                # as an earlier run put it down
-                rows = self.index.known_file(*_key(file))
-                found = [Found(row.sheet, row.sha256, row.raw, row.samples, row.refusal) for row in rows]
-            self.put_down(file, found)
+            # of a file that was known, as an earlier run put it down
+            self.put_down(file, self.index.known_file(*_key(file)) if found is None else found)
 
     def _known(self, position: int) -> NamedFile:
         file = self.file(position)

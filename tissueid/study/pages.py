@@ -19,7 +19,6 @@ import numpy as np
 from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
-from tissueid.documents.study import StudyCheck
 from tissueid.documents.twin import Twin
 from tissueid.errors import TissueidError
 from tissueid.haptics.registry import reported_devices
@@ -50,6 +49,8 @@ from tissueid.study.tasks import Task, Workforce, attempt, packed
 
 #: A hand that explores moves a grip at some 0.1 m/s.
 EXPLORING_MM_S = 100.0
+#: Draws that are looked at.
+MOST_DRAWS = 500
 MM_PER_M = 1000.0
 
 
@@ -94,7 +95,11 @@ def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Renderin
             rows.append(_row(name, check_before_force(rendered, demands), (slow, fast)))
         except (TissueidError, ValueError) as error:
             rows.append(RefusedDevice(name, str(error)))
-    draws = np.zeros((0, theta.size)) if stored is None else _as_rendered(stored, model.parameter_names)
+    draws = np.zeros((0, theta.size))
+    if stored is not None:
+        # some of the draws that a bundle carries, in the order of the model
+        kept = np.linspace(0, len(stored.draws) - 1, min(len(stored.draws), MOST_DRAWS)).astype(int)
+        draws = stored.draws[kept][:, [stored.theta_names.index(name) for name in model.parameter_names]]
     return Rendering(
         passive=model.is_passive(theta),
         draws=len(draws),
@@ -102,13 +107,6 @@ def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Renderin
         unique=model.contact_loss_is_unique(theta),
         devices=tuple(rows),
     )
-
-
-def _as_rendered(stored: StoredPosterior, names: tuple[str, ...]) -> Any:
-    """Some of the draws that a bundle carries, in the order of the model."""
-    some = stored.draws
-    kept = np.linspace(0, len(some) - 1, min(len(some), 500)).astype(int)
-    return some[kept][:, [stored.theta_names.index(name) for name in names]]
 
 
 #: Folder of the pages, in the output folder.
@@ -173,14 +171,13 @@ def report_page(
         curves,
         posteriors,
         renderings=[rendering_of(one, known.get(one.specimen)) for one in document.specimens],
-        beside=Beside(_graded(document) if graded else None, () if twin is None else twin_sections(twin)),
+        beside=Beside(
+            completeness_of_result(document.study) if graded else None,
+            () if twin is None else twin_sections(twin),
+        ),
         digest=hashlib.sha256(json_bytes(plain)).hexdigest(),
         **more,
     )
-
-
-def _graded(document: Identification) -> StudyCheck:
-    return typed(plain_json(completeness_of_result(document.study).as_json("study.toml")), StudyCheck)
 
 
 def begin_pages(out: Path) -> None:
@@ -199,7 +196,7 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
             target = page_path(out, path.name)
             if not target.exists():
                 names[number] = target
-                yield Task(number, PAGE, path.read_bytes(), path.name)
+                yield Task(number, PAGE, path.read_bytes())
 
     for made, outcome in enumerate(crew.run(tasks(), lambda *_: None), 1):
         target = names.pop(outcome.number)

@@ -11,7 +11,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import ReadOptions, each_input, read_each, read_one
@@ -210,7 +210,7 @@ def _plain(entry: Entry) -> dict[str, Any]:
 Named = tuple[Path, str | None]
 
 
-class FileList(Sequence["Named | Refusal"]):
+class FileList:
     """Paths in one block of bytes, 8 beside each; sheets and refusals, which are few, in tables."""
 
     def __init__(self, items: Iterable[Named | Refusal] = ()) -> None:
@@ -236,17 +236,7 @@ class FileList(Sequence["Named | Refusal"]):
     def __len__(self) -> int:
         return len(self._end) - 1
 
-    @overload
-    def __getitem__(self, number: int) -> Named | Refusal: ...
-    @overload
-    def __getitem__(self, number: slice) -> Sequence[Named | Refusal]: ...
-    def __getitem__(self, number: int | slice) -> Named | Refusal | Sequence[Named | Refusal]:
-        if isinstance(number, slice):
-            return FileList(self[one] for one in range(*number.indices(len(self))))
-        if number < 0:
-            number += len(self)
-        if not 0 <= number < len(self):
-            raise IndexError(number)
+    def __getitem__(self, number: int) -> Named | Refusal:
         if number in self._refusals:
             return self._refusals[number]
         name = bytes(self._text[self._end[number] : self._end[number + 1]])

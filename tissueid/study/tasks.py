@@ -1,31 +1,31 @@
-"""Tasks, bytes in and bytes out, computed in this process or in spawned ones of this machine.
+"""Tasks, bytes in and bytes out: futures of one executor of :mod:`concurrent.futures`, a few in hand at once.
 
-Every process has a pipe of its own, so that a death is that of a known task: the process is replaced, the
-task tried once more, and named if it dies again.
+On this machine each thread of the executor waits for a spawned process with a pipe of its own, so that a
+death is that of a known task: the process is replaced, the task tried once more, and named if it dies again.
 """
 
 from __future__ import annotations
 
 import copyreg
-import os
 import pickle
 import platform
 import signal
-import sys
 import time
-from collections import deque
+from abc import ABC, abstractmethod
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from multiprocessing import connection, get_context
+from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any, Protocol, Self
 
 from tissueid import __version__
-from tissueid.errors import InputError, TissueidError
+from tissueid.errors import InputError, TissueidError, was_interrupted
 from tissueid.own_process import end_with_parent, one_processor
 
 #: Libraries whose version may change a number or a byte of a result.
@@ -39,7 +39,6 @@ class Task:
     number: int  # by which its outcome is known
     what: str  # function from bytes to bytes, as ``module:name``
     payload: bytes  # from :func:`packed`
-    label: str = ""  # what a person calls it
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +56,7 @@ class Outcome:
     number: int
     result: bytes | None
     fault: Fault | None
-    seconds: float  # wall time of the computation
-    worker: str
+    seconds: float = 0.0  # wall time of the computation
 
 
 def _frozen(items: dict[str, Any]) -> MappingProxyType[str, Any]:
@@ -98,18 +96,8 @@ def perform(what: str, payload: bytes) -> bytes:
     return result
 
 
-def _was_interrupted(error: BaseException | None) -> bool:
-    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
-def attempt(
-    task: Task, worker: str | None = None, function: Callable[[str, bytes], bytes] = perform
-) -> Outcome:
-    """Run a task, by default as this process; whatever it raises, but an interrupt, becomes its fault."""
-    worker = worker or f"process {os.getpid()}"
+def attempt(task: Task, function: Callable[[str, bytes], bytes] = perform) -> Outcome:
+    """Run a task, by default as any process does; whatever it raises, but an interrupt, becomes its fault."""
     began = time.perf_counter()
     result, fault = None, None
     try:
@@ -120,18 +108,26 @@ def attempt(
         fault = Fault(error.code if isinstance(error, InputError) else "job_failed", str(error))
     except Exception as error:
         # the outer shell of a job: a bug must not stop the others
-        if _was_interrupted(error):
+        if was_interrupted(error):
             raise KeyboardInterrupt from error
         fault = Fault(
             "job_failed", f"internal error ({type(error).__name__}: {error}). This is a bug in tissueid"
         )
-    return Outcome(task.number, result, fault, time.perf_counter() - began, worker)
+    return Outcome(task.number, result, fault, time.perf_counter() - began)
+
+
+def attempt_beside_others(task: Task) -> Outcome:
+    """Run a task on one processor, without threads on those that compute others."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1), one_processor():
+        return attempt(task)
 
 
 #: Times a task may take its process with it.
 ATTEMPTS = 2
-#: How long a process may take to end by itself [s].
-_GRACE_S = 2.0
+#: How long a process may take to end by itself, and between two looks at who computes [s].
+_GRACE_S, _LOOK_S = 2.0, 1.0
 
 #: Told the number of a task and who begins it.
 Started = Callable[[int, str], None]
@@ -139,11 +135,6 @@ Started = Callable[[int, str], None]
 
 class Workforce(Protocol):
     """Whoever computes tasks, so many at a time."""
-
-    @property
-    def size(self) -> int:
-        """Tasks computed at once."""
-        ...
 
     def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
         """Outcomes as they come, in any order; tasks are taken from the iterable as they are needed."""
@@ -153,8 +144,6 @@ class Workforce(Protocol):
 class InThisProcess:
     """No process but this one; ``one``: take one processor, and no threads on others."""
 
-    size = 1
-
     def __init__(self, function: Callable[[str, bytes], bytes] = perform, *, one: bool = False) -> None:
         self._function, self._one = function, one
 
@@ -163,153 +152,149 @@ class InThisProcess:
         for task in tasks:
             started(task.number, "this process")
             with one_processor() if self._one else nullcontext():
-                outcome = attempt(task, "this process", self._function)
+                outcome = attempt(task, self._function)
             yield outcome
+
+
+class Futures(ABC):
+    """Tasks as futures of an executor."""
+
+    @property
+    @abstractmethod
+    def most(self) -> int:
+        """Tasks in hand at once."""
+
+    @abstractmethod
+    def submit(self, task: Task, started: Started) -> Future[Outcome]:
+        """Hand a task to the executor."""
+
+    @abstractmethod
+    def outcome(self, task: Task, future: Future[Outcome]) -> Outcome | None:
+        """Outcome of a task whose future has ended; ``None`` where it is to be computed again."""
+
+    def lost(self) -> bool:
+        """True where those who had the tasks in hand are gone, and others there."""
+        return False
+
+    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
+        """Outcomes as they come, in any order; tasks are taken from the iterable as they are needed."""
+        source, again = iter(tasks), deque[Task]()
+        in_hand: dict[Future[Outcome], Task] = {}
+        outcomes: list[Outcome] = []
+        most = 0
+        while True:
+            most = most if in_hand else self.most
+            while len(in_hand) < most:
+                task = again.popleft() if again else next(source, None)
+                if task is None:
+                    break
+                in_hand[self.submit(task, started)] = task
+            # nobody waits for what the caller does with the results
+            yield from outcomes
+            if not in_hand:
+                return
+            done = wait(in_hand, _LOOK_S, FIRST_COMPLETED).done
+            ended = [(task, self.outcome(task, future)) for future in done if (task := in_hand.pop(future))]
+            outcomes = [outcome for _, outcome in ended if outcome is not None]
+            again.extend(task for task, outcome in ended if outcome is None)
+            if not outcomes and self.lost():
+                again.extend(in_hand.values())
+                in_hand.clear()
 
 
 def _serve(pipe: Any) -> None:
     """A worker: tasks in, outcomes out, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1), one_processor():
+    with suppress(EOFError):
         while True:
-            try:
-                task = unpacked(pipe.recv_bytes())
-            except EOFError:
-                return
-            outcome = packed(attempt(task))
-            pipe.send_bytes(outcome)
+            pipe.send(attempt_beside_others(pipe.recv()))
 
 
-@dataclass(slots=True, eq=False)
 class _Worker:
-    """A process, its pipe, and the task it computes."""
+    """A spawned process, which ignores Ctrl-C and ends when its parent does."""
 
-    process: Any
-    pipe: Any
-    task: Task | None = None
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.name = f"process {self.process.pid}"
 
-    @property
-    def name(self) -> str:
-        return f"process {self.process.pid}"
+    def compute(self, task: Task) -> Outcome:
+        """Outcome of a task; EOFError or OSError where the process dies of it."""
+        self._pipe.send(task)
+        outcome: Outcome = self._pipe.recv()
+        return outcome
+
+    def end(self) -> int | None:
+        """End the process, at once where it died already; its exit code."""
+        self._pipe.close()
+        self.process.join(_GRACE_S)
+        self.process.kill()
+        self.process.join()
+        return self.process.exitcode
 
 
-class LocalProcesses:
-    """Spawned processes of this machine, which ignore Ctrl-C and end when their parent does."""
+class LocalProcesses(Futures):
+    """Spawned processes of this machine."""
 
     def __init__(self, workers: int) -> None:
-        self.size = workers
-        self._context = get_context("spawn")
-        self._workers: list[_Worker] = []
-        self._attempts: dict[int, int] = {}
+        self._workers = workers
+        self._threads = ThreadPoolExecutor(workers)
+        self._idle: list[_Worker] = []
+        self._busy: dict[Future[Outcome], _Worker] = {}
+        self._deaths: Counter[int] = Counter()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self._workers:
-            worker.pipe.close()
-            if worker.task is not None:
-                worker.process.kill()
-        deadline = time.monotonic() + _GRACE_S
-        for worker in self._workers:
-            worker.process.join(max(deadline - time.monotonic(), 0.0))
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            worker.process.close()
-        self._workers.clear()
-
-    def _spawned(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
-        process.start()
-        theirs.close()
-        return _Worker(process, ours)
-
-    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
-        """Outcomes as they come; a process that dies is replaced and its task tried once more."""
-        source = iter(tasks)
-        again: deque[Task] = deque()
-        self._attempts.clear()
-        while True:
-            self._hand_out(source, again, started)
-            busy = [worker for worker in self._workers if worker.task is not None]
-            if not busy:
-                return
-            ready = connection.wait([worker.pipe for worker in busy])
-            outcomes = [self._received(worker, again) for worker in busy if worker.pipe in ready]
-            # nobody waits for what the caller does with the results
-            self._hand_out(source, again, started)
-            yield from (outcome for outcome in outcomes if outcome is not None)
-
-    def _hand_out(self, source: Iterator[Task], again: deque[Task], started: Started) -> None:
-        """Give every process that has nothing to do a task."""
-        while True:
-            idle = next((worker for worker in self._workers if worker.task is None), None)
-            if idle is None and len(self._workers) == self.size:
-                return
-            task = again.popleft() if again else next(source, None)
-            if task is None:
-                return
-            if idle is None:
-                idle = self._spawned()
-                self._workers.append(idle)
-            try:
-                idle.pipe.send_bytes(packed(task))
-            except OSError:
-                # it died while it had nothing to do
-                again.appendleft(task)
-                self._remove(idle)
-                continue
-            idle.task = task
-            started(task.number, idle.name)
-
-    def _received(self, worker: _Worker, again: deque[Task]) -> Outcome | None:
-        """The outcome a process has sent; ``None`` where it died and its task is tried again."""
-        try:
-            outcome: Outcome = unpacked(worker.pipe.recv_bytes())
-        except (EOFError, OSError):
-            return self._buried(worker, again)
-        worker.task = None
-        self._attempts.pop(outcome.number, None)
-        return outcome
-
-    def _remove(self, worker: _Worker) -> int | None:
-        self._workers.remove(worker)
-        worker.pipe.close()
-        worker.process.join(_GRACE_S)
-        code: int | None = worker.process.exitcode
-        if code is None:
+        for worker in self._busy.values():
             worker.process.kill()
-            worker.process.join()
-        worker.process.close()
-        return code
+        list(self._threads.map(_Worker.end, (*self._idle, *self._busy.values())))
+        self._threads.shutdown()
 
-    def _buried(self, worker: _Worker, again: deque[Task]) -> Outcome | None:
-        """Take a dead process away; what it computed is tried once more, or named."""
-        name, task = worker.name, worker.task
-        code = self._remove(worker)
-        assert task is not None  # noqa: S101  (only those that compute are waited for)
-        tried = self._attempts.get(task.number, 0) + 1
-        self._attempts[task.number] = tried
-        if tried < ATTEMPTS:
-            again.append(task)
-            return None
-        message = (
-            f"the process that computed it died {tried} times ({_how(code)}); the likely reason is memory: "
-            "use fewer --workers, or a larger machine"
-        )
-        return Outcome(task.number, None, Fault("worker_killed", message), 0.0, name)
+    @property
+    def most(self) -> int:
+        """One task a process."""
+        return self._workers
+
+    def submit(self, task: Task, started: Started) -> Future[Outcome]:
+        """Hand a task to a process that has nothing to do, or to a new one."""
+        # one may have died while it had nothing to do
+        self._idle = [worker for worker in self._idle if worker.process.is_alive()]
+        worker = self._idle.pop() if self._idle else _Worker()
+        future = self._threads.submit(worker.compute, task)
+        self._busy[future] = worker
+        started(task.number, worker.name)
+        return future
+
+    def outcome(self, task: Task, future: Future[Outcome]) -> Outcome | None:
+        """Outcome a process has sent; where it died its task is tried once more, or named."""
+        worker = self._busy.pop(future)
+        try:
+            outcome = future.result()
+        except (EOFError, OSError):
+            code = worker.end()
+            self._deaths[task.number] += 1
+            if self._deaths[task.number] < ATTEMPTS:
+                return None
+            message = (
+                f"the process that computed it died {ATTEMPTS} times ({_how(code)}); the likely reason is "
+                "memory: use fewer --workers, or a larger machine"
+            )
+            outcome = Outcome(task.number, None, Fault("worker_killed", message))
+        else:
+            self._idle.append(worker)
+        del self._deaths[task.number]
+        return outcome
 
 
 def _how(code: int | None) -> str:
     """End of a process, in words."""
-    if code is None or code >= 0 or sys.platform == "win32":
-        return f"exit code {code}"
-    try:
-        return f"signal {-code}, {signal.Signals(-code).name}"
-    except ValueError:
-        return f"signal {-code}"
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            return f"signal {-code}, {signal.Signals(-code).name}"
+    return f"exit code {code}"
