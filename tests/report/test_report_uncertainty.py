@@ -145,7 +145,7 @@ def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated():
     view = uncertainty_view(specimen_of(fit))
     assert [source for source, _ in view["budget"]["sources"]] == list(SOURCES)
     assert view["budget"]["beside"] == ["total", "cluster bootstrap"]
-    (eta,) = [row for row in view["budget"]["rows"] if row["symbol"] == "eta"]
+    (eta,) = [row for row in view["budget"]["rows"] if row["of"].symbol == "eta"]
     assert eta["largest"]["source"] in {"force gain", "frame"}
     assert len(eta["sd"]) == len(SOURCES) + 2
 
