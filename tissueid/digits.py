@@ -93,12 +93,6 @@ def with_error(value: float | None, stderr: float | None) -> str:
     return _minus(f"{value:.{places}f} ± {stderr:.{places}f}")
 
 
-def rounded_to(value: float | None, stderr: float | None) -> str:
-    """The value as :func:`with_error` writes it, for a column of its own."""
-    first, _, rest = with_error(value, stderr).partition(" ± ")
-    return first if not first.startswith("(") else f"{first[1:]}{rest[rest.index(')') + 1 :]}"
-
-
 def typeset(text: str) -> str:
     """A sentence with its powers of ten as people write them; names that hold such letters stay.
 

@@ -26,10 +26,13 @@ from tissueid.model.servo_law import servo_law
 from tissueid.result import ModelChoice
 from tissueid.store.bundle import Bundle
 
+RENDERED = (bundle_of(PAPER_A), bundle_of(TWO_BRANCHES))
 
-@pytest.fixture(params=[PAPER_A, TWO_BRANCHES], ids=lambda tissue: tissue.name)
+
+@pytest.fixture(params=RENDERED, ids=lambda bundle: bundle.specimen)
 def bundle(request: pytest.FixtureRequest) -> Bundle:
-    return bundle_of(request.param)
+    found: Bundle = request.param
+    return found
 
 
 def of_law(name: str, theta: list[float], **nodes: tuple[float, ...]) -> Bundle:
@@ -94,15 +97,6 @@ def rough_path(depth_mm: float) -> tuple[np.ndarray, np.ndarray]:
     return x + 1e-4 * chance.standard_normal(x.size), 10.0 ** chance.uniform(-4.5, -1.0, x.size)
 
 
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("bundle", OTHERS, ids=lambda one: one.model.name)
-def test_the_compiled_step_of_another_law_is_ours_bit_for_bit(bundle: Bundle, tmp_path: Path) -> None:
-    test_the_compiled_step_is_ours_bit_for_bit(bundle, tmp_path)
-    words = c_header(bundle).decode()
-    assert f"law        {bundle.model.name}" in words
-    assert ("% of a sudden push" in words) == (bundle is OTHERS[0])
-
-
 @pytest.mark.parametrize(
     ("bundle", "most"), [(STRETCHED, 6), (STRETCHED, 12), (OTHERS[1], 6), (OTHERS[2], 6)]
 )
@@ -118,7 +112,13 @@ def test_a_prony_series_of_another_law_says_its_error(bundle: Bundle, most: int)
 
 
 @pytest.mark.needs_jit
+@pytest.mark.parametrize(
+    "bundle", [*RENDERED, *OTHERS], ids=lambda one: one.specimen + (one.model.name or "")
+)
 def test_the_compiled_step_is_ours_bit_for_bit(bundle: Bundle, tmp_path: Path) -> None:
+    words = c_header(bundle).decode()
+    assert f"law        {bundle.model.name or bundle.model.key}" in words
+    assert ("% of a sudden push" in words) == (bundle is OTHERS[0])
     x, h = rough_path(bundle.depth_mm)
     force, surface = np.empty_like(x), np.empty_like(x)
     pointers = [values.ctypes.data_as(ctypes.c_void_p) for values in (x, h, force, surface)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -144,3 +145,15 @@ def test_series_are_told_apart_without_colour(opened, whole):
             .filter((t) => t.xaxis === 'x2' && t.mode === 'lines' && !t.fill).map((t) => t.line.dash)"""
     )
     assert len(set(dashes)) == len(dashes) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_gallery_can_be_read_by_everybody(browser, scheme):
+    path = Path(__file__).resolve().parents[2] / "reports" / "gallery" / "index.html"
+    page = browser.new_page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
+    page.goto(path.as_uri())
+    assert grave(page) == []
+    assert wide(page) <= 400
+    page.close()

@@ -22,7 +22,7 @@ from tissueid.documents import plain
 from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
-from tissueid.report.inspect_decisions import UNIT_TO_WRITE, decisions, toml_string
+from tissueid.report.inspect_decisions import UNIT_TO_WRITE, Decision, decisions, toml_string, toml_value
 from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording, drawn_recording
 from tissueid.result import Refusal
 from tissueid.segment import segment
@@ -114,6 +114,11 @@ def study_of(entry: dict[str, Any]) -> dict[str, Any]:
     return {"schema": "tissueid/study/1", **entry}
 
 
+def entry_of(document: Any, key: str) -> Decision:
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == key]
+    return entry
+
+
 def test_every_entry_parses_names_the_recording_and_is_valid():
     file = 'kidney "left"/run 3 [ä] \\ x.csv'
     found = decisions(plain(recording(ramp_hold(sheet="A")).document) | {"sheet": "A"}, file=file)
@@ -131,7 +136,7 @@ def test_every_entry_parses_names_the_recording_and_is_valid():
 def test_the_entry_of_the_contact_point_gives_that_contact_point_back():
     trial = ramp_hold()
     document = recording(trial).document
-    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
+    entry = entry_of(document, "contact")
     (table,) = tomllib.loads(entry.toml)["override"]
     assert table["contact_mm"] == pytest.approx(document.contact.displacement_mm, abs=5e-5)
     assert table["contact_sd_mm"] > 0.0
@@ -151,7 +156,7 @@ def test_the_entry_of_the_contact_point_gives_that_contact_point_back():
 def test_the_entry_of_the_contact_point_has_the_digits_that_its_sd_has(sd_mm, place, sd):
     document = plain(recording(ramp_hold()).document)
     document["contact"] = {**document["contact"], "displacement_mm": 0.14610592799, "sd_mm": sd_mm}
-    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
+    entry = entry_of(document, "contact")
     assert f"contact_mm = {place}\n" in entry.toml
     (table,) = tomllib.loads(entry.toml)["override"]
     assert table["contact_sd_mm"] == pytest.approx(sd, rel=1e-12)  # rounding of the last bit
@@ -164,7 +169,7 @@ def test_units_that_the_file_states_are_never_prefilled_and_refused_until_writte
     rows = [f"{t:.6f},{x:.9f},{f:.6f}" for t, x, f in zip(time_s, height_m, force, strict=True)]
     (tmp_path / "run.csv").write_text("\n".join(["time_s,height_m,force_N", *rows, ""]), encoding="ascii")
     document = inspect(capsys, tmp_path)
-    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "units"]
+    entry = entry_of(document, "units")
     manifest = tmp_path / "study.toml"
     manifest.write_text(f'schema = "tissueid/study/1"\n{entry.toml}\n', encoding="utf-8")
     assert main(["inspect", str(tmp_path), "--json"]) == 3
@@ -191,18 +196,12 @@ def test_pasted_entries_change_the_decisions(tmp_path, capsys):
             table["contact_mm"] = 0.75
         if key == "override" and "units" in table:
             table["units"] = {"displacement": "mm"}
-        text = "\n".join([f"[[{key}]]", *(f"{name} = {toml(value)}" for name, value in table.items())])
+        text = "\n".join([f"[[{key}]]", *(f"{name} = {toml_value(value)}" for name, value in table.items())])
         (log.parent / "study.toml").write_text(f'schema = "tissueid/study/1"\n{text}\n', encoding="utf-8")
         after = inspect(capsys, log.parent)
         changed += [name for name in after if name != "flags" and after[name] != before[name]]
         (log.parent / "study.toml").unlink()
     assert {"compression_sign", "force_sign", "contact", "phases", "excluded"} <= set(changed)
-
-
-def toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {toml(one)}" for key, one in value.items()) + "}"
-    return json.dumps(value)
 
 
 def inspect(capsys: pytest.CaptureFixture[str], folder: Path) -> dict[str, Any]:
@@ -220,7 +219,7 @@ def test_any_name_survives_in_toml(text):
 def test_a_choice_of_columns_offers_the_other_one():
     values = {"quantity": "displacement", "taken": "Ext", "alternatives": ["Strain 1"]}
     document = recording(ramp_hold(flags=(Flag("column_choice", "Ext, not Strain 1", values),))).document
-    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "columns"]
+    entry = entry_of(document, "columns")
     assert tomllib.loads(entry.toml)["override"][0]["columns"]["displacement"] == "Strain 1"
 
 
@@ -238,7 +237,7 @@ def test_what_the_user_decided_is_told_with_the_reason():
 def test_a_rupture_can_be_denied():
     document = plain(recording(ramp_hold()).document)
     document["events"] = [{"kind": "rupture", "time_s": 2.0, "values": {}}]
-    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "rupture"]
+    entry = entry_of(document, "rupture")
     assert tomllib.loads(entry.toml)["override"][0]["rupture"] is False
     assert first_problem(study_of(tomllib.loads(entry.toml)), "study") is None
 
@@ -257,7 +256,7 @@ def several() -> list[InspectedRecording]:
 
 
 def test_the_most_doubtful_recording_stands_first():
-    html = render_inspection(several())
+    html = self_contained(partial(render_inspection, several()))
     assert re.findall(r'<tr data-row="(.*?)" data-level="(\d)"', html) == [
         ("recording-3", "3"), ("recording-2", "2"), ("recording-1", "0"),
     ]  # fmt: skip
@@ -270,18 +269,15 @@ def test_the_index_marks_what_is_excluded():
     assert [name for name, row in rows if "excluded" in row] == ["recording-1"]
 
 
-def test_names_are_escaped_and_refusals_are_told():
+def test_names_are_escaped_and_refusals_are_told_also_where_nothing_is_readable():
     refusal = Refusal("<i>x</i>.csv", None, "no_rows", "no <row>", 3, 2)
     html = render_inspection(several(), [refusal])
     assert "<b>look</b>" not in html
     assert "<i>x</i>" not in html
-    assert "line 3, column 2" in html
-    assert "no &lt;row&gt;" in html
-
-
-def test_nothing_readable_is_a_page_as_well():
-    html = render_inspection([], [Refusal("x.csv", None, "no_rows", "no row", None, None)])
-    assert "Nothing could be read" in html
+    for said in ("line 3, column 2", "no &lt;row&gt;"):
+        assert said in html
+        assert said in render_inspection([], [refusal])
+    assert "Nothing could be read" in render_inspection([], [refusal])
 
 
 def test_flags_stand_with_their_numbers_and_the_picture_is_told_in_words():
@@ -289,10 +285,6 @@ def test_flags_stand_with_their_numbers_and_the_picture_is_told_in_words():
     assert "<dt>force_N</dt><dd>20.00</dd>" in html
     (label,) = re.findall(r'data-figure="time"[^>]*aria-label="([^"]*)"', html)
     assert "1500 samples over 15.00 s, approach, ramp, hold; contact at" in label
-
-
-def test_equal_input_gives_an_equal_page():
-    self_contained(partial(render_inspection, several()))
 
 
 def test_a_recording_without_any_contact_is_drawn():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from fit_factory import STATIC, STIFFNESS, TAU_S, specimen_fit
 from posterior_factory import sampled
-from report_pages import document_of, drawn, open_all, page, payload_of, render_report, specimen_of
+from report_pages import document_of, drawn, open_all, page, render_report, specimen_of
 from typed_call import typed_call
 
 from tissueid.report.law_payload import curve_groups, law_payload, loading_force, speed_groups
@@ -138,45 +137,6 @@ def read_back(tab: Any, kind: str) -> dict[str, Any]:
         kind,
     )
     return {"traces": traces, "titles": titles}
-
-
-def differences(tab: Any, fit: SpecimenFit) -> list[str]:
-    """What the first figure shows that the curves of a fit do not say; empty where they agree."""
-    traces = read_back(tab, "main")["traces"]
-    problems = []
-    for place, trial in enumerate(fit.trials):
-        for name, values in (("recorded", trial.curve.force_N), ("model", trial.curve.model_N)):
-            drawn = [one for one in traces if one["axis"] == "x3" and one["name"] == name]
-            if len(drawn) <= place or len(drawn[place]["y"]) != values.size:
-                problems.append(f"{trial.path}: {name} has another number of samples")
-                continue
-            own = drawn[place]
-            # 32-bit floats
-            if np.abs(np.array(own["y"]) - values).max() > 1e-5 * np.abs(values).max():
-                problems.append(f"{trial.path}: {name} differs")
-            if np.abs(np.array(own["x"]) - trial.curve.depth_mm).max() > 1e-5 * trial.curve.depth_mm.max():
-                problems.append(f"{trial.path}: depths of {name} differ")
-    return problems
-
-
-@pytest.mark.browser
-def test_the_first_figure_shows_the_curves_and_a_corrupted_trace_is_seen(opened):
-    fit = sampled(specimen_fit(trials=3, samples=300))
-    html = page(fit)
-    tab = opened(html)
-    assert differences(tab, fit) == []
-    assert read_back(tab, "main")["titles"]["xaxis3"] == ["Depth [mm]", "linear"]
-    force = payload_of(html, "curves")["specimens"][0][1]["f"]
-    values = np.frombuffer(base64.b64decode(force), "<f4").copy()
-    values[150] += 1.0
-    spoiled = html.replace(force, base64.b64encode(values.tobytes()).decode())
-    tab = opened(spoiled)
-    assert differences(tab, fit) == [f"{fit.trials[1].path}: recorded differs"]
-    # and in the figure itself
-    tab = opened(html)
-    read_back(tab, "main")
-    tab.evaluate("document.querySelector('[data-figure=main]').data.pop()")
-    assert differences(tab, fit) == [f"{fit.trials[2].path}: model has another number of samples"]
 
 
 @pytest.mark.browser

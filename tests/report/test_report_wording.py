@@ -14,6 +14,7 @@ from tissueid.digits import number, with_error
 from tissueid.documents.inspect import Units
 from tissueid.flags import FLAGS
 from tissueid.report.wording import (
+    LEVELS,
     event_words,
     overview_sentence,
     parameter_words,
@@ -90,12 +91,9 @@ def test_a_sampled_tissue_is_told_with_its_total_intervals_and_a_misfit_takes_th
     doubted = tissue_sentence(specimen_of(sampled(specimen_fit(), misfit=True)))
     assert "95 %" not in doubted
     assert "±" not in doubted
-
-
-def test_what_is_not_identified_is_never_a_number():
-    sentence = tissue_sentence(document(identified=False))
-    assert "its relaxation time is not identified" in sentence
-    assert "1.5" not in sentence
+    unknown = tissue_sentence(document(identified=False))
+    assert "its relaxation time is not identified" in unknown
+    assert "1.5" not in unknown
 
 
 def test_the_verdict_falls_with_what_is_missing():
@@ -111,15 +109,12 @@ def test_the_verdict_falls_with_what_is_missing():
     assert verdict(stopped).level == "serious"
 
 
-def test_a_flag_of_many_trials_is_one_remark_that_names_them():
-    (same_time,) = [remark for remark in remarks(document(trials=3)) if remark.code == "zero_dt"]
+def test_a_flag_of_many_trials_is_one_remark_that_names_them_and_the_gravest_comes_first():
+    found = remarks(document(trials=3, identified=False))
+    (same_time,) = [remark for remark in found if remark.code == "zero_dt"]
     assert same_time.where == ("run_1.csv", "run_2.csv", "run_3.csv")
-
-
-def test_remarks_come_gravest_first():
-    order = ["serious", "caution", "note"]
-    levels = [order.index(remark.level) for remark in remarks(document(identified=False))]
-    assert levels == sorted(levels)
+    levels = [LEVELS.index(remark.level) for remark in found]
+    assert levels == sorted(levels, reverse=True)
 
 
 def test_several_specimens_are_summed_up_by_median_and_range():
@@ -162,23 +157,13 @@ def test_sentences_of_one_flag_are_joined_once_each():
 MM_N = Units(length="mm", force="N", time="s")
 
 
-def test_a_rupture_is_told_in_words_and_units():
-    values = {
-        "force_before_N": 66.2,
-        "drop_N": 12.5,
-        "drop_fraction": 0.19,
-        "depth_mm": 3.0,
-        "work_N_mm": 64.16,
-    }
-    expected = "force before 66.20 N, falls by 12.50 N, depth 3.000 mm, work from contact 64.16 N mm"
-    assert event_words(values, MM_N) == expected
-
-
-def test_counts_have_no_unit_and_normalised_recordings_their_own():
+def test_an_event_is_told_in_words_and_units():
+    broken = {"force_before_N": 66.2, "drop_N": 12.5, "drop_fraction": 0.19, "work_N_mm": 64.16}
+    said = "force before 66.20 N, falls by 12.50 N, work from contact 64.16 N mm"
+    assert event_words(broken, MM_N) == said
     assert event_words({"turns": 3, "force_N": 2.0}, MM_N) == "turns 3, force 2.000 N"
-    assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, Units(length="1", force="MPa", time="s")) == (
-        "falls by 2.000 MPa, depth 0.5"
-    )
+    normalised = Units(length="1", force="MPa", time="s")
+    assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, normalised) == "falls by 2.000 MPa, depth 0.5"
 
 
 def test_a_stop_within_a_sampling_interval_is_not_called_instant():

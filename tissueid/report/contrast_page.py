@@ -8,7 +8,7 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents.contrast import Contrast, Hold, Loading, Pair
 from tissueid.report.page import render_page
-from tissueid.report.parts import Figure, band
+from tissueid.report.parts import DASHED, LOG_X, Figure, band, trace
 from tissueid.report.wording import Verdict
 
 #: A difference below this many just-noticeable ones is not felt.
@@ -66,30 +66,15 @@ def _interval(values: Sequence[float] | None) -> str:
     return f"{number(middle, 4)} ({number(low, 3)} to {number(high, 3)})"
 
 
-def _facts(document: Contrast) -> list[tuple[str, str]]:
-    slow, fast = (number(speed, 3) for speed in document.common.speeds_mm_s)
-    speeds = slow if slow == fast else f"{slow} to {fast}"
-    device = document.device
-    return [
-        ("Depth", f"to {number(document.common.depth_mm, 3)} mm"),
-        ("Speeds", f"{speeds} mm/s, where all were identified"),
-        ("Device", f"at most {number(device.clamp_N, 3)} N: forces times {number(device.force_scale, 3)}"),
-    ]
-
-
 def _banded(
     x: Sequence[float], curve: Loading | Hold, start: int, name: str, look: Mapping[str, str], unit: str
 ) -> list[dict[str, Any]]:
     """Band first, median on top; the group hides both together."""
-    low, high, median = (getattr(curve, key)[start:] for key in ("low", "high", "median"))
-    lower, upper = band(x[start:], low, high, 0.25, ink=look["ink"], legendgroup=name)
+    x, low, high, median = (one[start:] for one in (x, curve.low, curve.high, curve.median))
+    lower, upper = band(x, (low, high), 0.25, look["ink"], legendgroup=name)
     said = f"%{{x:.3g}} {unit}: %{{y:.4g}} N<extra>{name}</extra>"
-    line = {"legendgroup": name, "mode": "lines", "line": {"width": 2, **look}, "hovertemplate": said}
-    return [
-        {**lower, "name": f"{name}, 2.5 %"},
-        {**upper, "name": f"{name}, 97.5 %"},
-        {**line, "x": x[start:], "y": median, "name": name},
-    ]
+    line = trace(x, median, "lines", legendgroup=name, line={"width": 2, **look}, hovertemplate=said)
+    return [{**lower, "name": f"{name}, 2.5 %"}, {**upper, "name": f"{name}, 97.5 %"}, {**line, "name": name}]
 
 
 def _figures(document: Contrast, pair: Pair) -> list[Figure]:
@@ -106,42 +91,33 @@ def _figures(document: Contrast, pair: Pair) -> list[Figure]:
     ratios = [(row.name, row.ratio) for row in reversed(pair.numbers) if row.ratio is not None]
     bars = {"array": [high - middle for _, (_, middle, high) in ratios]}
     bars["arrayminus"] = [middle - low for _, (low, middle, _) in ratios]
-    ratio = {
-        "x": [middle for _, (_, middle, _) in ratios],
-        "y": [name for name, _ in ratios],
-        "mode": "markers",
+    marks: dict[str, Any] = {
         "marker": {"ink": "model", "size": 9},
-        "showlegend": False,
-        "name": "ratio",
-        "error_x": {"type": "data", "symmetric": False, **bars, "ink": "model"},
         "hovertemplate": "%{y}: %{x:.4g}<extra></extra>",
     }
-    line = {"ink": "soft", "width": 1, "dash": "dash"}
-    equal = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": line}
+    error = {"type": "data", "symmetric": False, **bars, "ink": "model"}
+    middles, names = [middle for _, (_, middle, _) in ratios], [name for name, _ in ratios]
+    ratio = trace(middles, names, "markers", name="ratio", showlegend=False, error_x=error, **marks)
+    equal = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": DASHED}
     layout = {"yaxis": {"type": "category", "automargin": True}, "shapes": [equal]}
     return [
         Figure("Loading", "Depth [mm]", "Force [N]", loading),
-        Figure("Hold", "Time after the ramp [s]", "Force [N]", hold, {"xaxis": {"type": "log"}}),
+        Figure("Hold", "Time after the ramp [s]", "Force [N]", hold, LOG_X),
         Figure("Ratios", "Ratio", "", [ratio], layout),
     ]
 
 
 def render_contrast(document: Contrast, *, created: str | None = None) -> str:
     """Write the page."""
-    views = [
-        {"id": f"pair-{k + 1}", "position": k, "data": pair, "verdict": pair_verdict(pair, document.level)}
-        for k, pair in enumerate(document.pairs)
-    ]
     names = [one.name for one in document.tissues]
     return render_page(
         "contrast",
         title=" and ".join(names) if len(names) <= 3 else f"{len(names)} tissues compared",
         run=document,
         verdict=contrast_verdict(document),
-        facts=_facts(document),
-        views=views,
+        pairs=[(pair, pair_verdict(pair, document.level)) for pair in document.pairs],
         interval=_interval,
         probability=_probability,
-        payload=[one.payload() for pair in document.pairs for one in _figures(document, pair)],
+        figures=[one for pair in document.pairs for one in _figures(document, pair)],
         created=created,
     )

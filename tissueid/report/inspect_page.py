@@ -19,7 +19,7 @@ from tissueid.flags import flag_level
 from tissueid.report.figures import kept_samples, packed
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.page import render_page
-from tissueid.report.wording import LEVELS, remark_title, trial_label, whole_label
+from tissueid.report.wording import LEVELS, trial_label, whole_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
@@ -114,10 +114,9 @@ def _contact_times(trial: Trial, segmentation: Segmentation) -> list[float] | No
         return None
     # from the approach before to the end of the ramp: the sd may reach into either
     first = max(0, min(phase.start for phase in moving) - 1)
-    before = [
-        phase for phase in segmentation.phases if phase.kind == "approach" and phase.stop - 1 == first + 1
-    ]
-    span = slice(before[0].start if before else first, max(phase.stop for phase in moving))
+    approaches = [phase for phase in segmentation.phases if phase.kind == "approach"]
+    start = next((phase.start for phase in approaches if phase.stop - 1 == first + 1), first)
+    span = slice(start, max(phase.stop for phase in moving))
     depth = segmentation.compression_sign * (trial.displacement_mm[span] - contact.displacement_mm)
     deepest = np.maximum.accumulate(depth)
     reached = [int(np.searchsorted(deepest, level)) for level in (0.0, -contact.sd_mm, contact.sd_mm)]
@@ -154,12 +153,9 @@ class CorrectionRow:
 
     key: str  # key of study.toml, or ``exclude``
     title: str
-    unit: str = ""  # of the number; empty for a switch
-    #: What was decided, and why; empty where the data decide.
-    value: str = ""
-    because: str = ""
-    found: str = ""  # what counts now
-    stands: bool = False  # whether it was decided
+    unit: str  # of the number; empty for a switch
+    found: float | None  # what counts now
+    stands: tuple[Any, str] | None  # what was decided, and why; ``None`` where the data decide
 
 
 def corrections(
@@ -176,23 +172,7 @@ def corrections(
         ("rupture", "No fall of force is a rupture", "", None),
         ("exclude", "Leave it out of the fit", "", None),
     )
-    return tuple(
-        CorrectionRow(
-            key,
-            title,
-            unit,
-            value=_typed(standing[key][0]) if key in standing and unit else "",
-            because=standing[key][1] if key in standing else "",
-            found="" if found is None else _typed(found),
-            stands=key in standing,
-        )
-        for key, title, unit, found in rows
-    )
-
-
-def _typed(value: float) -> str:
-    """A number as somebody would type it."""
-    return f"{value:.7g}"
+    return tuple(CorrectionRow(*row, standing.get(row[0])) for row in rows)
 
 
 #: Samples a page carries in all: 16 bytes each, beside 5 MB of script.
@@ -200,7 +180,6 @@ MOST_SAMPLES = 150_000
 FEWEST_OF_ONE = 160
 #: Recordings that are drawn; of more, those that stand out least are listed only.
 MOST_DRAWN = 250
-_S_PER_MIN = 60.0
 _WORDS = {"ok": "nothing stands out", "note": "remarks", "caution": "look at it", "serious": "in doubt"}
 
 
@@ -276,6 +255,7 @@ def render_inspection(
         payload=payload,
         data="recordings",
         study=study,
+        value_words=_value,
         created=created,
         served=served,
         style="inspect.css",
@@ -309,48 +289,22 @@ def _names(documents: Sequence[TrialDocument]) -> list[str]:
 
 def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
     document = recording.document
-    flags: list[dict[str, Any]] = [
-        {
-            "level": flag_level(flag.code),
-            "code": flag.code,
-            "title": remark_title(flag.code),
-            "message": flag.message,
-            "values": [(key, _value(value)) for key, value in flag.values.items()],
-        }
-        for flag in document.flags
-    ]
-    flags.sort(key=lambda flag: -LEVELS.index(flag["level"]))
-    holds = [phase for phase in document.phases if phase.kind == "hold"]
+    holds = [phase.end_s - phase.start_s for phase in document.phases if phase.kind == "hold"]
     return {
         "position": position,
         "id": f"recording-{position + 1}",
         "name": name,
-        "path": whole_label(document),
         "data": document,
         "level": recording.level,
         "words": _WORDS[recording.level],
-        "flags": flags,
-        "codes": " ".join(flag["code"] for flag in flags),
-        "phases": [_phase(phase) for phase in document.phases],
+        "flags": sorted(document.flags, key=lambda flag: -LEVELS.index(flag_level(flag.code))),
         "program": _program(document.phases),
-        "hold_s": max((phase.end_s - phase.start_s for phase in holds), default=None),
+        "hold_s": max(holds, default=None),
         "reader": recording.reader,
         "decisions": recording.decisions,
         "corrections": corrections(document, recording.standing),
         "drawn": drawn,
         "alternative": _alternative(document),
-    }
-
-
-def _phase(phase: Phase) -> dict[str, str]:
-    still = phase.speed_mm_s == 0.0
-    return {
-        "kind": phase.kind,
-        "start": number(phase.start_s),
-        "end": number(phase.end_s),
-        "length": number(phase.end_s - phase.start_s, 3),
-        "speed": "0" if still else number(phase.speed_mm_s, 4),
-        "speed_min": "0" if still else number(phase.speed_mm_s * _S_PER_MIN, 4),
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,15 +44,6 @@ class Tissue:
     #: (n, p): of the total posterior where there is one, else of the statistical one; ``None``: nothing was
     #: sampled.
     draws: FloatArray | None
-
-    def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Stiffness that relaxes [N/mm], of all branches together."""
-        every: FloatArray = self.model.stiffness(theta, depth_mm)
-        return np.asarray(every.sum(axis=0))
-
-    def force(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
-        """Force in loading at constant speed from rest [N]."""
-        return self.model.static_force(theta, depth_mm) + self.model.loading(theta, depth_mm, speed_mm_s)
 
     def banded(self, of: Callable[..., FloatArray], *at: Any) -> dict[str, Any]:
         """Numbers of a function of theta and, where there are draws, the ends of their 95 % band."""
@@ -201,13 +192,12 @@ def _pushed(trial: Trial, curve: Curve) -> Pushed:
 SAME_DEPTH = 1.04
 #: Groups that get a panel of their own.
 MOST_GROUPS = 12
-#: Speeds at which a law is drawn, and how far beyond the trials.
+#: Speeds at which a law is drawn.
 LINE_POINTS = 24
 S_PER_MIN = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedGroup:
+class SpeedGroup(NamedTuple):
     """Trials of one loading speed."""
 
     speed_mm_s: float  # their median
@@ -257,10 +247,12 @@ def _means(peaks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
     """Force at a depth by speed, as the model has it, with its 95 % band."""
-    x = np.array([min(depth, tissue.model.depth_mm)])
+    model = tissue.model
+    x = np.array([min(depth, model.depth_mm)])
 
     def at(theta: FloatArray) -> FloatArray:
-        return np.array([tissue.force(theta, x, float(speed))[0] for speed in speeds])
+        rest = model.static_force(theta, x)
+        return np.array([(rest + model.loading(theta, x, float(speed)))[0] for speed in speeds])
 
     band = tissue.banded(at)
     return {"speed": brief(speeds), "force": band.pop("value"), **band}
@@ -300,15 +292,16 @@ PART_SPEEDS = 4
 
 def _parts(tissue: Tissue, groups: Sequence[SpeedGroup], grid: int) -> dict[str, Any]:
     """Static force, stiffness of the branches and their force in loading, by depth."""
-    x = np.linspace(0.0, tissue.model.depth_mm, grid)
+    model = tissue.model
+    x = np.linspace(0.0, model.depth_mm, grid)
     moving = [group for group in groups if group.speed_mm_s > 0.0]
     shown = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), PART_SPEEDS)).round().astype(int))
     return {
         "x": brief(x),
-        "static": tissue.banded(tissue.model.static_force, x),
-        "stiffness": tissue.banded(tissue.stiffness, x),
+        "static": tissue.banded(model.static_force, x),
+        "stiffness": tissue.banded(lambda theta, depth: model.stiffness(theta, depth).sum(axis=0), x),
         "dynamic": [
-            {"label": moving[i].label, **tissue.banded(tissue.model.loading, x, moving[i].speed_mm_s)}
+            {"label": moving[i].label, **tissue.banded(model.loading, x, moving[i].speed_mm_s)}
             for i in shown.tolist()
         ],
     }
@@ -361,11 +354,9 @@ def _pooled_holds(summaries: Sequence[ResidualSummary], sigma_N: float) -> dict[
     """Mean of all holds in each block of time, and 1.96 of its standard errors under white noise."""
     since = np.concatenate([one.hold_since_s for one in summaries])
     mean = np.concatenate([one.hold_mean_N for one in summaries])
-    count = np.concatenate([one.hold_count for one in summaries]).astype(float)
-    key = np.round(np.log10(since), 6)
-    found = np.unique(key)
-    weight = np.array([count[key == one].sum() for one in found])
-    total = np.array([(count * mean)[key == one].sum() for one in found])
+    count = np.concatenate([one.hold_count for one in summaries])
+    found, place = np.unique(np.round(np.log10(since), 6), return_inverse=True)
+    weight, total = np.bincount(place, count), np.bincount(place, count * mean)
     return {
         "since": brief(10.0**found),
         "mean": brief(total / weight),
@@ -375,21 +366,12 @@ def _pooled_holds(summaries: Sequence[ResidualSummary], sigma_N: float) -> dict[
 
 def _together(summaries: Sequence[ResidualSummary]) -> dict[str, Any]:
     """Autocorrelation of all logs, each by its samples, and within what it stays for white noise in 95 %."""
-    rows: dict[float, list[tuple[float, float]]] = {}
-    for one in summaries:
-        size = float(one.counts.sum())
-        for lag, value in zip(one.lags * one.step_s, one.correlation, strict=True):
-            rows.setdefault(float(f"{lag:.3g}"), []).append((size, float(value)))
-    lags = sorted(rows)
-    sizes = [sum(size for size, _ in rows[lag]) for lag in lags]
-    return {
-        "lag": brief(lags),
-        "value": brief(
-            sum(size * value for size, value in rows[lag]) / total
-            for lag, total in zip(lags, sizes, strict=True)
-        ),
-        "bound": brief(1.96 / total**0.5 for total in sizes),
-    }
+    every = np.concatenate([one.lags * one.step_s for one in summaries])
+    lags, place = np.unique([float(f"{lag:.3g}") for lag in every], return_inverse=True)
+    size = np.concatenate([np.full(one.lags.size, one.counts.sum()) for one in summaries])
+    total = np.bincount(place, size)
+    sums = np.bincount(place, size * np.concatenate([one.correlation for one in summaries]))
+    return {"lag": brief(lags), "value": brief(sums / total), "bound": brief(1.96 / np.sqrt(total))}
 
 
 def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
@@ -398,16 +380,9 @@ def _profiles(specimen: Specimen) -> list[dict[str, Any]]:
     for entry in specimen.parameters:
         curve = entry.detail.get("profile")
         if curve and curve["tau_s"]:
-            suffix = entry.name.removeprefix("relaxation_time_s")
-            found.append(
-                {
-                    "suffix": suffix,
-                    "symbol": entry.symbol,
-                    "tau": curve["tau_s"],
-                    "rise": curve["rise"],
-                    "stiffness": curve["stiffness_N_per_mm"],
-                }
-            )
+            said = {"suffix": entry.name.removeprefix("relaxation_time_s"), "symbol": entry.symbol}
+            numbers = {"tau": curve["tau_s"], "stiffness": curve["stiffness_N_per_mm"]}
+            found.append({**said, **numbers, "rise": curve["rise"]})
     return found
 
 
@@ -420,20 +395,17 @@ def law_payload(
     ``profiles``; ``parts`` and ``residuals`` are ``None`` where they are not known.
     """
     sampled = {one.specimen: one for one in posteriors}
+    grid = COARSE if len(specimens) >= MANY else GRID
     payload = []
     for specimen, trials in zip(specimens, curves_by_trial(specimens, curves), strict=True):
         tissue = tissue_of(specimen, sampled.get(specimen.specimen))
         groups = speed_groups(specimen, [trial for trial, _ in trials])
+        reached = [float(own.curve.depth_mm.max()) for _, own in trials]
         payload.append(
             {
-                "deepest": [
-                    max(group.members, key=lambda k: float(trials[k][1].curve.depth_mm.max()))
-                    for group in groups
-                ],
+                "deepest": [max(group.members, key=reached.__getitem__) for group in groups],
                 "groups": curve_groups([trials], specimen.units),
-                "parts": None
-                if tissue is None
-                else _parts(tissue, groups, COARSE if len(specimens) >= MANY else GRID),
+                "parts": None if tissue is None else _parts(tissue, groups, grid),
                 "peaks": peaks_payload(specimen, trials, tissue),
                 "holds": _holds(specimen, trials),
                 "residuals": _residuals(specimen, trials),

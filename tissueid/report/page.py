@@ -6,7 +6,7 @@ import base64
 import json
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
@@ -17,35 +17,42 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from msgspec import structs
 
-from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
+from tissueid.digits import NOT_IDENTIFIED, number, with_error
 from tissueid.documents import plain
 from tissueid.documents.identification import Estimate, Identification, Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.study import StudyCheck
 from tissueid.errors import UsageError
+from tissueid.flags import flag_level
 from tissueid.report.figures import curve_payload, curves_by_trial, posterior_payload
 from tissueid.report.law_payload import curve_groups, law_payload
 from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
-from tissueid.report.parts import Section
+from tissueid.report.parts import Figure, Section
 from tissueid.report.quoted_words import cycle_table, quoted_tables
-from tissueid.report.rendering_words import Rendering, metadata_view, rendering_view
+from tissueid.report.rendering_words import Rendering, rendering_view
 from tissueid.report.specimen_lines import unloading_words
-from tissueid.report.study_words import study_view
-from tissueid.report.uncertainty_words import paper_view, uncertainty_view
+from tissueid.report.study_words import change_words, frame_words, key_words, stated_facts, stated_table
+from tissueid.report.uncertainty_words import MODEL_VERDICTS, difference_words, paper_view, uncertainty_view
 from tissueid.report.wording import (
     FEW,
+    counted,
     event_words,
     in_units,
     misfit_raised,
     overview_sentence,
     parameter_words,
+    percent,
+    reach,
+    remark_title,
     remarks,
+    span,
     symbol_words,
     took,
     trial_label,
     unit_words,
     verdict,
+    whole_label,
 )
 from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
@@ -57,6 +64,14 @@ MOST_REASONS = 5
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 #: In the order in which they need each other.
 _SCRIPTS = ("grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
+
+#: Functions that templates call by their names, of a value behind a bar as well.
+_WORDS: tuple[Callable[..., Any], ...] = (
+    *(number, span, reach, percent, with_error, counted, took, subscripted, in_units, unit_words),
+    *(symbol_words, event_words, parameter_words, difference_words, trial_label, whole_label),
+    *(flag_level, remark_title),
+    *(change_words, frame_words, key_words, stated_facts, stated_table),
+)
 
 
 @cache
@@ -70,23 +85,10 @@ def page_environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_function"] = partial(json.dumps, default=plain)
-    environment.filters |= {
-        "number": number,
-        "rounded_to": rounded_to,
-        "unit": unit_words,
-        "symbol": symbol_words,
-        "in_units": in_units,
-        "event_words": event_words,
-        "took": took,
-        "subscripted": subscripted,
-    }
-    environment.globals |= {
-        "with_error": with_error,
-        "parameter_words": parameter_words,
-        "trial_label": trial_label,
-        "MM_N": Units(length="mm", force="N", time="s"),
-        "NOT_IDENTIFIED": NOT_IDENTIFIED,
-    }
+    words = {one.__name__: one for one in _WORDS}
+    environment.filters |= words
+    environment.globals |= {**words, "MODEL_VERDICTS": MODEL_VERDICTS, "NOT_IDENTIFIED": NOT_IDENTIFIED}
+    environment.globals["MM_N"] = Units(length="mm", force="N", time="s")
     environment.globals["part"] = environment.get_template("macros.html.j2").module
     return environment
 
@@ -96,6 +98,8 @@ def render_page(
     *,
     scripts: Sequence[str] = ("plain.js",),
     style: str = "",
+    figures: Sequence[Figure] = (),
+    payload: Any = None,
     data: str = "payload",
     script_file: str | None = None,
     **words: Any,
@@ -103,15 +107,19 @@ def render_page(
     """HTML, self-contained; without a time stamp ``created`` equal input gives an equal page.
 
     ``scripts``: behind the drawing library, which a page without a ``payload`` does without; ``style``: a
-    sheet beside the common one; ``data``: id of the payload in the page; ``script_file``: where the drawing
-    library stands, from the page; without it the page holds it.
+    sheet beside the common one; ``payload``: numbers for the scripts, where they are not ``figures``;
+    ``data``: its id in the page; ``script_file``: where the drawing library stands, from the page; without it
+    the page holds it.
     """
-    holds = bool(words["payload"]) and script_file is None
+    carried = [figure.payload() for figure in figures] if payload is None else payload
+    holds = bool(carried) and script_file is None
     return (
         page_environment()
         .get_template(f"{template}.html.j2")
         .render(
             **words,
+            figures=figures,
+            payload=carried,
             data=data,
             style=asset("page.css") + (asset(style) if style else ""),
             script_file=script_file,
@@ -153,28 +161,24 @@ def render_plain(title: str, sections: Sequence[Section], *, created: str | None
     """Write a page."""
     figures = [figure for section in sections for figure in section.figures]
     return render_page(
-        "plain",
-        title=title,
-        sections=sections,
-        numbers={id(figure): number for number, figure in enumerate(figures)},
-        identity=id,
-        payload=[one.payload() for one in figures],
-        data="figures",
-        created=created,
+        "plain", title=title, sections=sections, figures=figures, data="figures", created=created
     )
 
 
-#: Refused inputs that are listed; identification.json has them all.
-_LISTED = 500
+def few_values(specimen: Specimen) -> list[Estimate | None]:
+    """Parameters that stand for a specimen; no error where the residuals contradict the model."""
+    known = {
+        one.name: structs.replace(one, stderr=None) if misfit_raised(specimen) else one
+        for one in specimen.parameters
+    }
+    return [known.get(name) for name in FEW]
 
 
 def index_row(specimen: Specimen, page: str) -> dict[str, Any]:
     """A specimen as a row of the table; ``page``: address of its own page, from the table's."""
-    named = {one.name: one for one in specimen.parameters}
-    found, sure = verdict(specimen), not misfit_raised(specimen)
-    values = [named[name].value if name in named else None for name in FEW]
-    errors = [named[name].stderr if sure and name in named else None for name in FEW]
-    said = map(with_error, values, errors)
+    found, few = verdict(specimen), few_values(specimen)
+    values = [None if one is None else one.value for one in few]
+    said = [with_error(None, None) if one is None else with_error(one.value, one.stderr) for one in few]
     nrmsd, trials, depth = 100.0 * specimen.nrmsd.range, len(specimen.trials), specimen.validity.depth_mm
     return {
         "name": specimen.specimen,
@@ -195,8 +199,7 @@ def render_index(
         title=f"Contact mechanics of {len(rows):,} specimens",
         count=len(rows),
         counts=verdict_counts((row["level"], row["verdict"]) for row in rows),
-        refused=refused[:_LISTED],
-        more=max(len(refused) - _LISTED, 0),
+        refused=refused,
         payload={"rows": rows},
         created=created,
         scripts=["grids.js", "tables.js", "index.js"],
@@ -206,7 +209,6 @@ def render_index(
 def _view(
     position: int, specimen: Specimen, run: Identification, rendering: Rendering | str | None
 ) -> dict[str, Any]:
-    parameters = {entry.name: entry for entry in specimen.parameters}
     sure = uncertainty_view(specimen)
     alarms = _alarms(sure)
     told = [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART]
@@ -224,7 +226,7 @@ def _view(
         "alarms": alarms,
         "reasons": told[:shown],
         "more": told[shown:],
-        "summary": [_without_error(parameters.get(name), specimen) for name in FEW],
+        "summary": few_values(specimen),
         "quoted": quoted_tables(specimen.quoted),
         "cycles": cycle_table(specimen.cycles),
         "unloading": unloading_words(specimen.unloading_predicted),
@@ -243,11 +245,6 @@ def _alarms(sure: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     if sure is not None and not sure["converged"]:
         found.append(("caution", "The sampler did not converge: its numbers are rough."))
     return found
-
-
-def _without_error(entry: Estimate | None, specimen: Specimen) -> Estimate | None:
-    """A parameter as the overview shows it: no error where the residuals contradict the model."""
-    return structs.replace(entry, stderr=None) if entry is not None and misfit_raised(specimen) else entry
 
 
 def _overview(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
@@ -322,8 +319,8 @@ def render_report(
         common_units=units,
         overview_sentence=overview_sentence(specimens),
         counts=verdict_counts((one["verdict"].level, one["verdict"].title) for one in views),
-        study=study_view(identification.study),
-        metadata=metadata_view(beside.metadata),
+        study=identification.study,
+        metadata=beside.metadata,
         twin=beside.twin,
         cite=citation(identification.provenance.tissueid),
         created=created,

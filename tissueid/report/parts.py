@@ -1,4 +1,4 @@
-"""Parts of every page: tables, figures, bands in them, and sections that hold both."""
+"""Parts of every page: tables, figures, traces and bands in them, and sections that hold both."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Figure:
 
     def payload(self) -> dict[str, Any]:
         """Parts that the page's script draws."""
-        return {"x": self.x, "y": self.y, "traces": list(self.traces), "layout": dict(self.layout)}
+        return {"x": self.x, "y": self.y, "traces": self.traces, "layout": self.layout}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +46,21 @@ class Section:
     figures: Sequence[Figure] = ()
 
 
+#: Look of a line that others are held against, and layouts of logarithmic axes.
+DASHED = {"ink": "soft", "width": 1, "dash": "dash"}
+LOG_X: Mapping[str, Any] = {"xaxis": {"type": "log"}}
+LOG_BOTH: Mapping[str, Any] = {**LOG_X, "yaxis": {"type": "log"}}
+
+
+def trace(x: Sequence[Any], y: Sequence[Any], mode: str = "", **look: Any) -> dict[str, Any]:
+    """A trace of plotly, ``mode``: of its points."""
+    return {"x": x, "y": y, **({"mode": mode} if mode else {}), **look}
+
+
 def band(
-    x: Sequence[float],
-    low: Sequence[float],
-    high: Sequence[float],
-    faint: float,
-    *,
-    ink: str = "data",
-    **more: Any,
+    x: Sequence[float], ends: Sequence[Sequence[float]], faint: float, ink: str = "data", **more: Any
 ) -> list[dict[str, Any]]:
     """Traces of the ends of a band, the upper one filled down to the lower in a faint colour of the page."""
-    hidden = {"x": x, "mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False, **more}
-    return [
-        {**hidden, "y": low},
-        {**hidden, "y": high, "fill": "tonexty", "fillcolor": {"ink": ink, "faint": faint}},
-    ]
+    hidden: dict[str, Any] = {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False, **more}
+    filled = {"fill": "tonexty", "fillcolor": {"ink": ink, "faint": faint}}
+    return [trace(x, y, "lines", **hidden, **look) for y, look in zip(ends, ({}, filled), strict=True)]

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tissueid.digits import number
 from tissueid.documents import plain
 from tissueid.documents.population import CohortSize, HeldOut, Population, Populations, Specimen
 from tissueid.model.channels import loading_force
 from tissueid.report.page import render_page
 from tissueid.report.parts import Table
-from tissueid.report.wording import Verdict, flag_remarks
+from tissueid.report.wording import Verdict, flag_remarks, percent, span
 from tissueid.store.bundle import Bundle
 
 #: Specimens drawn one by one; of more, outliers and an even choice of the others.
@@ -100,16 +99,8 @@ def population_payload(document: Population, bundle: Bundle | None) -> dict[str,
     }
 
 
-def _percent(value: float, digits: int = 3) -> str:
-    return number(100.0 * value, digits)
-
-
-def _interval(ends: tuple[float, float] | None, digits: int = 4) -> str:
-    return "–" if ends is None else f"{number(ends[0], digits)} to {number(ends[1], digits)}"
-
-
-def _percents(ends: tuple[float, float]) -> str:
-    return f"{_percent(ends[0])} to {_percent(ends[1])}"
+def _percents(low: float, high: float) -> str:
+    return span((100.0 * low, 100.0 * high), 3)
 
 
 def _verdict(document: Population, found: Populations) -> Verdict:
@@ -131,56 +122,23 @@ def held_out_sentence(held: HeldOut) -> str:
     """NRMSD of the typical tissue on specimens that took no part, beside paper A."""
     low, high = held.paper_a_percent
     by_range, by_mean = held.nrmsd_range, held.nrmsd_mean
+    of_range, of_mean = (_percents(one.low68, one.high68) for one in (by_range, by_mean))
     inside = any(low <= 100.0 * one.median <= high for one in (by_range, by_mean))
     said = "is consistent with" if inside else "lies outside"
     return (
         "The typical tissue of the others misses a log of a specimen that took no part by "
-        f"{_percent(by_range.median)} % of its range of force (68 % of logs: "
-        f"{_percent(by_range.low68)} to {_percent(by_range.high68)} %), or "
-        f"{_percent(by_mean.median)} % of its mean ({_percent(by_mean.low68)} to "
-        f"{_percent(by_mean.high68)} %). Paper A states {low:g} to {high:g} % without saying of what; "
+        f"{percent(by_range.median)} % of its range of force (68 % of logs: {of_range} %), or "
+        f"{percent(by_mean.median)} % of its mean ({of_mean} %). "
+        f"Paper A states {low:g} to {high:g} % without saying of what; "
         f"the result {said} that, which proves nothing: any scatter of its size gives such numbers."
     )
 
 
-def _effects(found: Populations) -> list[dict[str, Any]]:
-    words = {row.name: row.words for row in found.quantities}
-    return [
-        {
-            "quantity": words[row.name],
-            "what": (
-                f"{row.covariate}: {row.of} against {row.against}"
-                if row.of is not None
-                else f"{row.covariate}, {number(row.per, 3)} more"
-            ),
-            "ratio": number(row.ratio, 4),
-            "ci95": _interval(row.ci95),
-            "probability": f"{row.probability:.3f}",
-        }
-        for row in found.effects
-    ]
-
-
-def _outliers(found: Populations) -> list[dict[str, str]]:
-    words = {row.name: row.words for row in found.quantities}
-    return [
-        {
-            "specimen": row.specimen,
-            "probability": f"{row.far:.2f}",
-            "quantity": words[row.outlier or ""],
-            "deviation": f"{row.deviation:+.1f}".replace("-", "−"),
-        }
-        for row in sorted(found.specimens, key=lambda row: -row.far)
-        if row.outlier is not None
-    ]
-
-
-def _sizes(found: Populations) -> Table:
+def _sizes(found: Populations, words: Mapping[str, str]) -> Table:
     """A row a quantity: specimens for each precision, of the median and of the spread."""
     rows: dict[str, list[CohortSize]] = {}
     for row in found.cohort_size:
         rows.setdefault(row.name, []).append(row)
-    words = {row.name: row.words for row in found.quantities}
     precisions = [f"{100 * row.precision:g} %" for row in next(iter(rows.values()))]
     return Table(
         ["Quantity", *(f"{of} to {precision}" for of in ("Median", "Spread") for precision in precisions)],
@@ -195,16 +153,11 @@ def _sizes(found: Populations) -> Table:
     )
 
 
-def _heads(found: Populations) -> list[str]:
-    between = ["CV between specimens [%]", "95 % interval [%]"]
-    levels = [f"Between {key}s, sd of ln" for key in found.quantities[0].levels]
-    return ["Quantity", "Median", "95 % interval", "Total 95 % interval", *between, *levels]
-
-
 def render_population(document: Population, bundle: Bundle | None, *, created: str | None = None) -> str:
     """Write the page of a document with a population; ``bundle``: population.h5, for the bands of force."""
     found = document.population
     assert found is not None  # noqa: S101  (a page is of a population)
+    words = {row.name: row.words for row in found.quantities}
     return render_page(
         "population",
         title=f"Population of {len(document.specimens_used)} specimens",
@@ -212,13 +165,10 @@ def render_population(document: Population, bundle: Bundle | None, *, created: s
         found=found,
         verdict=_verdict(document, found),
         remarks=flag_remarks(document.flags),
-        interval=_interval,
-        percent=_percent,
         percents=_percents,
-        heads=_heads(found),
-        effects=_effects(found),
-        outliers=_outliers(found),
-        sizes=_sizes(found),
+        words=words,
+        outliers=sorted((row for row in found.specimens if row.outlier), key=lambda row: -row.far),
+        sizes=_sizes(found, words),
         held_out=None if found.held_out is None else held_out_sentence(found.held_out),
         most_drawn=MOST_DRAWN,
         payload=population_payload(document, bundle),

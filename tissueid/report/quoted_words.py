@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from tissueid.digits import number, with_error
 from tissueid.documents.quantities import Cycle, Measure, Quantity, Quoted
 from tissueid.quantities import DEPTH_TEST
@@ -15,6 +17,14 @@ from tissueid.report.wording import trial_label
 MOST_ROWS = 12
 NONE = "–"
 _PATHS = {"step": "ideal step", "ramp": "ramp as recorded"}
+#: Heads of the columns of loops, and the measures in them.
+_OF_LOOPS = {
+    "Peak [N]": "peak_force_N", "Area [mJ]": "dissipated_mJ", "Area over work [%]": "hysteresis",
+    "Secant [N/mm]": "secant_N_per_mm", "Tangent [N/mm]": "tangent_N_per_mm",
+    "Residual depth [mm]": "residual_depth_mm", "Peak against loop before [%]": "peak_force_change",
+    "η from area [N·s/mm]": "viscosity_N_s_per_mm",
+    "η from area, by model [N·s/mm]": "viscosity_model_N_s_per_mm",
+}  # fmt: skip
 _KINDS = {"cycle": "cycle", "ramp-retract": "ramp and retract", "ramp-hold-retract": "ramp, hold and retract"}
 
 
@@ -126,16 +136,12 @@ def _moduli(quoted: Quoted) -> Table | None:
     ]
     rows, reasons = _rows(moduli, ("modulus_equilibrium", "modulus_instantaneous"), at)
     known = quoted.assumptions
-    size = (
-        f"half angle {number(known.half_angle_deg, 3)}°"
-        if known.shape == "cone"
-        else f"radius {number(known.radius_mm, 3)} mm"
-    )
-    body = (
-        "a deep body (no thickness was stated)"
-        if known.thickness_mm is None
-        else f"a {known.support} of {number(known.thickness_mm, 3)} mm"
-    )
+    size = f"radius {number(known.radius_mm, 3)} mm"
+    if known.shape == "cone":
+        size = f"half angle {number(known.half_angle_deg, 3)}°"
+    body = f"a {known.support} of {number(known.thickness_mm, 3)} mm"
+    if known.thickness_mm is None:
+        body = "a deep body (no thickness was stated)"
     sentence = (
         f"Young's modulus [kPa] for a {known.shape} of {size} on {body}, Poisson's ratio "
         f"{number(known.poisson, 2)}, no friction: a reading of the structural stiffness, valid as far "
@@ -168,16 +174,14 @@ def _spectra(quoted: Quoted) -> Table | None:
     spectra = quoted.spectra
     if not spectra:
         return None
-    decades = [(n, 10.0**n, 10.0 ** (n + 1)) for n in range(-6, 9)]
-    used = [n for n, low, high in decades if any(low <= tau < high for one in spectra for tau in one.tau_s)]
+    edges = [10.0**n for n in range(-6, 10)]
+    found = [np.digitize(one.tau_s, edges) - 7 for one in spectra]
+    used = sorted({int(n) for decades in found for n in decades if -6 <= n < 9})
     rows = []
-    for one in spectra:
-        by_decade: dict[int, float] = {}
-        for tau, amplitude in zip(one.tau_s, one.amplitude_N, strict=True):
-            for n in (n for n, low, high in decades if low <= tau < high):
-                by_decade[n] = by_decade.get(n, 0.0) + amplitude
-        total = sum(one.amplitude_N)
-        shares = [f"{100.0 * by_decade[n] / total:.0f}" if n in by_decade and total else NONE for n in used]
+    for one, decades in zip(spectra, found, strict=True):
+        amplitudes, total = np.array(one.amplitude_N), sum(one.amplitude_N)
+        own = [(n in decades, float(amplitudes[decades == n].sum())) for n in used]
+        shares = [f"{100.0 * part / total:.0f}" if known and total else NONE for known, part in own]
         rows.append([trial_label(one), *shares, number(one.plateau_N, 3)])
     head = ("Hold of", *(f"{10.0**n:g} to {10.0 ** (n + 1):g} s" for n in used), "Plateau [N]")
     sentence = (
@@ -191,15 +195,8 @@ def quoted_tables(quoted: Quoted | None) -> tuple[Table, ...]:
     """The tables of one specimen's ``quoted`` object; none where there is none."""
     if quoted is None:
         return ()
-    tables = (
-        _relaxed(quoted),
-        _stiffness(quoted),
-        _oscillation(quoted),
-        _moduli(quoted),
-        _drainage(quoted),
-        _spectra(quoted),
-    )
-    return tuple(table for table in tables if table is not None and table.rows)
+    kinds = (_relaxed, _stiffness, _oscillation, _moduli, _drainage, _spectra)
+    return tuple(table for kind in kinds if (table := kind(quoted)) is not None and table.rows)
 
 
 def cycle_table(cycles: Sequence[Cycle]) -> Table | None:
@@ -210,23 +207,11 @@ def cycle_table(cycles: Sequence[Cycle]) -> Table | None:
         [
             f"{trial_label(row)}, {_KINDS[row.kind]} {row.number}",
             number(row.peak_depth_mm, 3),
-            _cell(row.peak_force_N),
-            _cell(row.dissipated_mJ),
-            _cell(row.hysteresis, percent=True),
-            _cell(row.secant_N_per_mm),
-            _cell(row.tangent_N_per_mm),
-            _cell(row.residual_depth_mm),
-            _cell(row.peak_force_change, percent=True),
-            _cell(row.viscosity_N_s_per_mm),
-            _cell(row.viscosity_model_N_s_per_mm),
+            *(_cell(getattr(row, key), percent=head.endswith("[%]")) for head, key in _OF_LOOPS.items()),
         ]
         for row in cycles
     ]
-    head = (
-        "Loop", "Depth [mm]", "Peak [N]", "Area [mJ]", "Area over work [%]", "Secant [N/mm]",
-        "Tangent [N/mm]", "Residual depth [mm]", "Peak against loop before [%]", "η from area [N·s/mm]",
-        "η from area, by model [N·s/mm]",
-    )  # fmt: skip
+    head = ("Loop", "Depth [mm]", *_OF_LOOPS)
     sentence = (
         "Measured from the samples. The area holds every loss, viscous or not. As a viscosity it is first "
         "read in the limit of slow motion (area over the integral of squared speed), then by letting the "

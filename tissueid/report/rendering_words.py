@@ -1,4 +1,4 @@
-"""Rendering of a tissue, and how complete a study's description is, as rows and words."""
+"""Rendering of a tissue, as rows and words."""
 
 from __future__ import annotations
 
@@ -8,19 +8,6 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.documents.identification import Specimen
 from tissueid.documents.session import Scale
-from tissueid.documents.study import StudyCheck
-from tissueid.report.study_words import key_words
-
-#: Missing items that are listed; the others are counted.
-_LISTED = 12
-_WEIGHTS = {3: "nothing can be compared without it", 2: "a reviewer asks for it", 1: "it helps"}
-_WHERE = {
-    "study": "study",
-    "calibration": "machine",
-    "tip": "tool tip",
-    "specimen": "specimen",
-    "trial": "trial",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +52,9 @@ NORMALISED = "normalised"
 
 def _device(row: RenderedDevice | RefusedDevice, depth_mm: float) -> dict[str, Any]:
     if isinstance(row, RefusedDevice):
-        return {"name": row.name, "refused": row.why, "cells": [], "remarks": []}
-    scale = row.scale
+        return {"name": row.name, "refused": row.why, "remarks": ()}
+    scale, fastest = row.scale, number(row.fastest_hand_mm_s, 3)
     damping = number(scale.device_damping_N_s_per_m, 2)
-    fastest = number(row.fastest_hand_mm_s, 3)
     cells = [
         f"measured / {number(scale.felt_force_is_measured_over, 3)}",
         f"measured / {number(scale.felt_stiffness_is_measured_over, 3)}",
@@ -97,11 +83,11 @@ def rendering_view(rendering: Rendering | str | None, specimen: Specimen) -> dic
     if rendering is None:
         return None
     if isinstance(rendering, str):
-        return {
-            "normalised": True,
-            "said": "The recordings were normalised, and a device moves millimetres and pushes newtons: "
-            "this bundle can't be rendered.",
-        }
+        said = (
+            "The recordings were normalised, and a device moves millimetres and pushes newtons: this bundle "
+            "can't be rendered."
+        )
+        return {"said": said, "devices": None}
     draws = rendering.draws
     shares = f"; so are {rendering.draws_passive} of {draws} posterior draws" if draws else ""
     passive = (
@@ -114,37 +100,5 @@ def rendering_view(rendering: Rendering | str | None, specimen: Specimen) -> dic
         if rendering.unique
         else " Where the tool lets go, the surface may jump while it recovers (contact loss is not unique)."
     )
-    depth_mm = specimen.validity.depth_mm
-    head = (
-        "Device", "Felt force", "Felt stiffness", "Motion", "Peak of clamp", "Damping needed of had",
-        "Depth clipped", "Travel outside validity", "Fastest valid hand",
-    )  # fmt: skip
-    return {
-        "normalised": False,
-        "said": f"{passive}{unique}",
-        "head": head,
-        "devices": [_device(row, depth_mm) for row in rendering.devices],
-    }
-
-
-def metadata_view(graded: StudyCheck | None) -> dict[str, Any] | None:
-    """Grade and missing items of a study's description; ``None`` where it was not graded."""
-    if graded is None:
-        return None
-    rows = [
-        {
-            "what": " or ".join(key_words(key) for key in one.keys),
-            "where": _WHERE.get(one.table, one.table) + (f" ({len(one.where)} without)" if one.where else ""),
-            "why": one.why,
-            "weight": _WEIGHTS[one.weight],
-            "essential": one.weight == max(_WEIGHTS),
-        }
-        for one in graded.missing
-    ]
-    return {
-        "grade": graded.grade,
-        "percent": f"{100 * graded.share:.0f}",
-        "none": graded.share == 0.0,
-        "rows": rows[:_LISTED],
-        "more": max(len(rows) - _LISTED, 0),
-    }
+    devices = [_device(row, specimen.validity.depth_mm) for row in rendering.devices]
+    return {"said": f"{passive}{unique}", "devices": devices}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from tissueid.digits import number
-from tissueid.documents import plain
-from tissueid.documents.reproduction import Figure, Item, Paper, Reproduction
+from tissueid.documents import reproduction as document
+from tissueid.documents.reproduction import Item, Paper, Reproduction
 from tissueid.report.page import render_page
-from tissueid.report.parts import band
-from tissueid.report.wording import Verdict
+from tissueid.report.parts import LOG_X, Figure, band, trace
+from tissueid.report.wording import Verdict, span
 
 #: Kind -> class of its look, mark, and what it means: told apart by more than colour.
 KINDS: Mapping[str, tuple[str, str, str]] = {
@@ -26,18 +26,15 @@ KINDS: Mapping[str, tuple[str, str, str]] = {
     "assumed": ("assumed", "~", "an input is printed by no paper; change it and the number changes"),
     "not reproducible": ("lost", "✕", "its inputs are lost or were never printed"),
 }
+_Placed = TypeVar("_Placed", Item, document.Figure)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8f96", "#5a4fa2")
 #: Significant digits of a recomputed number.
 DIGITS = 5
 
 
 def _value(value: float | Sequence[float] | None) -> str:
-    """A number or a range in words; nothing where there is none."""
-    if value is None:
-        return "–"
-    if isinstance(value, int | float):
-        return number(float(value), DIGITS)
-    return f"{number(value[0], 4)} to {number(value[1], 4)}"
+    """A number or a range in words; a dash where there is none."""
+    return number(value, DIGITS) if isinstance(value, int | float) else span(value)
 
 
 def _verdict(items: Sequence[Item]) -> Verdict:
@@ -65,23 +62,9 @@ def _printed(value: float | Sequence[float] | None) -> str:
     return " to ".join(f"{one:g}" for one in value)
 
 
-def _places(paper: Paper, document: Reproduction) -> list[dict[str, Any]]:
-    """Rows and figures of a paper by the table or figure they stand beside."""
-    items = [item for item in document.items if item.paper == paper.name]
-    figures = [
-        {**plain(figure), "place": place}
-        for place, figure in enumerate(document.figures)
-        if figure.paper == paper.name
-    ]
-    return [
-        {
-            "where": where,
-            "id": f"{paper.name}-{where.lower().replace('.', '').replace(' ', '-')}",
-            "items": [item for item in items if item.where == where],
-            "figures": [figure for figure in figures if figure["where"] == where],
-        }
-        for where in paper.places
-    ]
+def _at(paper: Paper, where: str, found: Sequence[_Placed]) -> list[tuple[int, _Placed]]:
+    """Rows or figures that stand beside a table or figure of a paper, with their places in the document."""
+    return [(at, one) for at, one in enumerate(found) if (one.paper, one.where) == (paper.name, where)]
 
 
 def _remarks(item: Item) -> list[tuple[str, str]]:
@@ -96,39 +79,36 @@ def _remarks(item: Item) -> list[tuple[str, str]]:
     return [(name, words) for name, words in said if words]
 
 
-def _drawn(figure: Figure) -> dict[str, Any]:
+def _drawn(figure: document.Figure) -> Figure:
     """A figure as the page's script takes it; lines can be told apart without their colour too."""
     traces: list[dict[str, Any]] = []
     for place, one in enumerate(figure.traces):
         shade = COLOURS[place % len(COLOURS)]
-        look: dict[str, Any] = {"mode": "markers", "marker": {"color": shade, "size": 4}}
+        mode, look = "markers", {"marker": {"color": shade, "size": 4}}
         if one.style != "points":
             dash = "dash" if one.style == "dash" else "solid"
-            look = {"mode": "lines", "line": {"color": shade, "width": 2, "dash": dash}}
-        traces += band(one.x, one.band.low, one.band.high, 0.25) if one.band else []
-        traces.append(
-            {"x": one.x, "y": one.y, "name": one.name, "hovertemplate": "%{x:.4g}: %{y:.4g}", **look}
-        )
-    layout = {"xaxis": {"type": "log"}} if figure.x_log else {}
-    return {"x": figure.x_title, "y": figure.y_title, "traces": traces, "layout": layout}
+            mode, look = "lines", {"line": {"color": shade, "width": 2, "dash": dash}}
+        traces += band(one.x, (one.band.low, one.band.high), 0.25) if one.band else []
+        traces.append(trace(one.x, one.y, mode, name=one.name, hovertemplate="%{x:.4g}: %{y:.4g}", **look))
+    return Figure(figure.title, figure.x_title, figure.y_title, traces, LOG_X if figure.x_log else {})
 
 
-def render_reproduction(document: Reproduction, *, created: str | None = None) -> str:
+def render_reproduction(found: Reproduction, *, created: str | None = None) -> str:
     """Write the page."""
-    papers = document.papers
+    papers = found.papers
     alone = f"{papers[0].name.title()} et al., recomputed"
     return render_page(
         "reproduction",
         title="Two papers, recomputed" if len(papers) > 1 else alone,
-        run=document,
-        verdict=_verdict(document.items),
+        run=found,
+        verdict=_verdict(found.items),
         kinds=KINDS,
-        counts=Counter(item.kind for item in document.items),
-        papers=[{**plain(paper), "places": _places(paper, document)} for paper in papers],
+        counts=Counter(item.kind for item in found.items),
+        at=_at,
         value=_value,
         printed=_printed,
         remarks=_remarks,
-        payload=[_drawn(figure) for figure in document.figures],
+        figures=[_drawn(figure) for figure in found.figures],
         created=created,
         style="reproduction.css",
     )

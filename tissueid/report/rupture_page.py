@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import number
-from tissueid.documents import plain
 from tissueid.documents.rupture import Rupture, Speed
 from tissueid.report.page import render_page
-from tissueid.report.parts import Figure
+from tissueid.report.parts import LOG_BOTH, LOG_X, Figure, trace
 from tissueid.report.wording import Verdict, flag_remarks
 
 S_PER_MIN = 60.0
@@ -20,8 +19,6 @@ CRITERION_WORDS: Mapping[str, str] = {
     "depth": "Depth",
     "none": "None",
 }
-
-
 _INKS = {"work": "data", "weighted-force": "model", "stored-energy": "aside", "depth": "serious"}
 _AT = "%{x:.4g} mm/min<extra></extra>"
 
@@ -47,32 +44,23 @@ def _with_sd(row: Speed, name: str) -> str:
 
 def _against_speed(document: Rupture, key: str, title: str, unit: str) -> Figure:
     """Force or work at rupture: tests of each specimen joined, and the mean at each speed."""
+    line = {"color": {"ink": "data", "faint": 0.35}, "width": 1}
+    look = {"line": line, "marker": {"ink": "data", "size": 6}, "showlegend": False}
     lines = []
     for name in dict.fromkeys(one.specimen for one in document.tests):
         own = [one for one in document.tests if one.specimen == name and one.ruptured]
         own.sort(key=lambda one: one.speed_mm_s)
-        trace: dict[str, Any] = {
-            "x": [S_PER_MIN * one.speed_mm_s for one in own],
-            "y": [getattr(one, key) for one in own],
-        }
-        trace |= {"text": [name] * len(own), "mode": "lines+markers", "showlegend": False}
-        look = {
-            "line": {"color": {"ink": "data", "faint": 0.35}, "width": 1},
-            "marker": {"ink": "data", "size": 6},
-        }
-        lines.append({**trace, **look, "hovertemplate": f"%{{text}}: %{{y:.4g}} {unit} at {_AT}"})
+        speeds, values = [S_PER_MIN * one.speed_mm_s for one in own], [getattr(one, key) for one in own]
+        said = {"text": [name] * len(own), "hovertemplate": f"%{{text}}: %{{y:.4g}} {unit} at {_AT}"}
+        lines.append(trace(speeds, values, "lines+markers", **look, **said))
     known = [row for row in document.speeds if getattr(row.mean, key) is not None]
-    mean = {
-        "x": [S_PER_MIN * row.speed_mm_s for row in known],
-        "y": [getattr(row.mean, key) for row in known],
-        "mode": "markers",
-        "name": "mean ± SD",
-        "marker": {"ink": "model", "size": 10, "symbol": "diamond"},
-        "error_y": {"type": "data", "array": [getattr(row.sd, key) or 0 for row in known], "ink": "model"}
-        | {"thickness": 2, "width": 6},
-        "hovertemplate": f"mean %{{y:.4g}} {unit} at {_AT}",
-    }
-    layout = {"xaxis": {"type": "log"}, "yaxis": {"rangemode": "tozero"}}
+    speeds, means = [S_PER_MIN * row.speed_mm_s for row in known], [getattr(row.mean, key) for row in known]
+    bars: dict[str, Any] = {"type": "data", "array": [getattr(row.sd, key) or 0 for row in known]}
+    bars |= {"ink": "model", "thickness": 2, "width": 6}
+    look = {"marker": {"ink": "model", "size": 10, "symbol": "diamond"}, "error_y": bars}
+    said = {"name": "mean ± SD", "hovertemplate": f"mean %{{y:.4g}} {unit} at {_AT}"}
+    mean = trace(speeds, means, "markers", **look, **said)
+    layout = {**LOG_X, "yaxis": {"rangemode": "tozero"}}
     return Figure(title, "Speed [mm/min]", f"{title} [{unit}]", [*lines, mean], layout)
 
 
@@ -83,23 +71,20 @@ def _reached(document: Rupture) -> Figure:
     traces = []
     for k, row in enumerate(document.criteria):
         words, of = CRITERION_WORDS[row.criterion], f"{number(row.median)} {row.unit}"
-        measures = [plain(one.measures)[row.criterion]["value"] for one in tests]
-        traces.append(
-            {
-                # side by side, so that marks of one speed do not hide each other
-                "x": [S_PER_MIN * one.speed_mm_s * 1.06 ** (k - 1.5) for one in tests],
-                "y": [value / row.median for value in measures],
-                "mode": "markers",
-                "name": words,
-                "visible": True if row.criterion in (likeliest, "depth", "work") else "legendonly",
-                "marker": {"ink": _INKS[row.criterion], "size": 8, "symbol": symbols},
-                "text": [one.specimen for one in tests],
-                "hovertemplate": f"%{{text}}: %{{y:.3f}} of {of}<extra>{words}</extra>",
-            }
-        )
+        key = row.criterion.replace("-", "_")
+        # side by side, so that marks of one speed do not hide each other
+        speeds = [S_PER_MIN * one.speed_mm_s * 1.06 ** (k - 1.5) for one in tests]
+        shares = [getattr(one.measures, key).value / row.median for one in tests]
+        look = {
+            "visible": True if row.criterion in (likeliest, "depth", "work") else "legendonly",
+            "marker": {"ink": _INKS[row.criterion], "size": 8, "symbol": symbols},
+            "text": [one.specimen for one in tests],
+            "hovertemplate": f"%{{text}}: %{{y:.3f}} of {of}<extra>{words}</extra>",
+        }
+        traces.append(trace(speeds, shares, "markers", name=words, **look))
     level = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1}
     shapes = [{**level, "line": {"ink": "soft", "width": 1}}]
-    layout = {"xaxis": {"type": "log"}, "yaxis": {"type": "log"}, "shapes": shapes}
+    layout = {**LOG_BOTH, "shapes": shapes}
     return Figure("Criteria", "Speed [mm/min]", "Reached over median", traces, layout)
 
 
@@ -115,11 +100,10 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
         words=CRITERION_WORDS,
         with_sd=_with_sd,
         per_minute=S_PER_MIN,
-        interval=lambda ends: f"{number(ends[0])} to {number(ends[1])}",
-        payload=[
-            _against_speed(document, "force_N", "Force at rupture", "N").payload(),
-            _against_speed(document, "work_N_mm", "Work to rupture", "N mm").payload(),
-            _reached(document).payload(),
+        figures=[
+            _against_speed(document, "force_N", "Force at rupture", "N"),
+            _against_speed(document, "work_N_mm", "Work to rupture", "N mm"),
+            _reached(document),
         ],
         created=created,
     )

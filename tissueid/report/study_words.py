@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from msgspec.structs import asdict
 
 from tissueid.digits import NOT_IDENTIFIED, number, with_error
-from tissueid.documents.identification import Calibration, Exclusion, StatedSpecimen, StatedTrial, StudyRecord
-from tissueid.report.wording import trial_label, unit_words
+from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
+from tissueid.documents.study import Study, Tip
+from tissueid.report.parts import Table
+from tissueid.report.wording import trial_label
 
 #: Unit at the end of a key -> how it is printed.
 _UNITS = {"_N_per_mm": "N/mm", "_mm_s": "mm/s", "_mm": "mm", "_years": "years", "_Hz": "Hz", "_deg": "°"}
 _UNITS |= {"_C": "°C", "_N": "N", "_s": "s", "_h": "h"}
 #: What is not a covariate, or stands elsewhere on the page.
 _ELSEWHERE = {"only_listed", "title", "frame"}
+#: Columns of a trial that are its name, or stand in sentences.
+_OF_TRIAL = {"path", "sheet", "listed", "overridden", "because"}
+_NOTHING: tuple[Any, ...] = (None, (), "")
 
 
 def key_words(key: str) -> str:
@@ -39,12 +44,14 @@ def _value(key: str, value: Any) -> str:
     return f"{value:g} {unit}".strip().replace("-", "−")
 
 
-def _pairs(table: Mapping[str, Any]) -> list[tuple[str, str]]:
-    stated = {key: value for key, value in table.items() if value is not None and key not in _ELSEWHERE}
+def stated_facts(table: Study | Tip | Calibration) -> list[tuple[str, str]]:
+    """Words and value of everything that a table states."""
+    known = asdict(table).items()
+    stated = {key: value for key, value in known if value is not None and key not in _ELSEWHERE}
     return [(key_words(key), _value(key, value)) for key, value in stated.items()]
 
 
-def _frame(calibration: Calibration) -> str:
+def frame_words(calibration: Calibration) -> str:
     """The frame in one sentence."""
     frame = calibration.frame
     if frame is None:
@@ -60,67 +67,21 @@ def _frame(calibration: Calibration) -> str:
     )
 
 
-def _table(given: Sequence[StatedSpecimen | StatedTrial], first: str) -> dict[str, Any] | None:
+def stated_table(given: Sequence[StatedSpecimen] | Sequence[StatedTrial]) -> Table | None:
     """Columns of some rows that are stated at least once."""
     rows = [asdict(row) for row in given]
-    keys = [key for key in (rows[0] if rows else ()) if any(row[key] not in (None, (), "") for row in rows)]
-    keys = [key for key in keys if key not in {first, "path", "sheet", "listed", "overridden", "because"}]
-    if not keys:
-        return None
-    return {
-        "head": [key_words(key) for key in keys],
-        "rows": [
-            {
-                "name": trial_label(one) if isinstance(one, StatedTrial) else one.specimen,
-                "cells": ["" if row[key] in (None, (), "") else _value(key, row[key]) for key in keys],
-            }
-            for one, row in zip(given, rows, strict=True)
-        ],
-    }
+    keys = [key for key in (rows[0] if rows else ()) if any(row[key] not in _NOTHING for row in rows)]
+    of_trials = isinstance(next(iter(given), None), StatedTrial)
+    keys = [key for key in keys if key not in (_OF_TRIAL if of_trials else {"specimen"})]
+    names = [trial_label(one) if isinstance(one, StatedTrial) else one.specimen for one in given]
+    cells = [["" if row[key] in _NOTHING else _value(key, row[key]) for key in keys] for row in rows]
+    named = [[name, *own] for name, own in zip(names, cells, strict=True)]
+    head = "Trial" if of_trials else "Specimen"
+    return Table([head, *map(key_words, keys)], named, f"{head}s") if keys else None
 
 
-def _exclusion(row: Exclusion) -> dict[str, Any]:
-    """One excluded trial: its parameters without and with it, and by how much they move."""
-    numbers = [
-        {
-            "symbol": one.symbol,
-            "unit": unit_words(one.unit),
-            "without": with_error(one.without, one.without_stderr),
-            "with": with_error(one.with_it, one.with_stderr),
-            "change": _change(one.without, one.with_it),
-        }
-        for one in row.with_it
-    ]
-    said = {key: getattr(row, key) for key in ("specimen", "because", "note")}
-    return {"trial": trial_label(row), "numbers": numbers, **said}
-
-
-def _change(without: float | None, with_it: float | None) -> str:
+def change_words(without: float | None, with_it: float | None) -> str:
+    """Change of a parameter by a log that was left out, in percent."""
     if without is None or with_it is None or without == 0.0:
         return NOT_IDENTIFIED if without is None or with_it is None else ""
     return f"{100 * (with_it / without - 1):+.1f} %".replace("-", "−")
-
-
-def study_view(study: StudyRecord | None) -> dict[str, Any] | None:
-    """Everything the study section of the report prints, in words; ``None`` without a study."""
-    if study is None:
-        return None
-    return {
-        "path": study.path,
-        "sha256": study.sha256,
-        "title": study.study.title,
-        "about": _pairs(asdict(study.study)),
-        "tip": _pairs(asdict(study.tip)),
-        "calibration": _pairs(asdict(study.calibration)),
-        "frame": _frame(study.calibration),
-        "corrected": study.calibration.frame is not None,
-        "specimens": _table(study.specimens, "specimen"),
-        "trials": _table(study.trials, "path"),
-        "overrides": [
-            {"trial": trial_label(row), "decided": ", ".join(row.overridden), "because": row.because}
-            for row in study.trials
-            if row.overridden
-        ],
-        "exclusions": [_exclusion(row) for row in study.exclusions],
-        "unlisted": [trial_label(row) for row in study.trials if not row.listed],
-    }

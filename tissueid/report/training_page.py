@@ -9,7 +9,7 @@ import numpy as np
 from tissueid.digits import number
 from tissueid.documents.session import Attempt, Learning, Training
 from tissueid.report.page import render_plain
-from tissueid.report.parts import Figure, Section, Table
+from tissueid.report.parts import Figure, Section, Table, trace
 
 #: Measures that practice is looked for in: words and unit.
 LEARNED = {
@@ -78,15 +78,8 @@ def _row(at: int, row: Attempt) -> tuple[str, ...]:
 
 
 def _ways(rows: Sequence[Attempt], tracks: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
-    traces = [
-        {
-            "x": [round(value, 4) for value in tracks[row.file][0]],
-            "y": [round(value, 4) for value in tracks[row.file][1]],
-            "mode": "lines",
-            "name": f"attempt {at}",
-        }
-        for at, row in enumerate(rows, 1)
-    ]
+    ways = [[[round(value, 4) for value in axis] for axis in tracks[row.file]] for row in rows]
+    traces = [trace(x, y, "lines", name=f"attempt {at}") for at, (x, y) in enumerate(ways, 1)]
     caption = "Distance of the tip from the planned axis over its height above the entry point, way by way."
     layout = {"xaxis": {"autorange": "reversed"}, "yaxis": {"rangemode": "tozero"}}
     return Figure(caption, "Height above the bone [mm]", "Distance from the axis [mm]", traces, layout)
@@ -94,23 +87,13 @@ def _ways(rows: Sequence[Attempt], tracks: Mapping[str, tuple[Sequence[float], S
 
 def _learned(measure: str, rows: Sequence[Attempt], curve: Learning) -> Figure:
     words, unit = LEARNED[measure]
-    at = np.arange(1, len(rows) + 1)
+    at = list(range(1, len(rows) + 1))
     drawn = np.linspace(1.0, len(rows), 60)
+    found = [getattr(row, measure) for row in rows]
+    fitted = (curve.first * drawn**curve.exponent).round(6).tolist()
     traces = [
-        {
-            "x": at.tolist(),
-            "y": [getattr(row, measure) for row in rows],
-            "mode": "markers",
-            "name": "attempts",
-            "marker": {"ink": "data", "size": 8},
-        },
-        {
-            "x": drawn.round(4).tolist(),
-            "y": (curve.first * drawn**curve.exponent).round(6).tolist(),
-            "mode": "lines",
-            "name": "power law",
-            "line": {"ink": "model"},
-        },
+        trace(at, found, "markers", name="attempts", marker={"ink": "data", "size": 8}),
+        trace(drawn.round(4).tolist(), fitted, "lines", name="power law", line={"ink": "model"}),
     ]
     layout = {"xaxis": {"dtick": max(1, len(rows) // 10)}, "yaxis": {"rangemode": "tozero"}}
     caption = (

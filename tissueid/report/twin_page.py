@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,8 @@ import numpy as np
 from tissueid.digits import number
 from tissueid.documents import twin as document
 from tissueid.report.page import render_plain
-from tissueid.report.parts import Figure, Section, Table
+from tissueid.report.parts import Figure, Section, Table, trace
+from tissueid.report.wording import percent, span
 
 if TYPE_CHECKING:
     from tissueid.twin.twin import Twin
@@ -49,7 +49,7 @@ def twin_sections(found: document.Twin) -> list[Section]:
 
 
 def _percent(share: float) -> str:
-    return "less than 0.001 %" if share < 1e-5 else f"{number(100.0 * share, 2)} %"
+    return "less than 0.001 %" if share < 1e-5 else f"{percent(share, 2)} %"
 
 
 def _device(one: document.Device, source: str) -> Section:
@@ -64,41 +64,27 @@ def _device(one: document.Device, source: str) -> Section:
         f"Off the law by {_percent(one.nrmsd_model)} of its range{recorded}.{refit} A hand {could} tell: "
         f"{most} just-noticeable differences of force at most ({source})."
     )
-    rows = [_row(row) for row in one.rows]
+    rows = [
+        (
+            *(row.symbol, "" if row.unit == "1" else row.unit, number(row.went_in), span(row.went_in_ci95)),
+            *(number(row.came_out), span(row.came_out_ci95), WORDS[row.verdict]),
+        )
+        for row in one.rows
+    ]
     return Section(one.device[:1].upper() + one.device[1:], text, tables=[Table(HEADS, rows)] if rows else [])
-
-
-def _row(row: document.Row) -> tuple[str, ...]:
-    return (
-        row.symbol,
-        "" if row.unit == "1" else row.unit,
-        _value(row.went_in),
-        _span(row.went_in_ci95),
-        _value(row.came_out),
-        _span(row.came_out_ci95),
-        WORDS[row.verdict],
-    )
-
-
-def _value(value: float | None) -> str:
-    return "\u2013" if value is None else number(value, 4)
-
-
-def _span(ends: tuple[float, float] | None) -> str:
-    return "\u2013" if ends is None else f"{number(ends[0], 4)} to {number(ends[1], 4)}"
 
 
 def _figure(twin: Twin) -> Figure:
     """Law and grips against the time from contact."""
-    traces: list[Mapping[str, Any]] = []
+    traces: list[dict[str, Any]] = []
     for one, ink in zip(twin.curves, ("model", "ok", "aside"), strict=False):
         every = max(1, one.time_s.size // POINTS)
         shown = np.round(one.time_s[::every], 5).tolist()
         if not traces:
             law = np.round(one.law_N[::every], 5).tolist()
-            traces.append({"x": shown, "y": law, "name": "law of the bundle", "line": {"ink": "data"}})
+            traces.append(trace(shown, law, name="law of the bundle", line={"ink": "data"}))
         felt = np.round(one.force_N[::every], 5).tolist()
-        traces.append({"x": shown, "y": felt, "name": one.device, "line": {"ink": ink, "dash": "dot"}})
+        traces.append(trace(shown, felt, name=one.device, line={"ink": ink, "dash": "dot"}))
     of = twin.found.specimen
     caption = f"Force of the law of {of} and at the grips of its devices over the time from contact."
     return Figure(caption, "Time from contact [s]", "Force [N of tissue]", traces)

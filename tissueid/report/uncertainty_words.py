@@ -9,7 +9,7 @@ from typing import Any
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.documents.identification import BudgetRow, Estimate, Specimen
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
-from tissueid.report.wording import counted, depth_words, misfit_raised, parameter_words, unit_words
+from tissueid.report.wording import counted, depth_words, misfit_raised, parameter_words, reach, unit_words
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -47,7 +47,8 @@ _NUISANCE_WORDS: Mapping[str, str] = {
     "ln_gain_sd": "Scatter of the gain between logs, ln",
     **{f"ln_relaxation_time_{k}": f"Relaxation time of branch {k}, ln [s]" for k in (1, 2, 3)},
 }
-_VERDICTS: Mapping[str, tuple[str, str]] = {
+#: Verdict on a model beside others -> level and words of its badge.
+MODEL_VERDICTS: Mapping[str, tuple[str, str]] = {
     "chosen": ("ok", "chosen"),
     "undecided": ("note", "as good, undecided"),
     "worse": ("caution", "worse"),
@@ -147,11 +148,10 @@ def _fit_sentence(specimen: Specimen) -> str:
 def _range_sentence(specimen: Specimen) -> str:
     """Depths, speeds and holds that the numbers are of."""
     valid, length = specimen.validity, specimen.units.length
-    slow, fast = (number(value, 3) for value in valid.speeds_mm_s)
     windows = [row.window_s[1] - row.window_s[0] for row in specimen.relaxation]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
     deep = depth_words(valid.depth_mm, specimen.units)
-    return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
+    return f"Valid to {deep} at {reach(valid.speeds_mm_s)} {length}/s{held}."
 
 
 def window_words(specimen: Specimen) -> str:
@@ -197,16 +197,6 @@ def _sampler_sentence(specimen: Specimen) -> str:
     return f"Sampled by {sampler.name}: {', '.join(parts)}; {end}{why}."
 
 
-def _convergence_rows(specimen: Specimen) -> list[dict[str, Any]]:
-    """Effective draws and R-hat of every parameter that has them."""
-    known = [entry for entry in reported_order(specimen.parameters) if entry.ess_bulk is not None]
-    return [
-        {"words": parameter_words(one.name), "symbol": one.symbol, "bulk": one.ess_bulk, "tail": one.ess_tail}
-        | {"r_hat": one.r_hat}
-        for one in known
-    ]
-
-
 def _no_total(specimen: Specimen) -> str:
     """Why there is no total interval though the machine was asked about; empty where there is one."""
     told = None if specimen.sampler is None else specimen.sampler.detail.get("total")
@@ -237,17 +227,12 @@ def _noise_sentence(specimen: Specimen) -> str:
 def _prior_rows(specimen: Specimen) -> list[dict[str, Any]]:
     rows = []
     for row in specimen.priors:
-        shrinkage = row.shrinkage
-        after, error = (
-            together([row.posterior_mean, row.posterior_sd], row.posterior_sd)
-            if row.posterior_mean is not None and row.posterior_sd is not None
-            else ("–", "–")
-        )
+        shrinkage, mean, sd = row.shrinkage, row.posterior_mean, row.posterior_sd
+        after, error = ("–", "–") if mean is None or sd is None else together([mean, sd], sd)
         rows.append(
             {
+                "of": row,
                 "words": _NUISANCE_WORDS.get(row.name) or parameter_words(row.name),
-                "prior": row.prior,
-                "stated": row.stated,
                 "posterior": f"{after} ± {error}",
                 "width": 100 * min(max(shrinkage or 0.0, 0.0), 1.0),
                 "shrinkage": "–" if shrinkage is None else f"{100 * shrinkage:.0f} %".replace("-", "−"),
@@ -262,33 +247,26 @@ def _budget(specimen: Specimen) -> dict[str, Any] | None:
     found: dict[str, dict[str, BudgetRow]] = {}
     for row in specimen.budget:
         found.setdefault(row.parameter, {})[row.source] = row
-    every = [entry for entry in reported_order(specimen.parameters) if entry.name in found]
     present = {row.source for row in specimen.budget}
-    sources = [source for source in SOURCES if source in present]
+    sources = [(source, place) for place, source in enumerate(SOURCES) if source in present]
     beside = [source for source in ("total", "cluster bootstrap") if source in present]
     rows = []
-    for entry in every:
-        own = found[entry.name]
-        shares = [
-            {"source": source, "place": SOURCES.index(source), "percent": 100 * share}
-            for source in sources
-            if source in own and (share := own[source].share)
-        ]
-        rows.append(
-            {
-                "words": parameter_words(entry.name),
-                "symbol": entry.symbol,
-                "unit": unit_words(entry.unit),
-                "shares": shares,
-                "largest": max(shares, key=lambda share: share["percent"], default=None),
-                "sd": [number(own[source].sd, 2) if source in own else "–" for source in (*sources, *beside)],
-            }
-        )
-    places = [(source, SOURCES.index(source)) for source in sources]
-    return {"sources": places, "beside": beside, "rows": rows} if rows else None
+    for entry in reported_order(specimen.parameters):
+        if own := found.get(entry.name):
+            shares = [
+                {"source": source, "place": place, "percent": 100 * share}
+                for source, place in sources
+                if source in own and (share := own[source].share)
+            ]
+            largest = max(shares, key=lambda share: share["percent"], default=None)
+            every = [*(source for source, _ in sources), *beside]
+            sd = [number(own[source].sd, 2) if source in own else "–" for source in every]
+            rows.append({"of": entry, "shares": shares, "largest": largest, "sd": sd})
+    return {"sources": sources, "beside": beside, "rows": rows} if rows else None
 
 
-def _difference(value: float | None, error: float | None) -> str:
+def difference_words(value: float | None, error: float | None) -> str:
+    """A score less that of the best, with its error."""
     if value is None:
         return "–"
     if value == 0.0:
@@ -297,23 +275,6 @@ def _difference(value: float | None, error: float | None) -> str:
         return number(value, 3)
     value_text, error_text = together([value, error], error)
     return f"{value_text} ± {error_text}"
-
-
-def _comparison(specimen: Specimen) -> list[dict[str, Any]]:
-    return [
-        {
-            "model": row.model,
-            "cells": [
-                _difference(row.log_evidence, row.log_evidence_se),
-                _difference(row.elpd_log, row.elpd_log_se),
-                _difference(row.elpd_speed, row.elpd_speed_se),
-            ],
-            "level": _VERDICTS[row.verdict][0],
-            "verdict": _VERDICTS[row.verdict][1],
-            "chosen": row.verdict == "chosen",
-        }
-        for row in specimen.model_comparison
-    ]
 
 
 def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
@@ -333,9 +294,8 @@ def uncertainty_view(specimen: Specimen) -> dict[str, Any] | None:
         "converged": specimen.sampler.converged,
         "sampler": _sampler_sentence(specimen),
         "noise": _noise_sentence(specimen),
-        "convergence": _convergence_rows(specimen),
+        "convergence": [one for one in reported_order(specimen.parameters) if one.ess_bulk is not None],
         "priors": _prior_rows(specimen),
         "budget": _budget(specimen),
-        "comparison": _comparison(specimen),
         "checks": checks,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -65,6 +65,21 @@ def whole_label(trial: Placed, folder: str = "") -> str:
 def counted(count: int, noun: str, ending: str = "s") -> str:
     """``1 log`` or ``3 logs``."""
     return f"{count} {noun}{'' if count == 1 else ending}"
+
+
+def span(ends: Sequence[float] | None, digits: int = 4) -> str:
+    """Ends of an interval, ``1.200 to 3.400``; a dash where there is none."""
+    return "–" if ends is None else " to ".join(number(end, digits) for end in ends)
+
+
+def reach(ends: Iterable[float], digits: int = 3) -> str:
+    """Slowest and fastest of some numbers: once where both look alike."""
+    return " to ".join(dict.fromkeys(number(end, digits) for end in ends))
+
+
+def percent(share: float, digits: int = 3) -> str:
+    """A share in percent, without the sign."""
+    return number(100.0 * share, digits)
 
 
 def depth_words(depth_mm: float, units: Units) -> str:
@@ -283,20 +298,14 @@ def _dynamic_words(known: Mapping[str, Estimate], branches: Sequence[str], inter
 
 
 def _valid_words(validity: Validity, *, normalised: bool) -> str:
-    slow, fast = validity.speeds_mm_s
-
-    def span(factor: float) -> str:
-        ends = [number(factor * value, 3) for value in (slow, fast)]
-        return ends[0] if ends[0] == ends[1] else " to ".join(ends)
-
-    deep = number(validity.depth_mm, 3)
+    deep, speeds = number(validity.depth_mm, 3), reach(validity.speeds_mm_s)
     if normalised:
-        return f"valid to a strain of {deep} and for loading at {span(1.0)} 1/s"
+        return f"valid to a strain of {deep} and for loading at {speeds} 1/s"
     tip = validity.tip_radius_mm
     tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
     return (
-        f"found with {tool}, valid to {deep} mm deep and for loading at {span(1.0)} mm/s "
-        f"({span(_S_PER_MIN)} mm/min)"
+        f"found with {tool}, valid to {deep} mm deep and for loading at {speeds} mm/s "
+        f"({reach(_S_PER_MIN * speed for speed in validity.speeds_mm_s)} mm/min)"
     )
 
 
