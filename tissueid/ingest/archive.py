@@ -14,20 +14,20 @@ from pathlib import PurePosixPath
 
 from tissueid.errors import InputError
 from tissueid.ingest.header import protocol_of
-from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, lay_out, packed_kind
-from tissueid.ingest.refusals import Place
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Match, Recipe, Table, lay_out, packed_kind
+from tissueid.ingest.refusals import Place, moved
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, LARGEST_RATIO, RATIO_FROM_BYTES, UNPACKED_BYTES
 
 #: Largest sum of all members, unpacked [bytes].
 ARCHIVE_BYTES = 1 << 30
 MOST_MEMBERS = 10_000
-#: Suffixes of recordings, in a folder or an archive; the last ones are of prose and other data as well.
+#: Suffixes of prose and other data as well: such files are passed over where they hold no table.
+PROSE_SUFFIXES = (".asc", ".dat", ".txt")
+#: Suffixes of recordings, in a folder or an archive.
 SUFFIXES = (
     ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".jpk-force", ".jpk-force-map",
-    ".jpk-qi-data", ".lvm", ".asc", ".dat", ".txt",
+    ".jpk-qi-data", ".lvm", *PROSE_SUFFIXES,
 )  # fmt: skip
-#: Members of prose and the like are passed over where they hold no table.
-_PROSE = frozenset({*SUFFIXES[-3:], ""})
 
 
 def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
@@ -44,8 +44,7 @@ def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
 
 def detect_archive(file: InputFile) -> Detection:
     """A zip archive that is no workbook."""
-    found = packed_kind(file.data) == "archive"
-    return (1.0, "a zip archive of files") if found else (0.0, "no zip archive")
+    return (1.0, "a zip archive of files") if packed_kind(file.data) == "archive" else NOT_MINE
 
 
 def archive_recipe(match: Callable[[InputFile], Match]) -> Recipe:
@@ -116,25 +115,22 @@ def _member(
         yield place.refusal("unreadable_archive", "an archive in an archive is not opened; unpack it")
         return
     inner = lay_out(name, data, file.options, file.digest)
-    prose = PurePosixPath(name).suffix.lower() in _PROSE
     try:
         found = match(inner)
     except InputError as error:
-        if not prose:
-            yield _named(error, file.path, name)
+        if PurePosixPath(name).suffix.lower() not in (*PROSE_SUFFIXES, ""):
+            yield moved(error, path=file.path, sheet=_named(name, error.sheet))
         return
     for item in found.recipe.tables(inner):
+        sheet = _named(name, item.sheet)
         if isinstance(item, InputError):
-            yield _named(item, file.path, name)
+            yield moved(item, path=file.path, sheet=sheet)
         else:
-            sheet = name if item.sheet is None else f"{name}::{item.sheet}"
             # the member's folder may say what kind of test it was
             path = f"{file.path}/{name}"
             protocol = item.protocol or protocol_of(item.metadata, path, decimal=item.decimal)
             yield replace(item, sheet=sheet, match=item.match or found, protocol=protocol)
 
 
-def _named(error: InputError, path: str, member: str) -> InputError:
-    """A refusal of the archive, at the member."""
-    sheet = member if error.sheet is None else f"{member}::{error.sheet}"
-    return InputError(error.code, error.message, path=path, sheet=sheet, line=error.line, column=error.column)
+def _named(member: str, sheet: str | None) -> str:
+    return member if sheet is None else f"{member}::{sheet}"

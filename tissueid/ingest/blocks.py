@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from tissueid.errors import InputError
@@ -21,8 +21,8 @@ from tissueid.ingest.header import header_entries, protocol_of
 from tissueid.ingest.layout import Layout, Row, find_decimal, is_units_row, numeric_columns, split_line
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
-from tissueid.ingest.refusals import Place
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
+from tissueid.ingest.refusals import Place, moved
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
 
@@ -138,15 +138,15 @@ def _same_but_for_a_word(one: Sequence[Row], other: Sequence[Row]) -> bool:
 
 def _difference(one: Row, other: Row) -> tuple[Row, Row]:
     """Words of both names without those that they begin and end with alike."""
-    head = next(
-        (i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other))
-    )
+    head = _alike(one, other)
     one, other = one[head:], other[head:]
-    tail = next(
-        (i for i, (a, b) in enumerate(zip(one[::-1], other[::-1], strict=False)) if a != b),
-        min(len(one), len(other)),
-    )
+    tail = _alike(one[::-1], other[::-1])
     return one[: len(one) - tail], other[: len(other) - tail]
+
+
+def _alike(one: Row, other: Row) -> int:
+    """Number of words that two names begin with alike."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
 
 
 def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:
@@ -173,10 +173,7 @@ def _named(above: Sequence[str]) -> bool:
 
 def shifted(error: InputError, columns: int) -> InputError:
     """A refusal that points at the column of the file, not of the specimen."""
-    column = None if error.column is None else error.column + columns
-    return InputError(
-        error.code, error.message, path=error.path, sheet=error.sheet, line=error.line, column=column
-    )
+    return error if error.column is None else moved(error, column=error.column + columns)
 
 
 # Mach-1: <Mach-1 File>, entries between <INFO> and <END INFO>, then blocks: <Command>, entries such as
@@ -247,7 +244,7 @@ def _commands(text: Text) -> Iterator[_Command]:
 def detect_mach1(file: InputFile) -> Detection:
     """The mark in the first line."""
     begins = file.text is not None and file.text.data.lstrip(b" \t\r\n").startswith(_MACH1_FIRST)
-    return (1.0, "the first line is <Mach-1 File>") if begins else (0.0, "no <Mach-1 File> in the first line")
+    return (1.0, "the first line is <Mach-1 File>") if begins else NOT_MINE
 
 
 def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
@@ -357,7 +354,7 @@ class _Block(NamedTuple):
 def detect_mts793(file: InputFile) -> Detection:
     """The signs in the first line."""
     begins = file.text is not None and _MTS793_FIRST.match(file.text.data)
-    return (1.0, "the first line begins MTS793|") if begins else (0.0, "no MTS793| in the first line")
+    return (1.0, "the first line begins MTS793|") if begins else NOT_MINE
 
 
 def _stated_decimal(text: Text) -> str | None:
@@ -466,18 +463,14 @@ def _specimens(file: InputFile) -> list[SpecimenColumns]:
 
 def detect_shimadzu(file: InputFile) -> Detection:
     """Specimens named above columns that repeat, or above one stroke."""
-    layout = file.layout
-    if layout is None:
-        return 0.0, "no table of numbers"
     specimens = _specimens(file)
-    if not specimens:
-        return 0.0, "no specimen names above the columns"
     if len(specimens) > 1:
         names = ", ".join(repr(s.name) for s in specimens[:3])
         return 0.98, f"the specimens {names} stand side by side above the same columns"
-    if any(plain_words(split_name(name)[0]) in _STROKE for name in layout.names):
+    columns = file.layout.names if file.layout is not None and specimens else ()
+    if any(plain_words(split_name(name)[0]) in _STROKE for name in columns):
         return 0.94, f"the specimen {specimens[0].name!r} stands above Time, Force and Stroke"
-    return 0.0, "one specimen, and no stroke"
+    return NOT_MINE
 
 
 def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:

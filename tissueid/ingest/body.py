@@ -7,10 +7,10 @@ only then, the slow reader takes over.  Pieces are parsed by as many threads as 
 from __future__ import annotations
 
 import csv
+import io
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -153,79 +153,51 @@ _SAMPLED_BYTES = 1 << 12
 _FIXED_SHARE = 0.95
 
 
-class _Piece:
-    """The least file that pandas reads from: one string of bytes, given once."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-
-    def read(self, _size: int = -1) -> bytes:
-        data, self._data = self._data, b""
-        return data
-
-    def __iter__(self) -> Iterator[bytes]:
-        return iter(())
+def _plain(reader: RowReader, span: tuple[int, int]) -> bytes | None:
+    """Whole lines without quotes and thousands separators, ``None`` where these are not sound."""
+    data, layout = reader.text.data, reader.layout
+    quoted = data.find(b'"', span[0], span[0] + _SAMPLED_BYTES) >= 0
+    # vectors over a short piece stay in the processor's cache
+    pieces = [
+        make_plain(data[start:stop], delimiter=layout.delimiter, decimal=layout.decimal)
+        for start, stop in _spans(data, *span, size=_QUOTED_BYTES if quoted else _PIECE_BYTES)
+    ]
+    return None if None in pieces else b"".join(cast("list[bytes]", pieces))
 
 
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """Plan by which every piece is parsed."""
+def _parse(reader: RowReader, plain: bytes | None) -> list[FloatArray] | None:
+    """The wanted columns of plain lines, ``None`` where they are not all rows of numbers."""
+    import pandas as pd  # 0.4 s: not for `tissueid --help`
 
-    data: bytes
-    layout: Layout
-    wanted: tuple[int, ...]
-
-    def plain(self, span: tuple[int, int]) -> bytes | None:
-        """Whole lines without quotes and thousands separators, ``None`` where these are not sound."""
-        quoted = self.data.find(b'"', span[0], span[0] + _SAMPLED_BYTES) >= 0
-        # vectors over a short piece stay in the processor's cache
-        pieces = [
-            make_plain(self.data[start:stop], delimiter=self.layout.delimiter, decimal=self.layout.decimal)
-            for start, stop in _spans(self.data, *span, size=_QUOTED_BYTES if quoted else _PIECE_BYTES)
-        ]
-        return None if None in pieces else b"".join(cast("list[bytes]", pieces))
-
-    def parse(self, plain: bytes | None) -> list[FloatArray] | None:
-        """The wanted columns of plain lines, ``None`` where they are not all rows of numbers."""
-        import pandas as pd  # 0.4 s: not for `tissueid --help`
-
-        layout = self.layout
-        if plain is None or b"\0" in plain:
-            return None
-        both = layout.delimiter == layout.decimal
-        separator = "\t" if both else layout.delimiter
-        if not plain or plain.isspace():
-            return [np.empty(0) for _ in self.wanted]
-        dtypes = {
-            index: np.float64 if numeric or index in self.wanted else object
-            for index, numeric in enumerate(layout.numeric)
-        }
-        try:
-            frame = pd.read_csv(
-                cast("Any", _Piece(plain)),
-                sep=separator,
-                header=None,
-                dtype=cast("Any", dtypes),
-                na_filter=False,
-                quoting=csv.QUOTE_NONE,
-                engine="c",
-                low_memory=False,
-                encoding_errors="replace",
-            )
-        except (ValueError, OverflowError, KeyError):
-            return None
-        if frame.shape[1] != layout.n_columns or not self._rows_whole(plain, separator, len(frame)):
-            return None
-        usual = _marks_a_row(plain)
-        if usual is not None and _count(plain, ".") != len(frame) * usual:
-            return None  # a mark was lost, or gained: the slow reader looks at each number
-        return [frame[index].to_numpy() for index in self.wanted]
-
-    def _rows_whole(self, plain: bytes, separator: str, n_rows: int) -> bool:
-        """No row is short: proved by the parser where all cells are numbers, else by counting delimiters."""
-        if all(numeric or i in self.wanted for i, numeric in enumerate(self.layout.numeric)):
-            return True
-        return _count(plain, separator) == n_rows * (self.layout.n_columns - 1)
+    layout, wanted = reader.layout, reader.wanted
+    if plain is None or b"\0" in plain:
+        return None
+    if not plain or plain.isspace():
+        return [np.empty(0) for _ in wanted]
+    separator = "\t" if layout.delimiter == layout.decimal else layout.delimiter
+    numbers = [numeric or index in wanted for index, numeric in enumerate(layout.numeric)]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(plain),
+            sep=separator,
+            header=None,
+            dtype=cast("Any", {index: np.float64 if one else object for index, one in enumerate(numbers)}),
+            na_filter=False,
+            quoting=csv.QUOTE_NONE,
+            engine="c",
+            low_memory=False,
+            encoding_errors="replace",
+        )
+    except (ValueError, OverflowError, KeyError):
+        return None
+    # no row is short: proved by the parser where all cells are numbers, else by counting delimiters
+    whole = all(numbers) or _count(plain, separator) == len(frame) * (layout.n_columns - 1)
+    if frame.shape[1] != layout.n_columns or not whole:
+        return None
+    usual = _marks_a_row(plain)
+    if usual is not None and _count(plain, ".") != len(frame) * usual:
+        return None  # a mark was lost, or gained: the slow reader looks at each number
+    return [frame[index].to_numpy() for index in wanted]
 
 
 def _count(plain: bytes, mark: str) -> int:
@@ -254,22 +226,20 @@ def _spans(data: bytes, start: int, end: int, *, size: int) -> list[tuple[int, i
 
 
 def _read_fast(reader: RowReader) -> list[FloatArray] | None:
-    plan = _Plan(reader.text.data, reader.layout, reader.wanted)
-    spans = _spans(plan.data, reader.layout.offset, reader.end, size=_PIECE_BYTES)
+    spans = _spans(reader.text.data, reader.layout.offset, reader.end, size=_PIECE_BYTES)
+    plain, parse = map(partial(_plain, reader), spans), partial(_parse, reader)
     most = threads(min(_MOST_THREADS, len(spans))) if len(spans) > _FEW_PIECES else 1
-    pieces: list[list[FloatArray] | None]
     if most > 1:
         with ThreadPoolExecutor(most) as pool:
             # this thread makes plain while the others parse, where the interpreter is released
-            pieces = list(pool.map(plan.parse, map(plan.plain, spans)))
+            pieces = list(pool.map(parse, plain))
     else:
-        pieces = [plan.parse(plan.plain(span)) for span in spans]
-    if any(piece is None for piece in pieces):
+        pieces = [parse(piece) for piece in plain]
+    whole = [piece for piece in pieces if piece is not None]
+    if len(whole) < len(pieces):
         return None
-    whole = cast("list[list[FloatArray]]", pieces)
-    if not whole:
-        return [np.empty(0) for _ in reader.wanted]
-    columns = [np.concatenate([piece[k] for piece in whole]) for k in range(len(reader.wanted))]
+    none = np.empty(0)
+    columns = [np.concatenate([none, *(piece[k] for piece in whole)]) for k in range(len(reader.wanted))]
     return columns if all(np.isfinite(column).all() for column in columns) else None
 
 

@@ -14,9 +14,9 @@ from tissueid.ingest.columns import choose_columns, has_channels, split_name
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.rows import flag_rows_above
+from tissueid.ingest.rows import flag_head
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 
@@ -44,9 +44,9 @@ def detect_bluehill(file: InputFile) -> Detection:
     """Grouped header keys, a specimen key, a units row in brackets, or names with units in brackets."""
     layout = file.layout
     if layout is None or not has_channels(layout.names, layout.units, file.options):
-        return 0.0, "no table with time, displacement and force"
+        return NOT_MINE
     if _is_testxpert(file, layout):
-        return 0.1, "testXpert's names"
+        return NOT_MINE
     for row in layout.header:
         if _GROUPED_KEY.fullmatch(row[0]):
             return 0.95, f"the header has keys such as {row[0]!r}"
@@ -59,21 +59,19 @@ def detect_bluehill(file: InputFile) -> Detection:
         return 0.8, f"the names carry units in brackets, such as {bracketed[0]!r}"
     if _BLUEHILL_PATH.search(file.path):
         return 0.7, "the file or folder is named as Bluehill does"
-    return 0.3, "the names are those of a test machine"
+    return NOT_MINE
 
 
 def detect_testxpert(file: InputFile) -> Detection:
     """The suffix, or testXpert's names over units without brackets."""
-    if file.layout is None:
-        return 0.0, "no table of numbers"
-    reason = _is_testxpert(file, file.layout)
-    return (0.97, reason) if reason else (0.0, "no testXpert names")
+    reason = None if file.layout is None else _is_testxpert(file, file.layout)
+    return (0.97, reason) if reason else NOT_MINE
 
 
 def detect_columns(file: InputFile) -> Detection:
     """Any table of numbers."""
     if file.layout is None:
-        return 0.0, "no table of numbers"
+        return NOT_MINE
     if file.options.columns:
         return 0.6, "the user named the columns"
     return 0.5, f"a table of numbers in {file.layout.n_columns} columns"
@@ -83,18 +81,17 @@ def read_delimited(file: InputFile) -> Iterator[Table]:
     """The one table of a text file."""
     place = Place(file.path)
     text, layout = file.laid_out()
-    _refuse_unnamed(text, layout, file, place)
-    above = flag_rows_above(text, layout, place)
+    lines = text.data[: layout.offset].splitlines()[: layout.names_line or 0]
+    head = [split_line(text.decode(line), layout.delimiter) for line in lines]
+    if head and len(file.options.columns) < len(CHANNELS):
+        _refuse_unnamed(layout, len(head[-1]), place)
+    above = flag_head(head[:-1], place)
     table = read_table(text, layout, file.options, place, metadata=header_entries(layout.header))
     yield replace(table, flags=(*table.flags, *above))
 
 
-def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -> None:
+def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
     """Refuse numbers that no name says what they are: shifted rows, or decimal commas among commas."""
-    if layout.names_line is None or len(file.options.columns) == len(CHANNELS):
-        return
-    line = text.data[: layout.offset].splitlines()[layout.names_line - 1]
-    printed = len(split_line(text.decode(line), layout.delimiter))
     named = max((i for i, name in enumerate(layout.names, 1) if name.strip()), default=0)
     numbers = [i for i in range(layout.n_columns) if layout.numeric[i]]
     unnamed = [i for i in numbers if i >= named]
@@ -167,12 +164,10 @@ _COLUMNS = frozenset({"time", "load", "indentation", "cantilever", "piezo"})
 
 def detect_chiaro(file: InputFile) -> Detection:
     """The columns of a cantilever indenter."""
-    if file.layout is None:
-        return 0.0, "no table of numbers"
-    names = {plain_words(split_name(name)[0]) for name in file.layout.names}
-    if names >= _COLUMNS:
+    printed = () if file.layout is None else file.layout.names
+    if {plain_words(split_name(name)[0]) for name in printed} >= _COLUMNS:
         return 0.98, "the columns are those of a cantilever on a piezo: Load, Indentation, Cantilever, Piezo"
-    return 0.0, "no columns of cantilever and piezo"
+    return NOT_MINE
 
 
 def read_chiaro(file: InputFile) -> Iterator[Table]:

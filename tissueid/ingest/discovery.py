@@ -13,8 +13,8 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from tissueid.errors import InputError, UsageError, printable
+from tissueid.ingest.archive import PROSE_SUFFIXES, recordings_in
 from tissueid.ingest.archive import SUFFIXES as IN_ARCHIVES
-from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
 from tissueid.ingest.loading import LARGEST_BYTES, OWN_OUTPUT, remote_bytes, remote_files, url_of
 from tissueid.ingest.options import ReadOptions
@@ -24,8 +24,6 @@ from tissueid.ingest.unpacking import BROKEN_ARCHIVE
 
 #: Suffixes taken from a directory.
 SUFFIXES = (".zip", *IN_ARCHIVES)
-#: Suffixes of prose and other data as well: taken from a directory only where the head holds a table.
-_PROSE_SUFFIXES = (".asc", ".txt", ".dat")
 #: Texts that say themselves what they are, wherever their tables begin.
 _SIGNED = (b"<Mach-1 File>", b"MTS793|")
 #: Refusals of what is no recording at all.
@@ -143,8 +141,7 @@ def _leads_astray(path: Path, kind: str, root: str, above: Sequence[str]) -> Inp
 def _remote_recordings(files: Iterable[Path]) -> Iterator[Path]:
     """Recordings among the files below a URL, in natural order."""
     for file in sorted(files, key=lambda one: natural_key(str(one))):
-        suffix = file.suffix.lower()
-        if suffix in SUFFIXES and (suffix not in _PROSE_SUFFIXES or _holds_table(file)):
+        if file.suffix.lower() in SUFFIXES and _is_recording(file):
             yield file
 
 
@@ -175,7 +172,7 @@ def _is_recording(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix == ".zip":
         return _holds_unpacked_nowhere(path)
-    return suffix not in _PROSE_SUFFIXES or _holds_table(path)
+    return suffix not in PROSE_SUFFIXES or _holds_table(path)
 
 
 def _holds_unpacked_nowhere(path: Path) -> bool:

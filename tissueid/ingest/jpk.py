@@ -25,7 +25,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, UNPACKED_BYTES
 from tissueid.trial import Protocol
@@ -50,7 +50,7 @@ def detect_jpk(file: InputFile) -> Detection:
     """A zip archive with the header and segments of force curves."""
     if packed_kind(file.data) == "force curves":
         return 1.0, "a zip archive with header.properties and segments of force curves"
-    return 0.0, "no archive of force curves"
+    return NOT_MINE
 
 
 def _properties(data: bytes) -> dict[str, str]:

@@ -78,47 +78,19 @@ def read_frame(path: str | Path) -> FrameCurve:
 TomlPath = tuple[str | int, ...]
 
 _PART = r"(?:[A-Za-z0-9_-]+|\"(?:[^\"\\]|\\.)*\"|'[^']*')"
-_DOTTED = rf"{_PART}(?:\s*\.\s*{_PART})*"
-_HEADER = re.compile(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]\]?\s*(?:#.*)?$")
-_KEY = re.compile(rf"\s*({_DOTTED})\s*=\s*(.*)$")
-#: What opens or closes a value, or hides such signs: strings, comments, brackets.
-_TOKEN = re.compile(r'"""|\'\'\'|"(?:[^"\\]|\\.)*"|\'[^\']*\'|#|[\[\]{}]')
+#: A header or a key, where strings are hidden.
+_HEADER = re.compile(r"\s*(\[\[?)([^\[\]=]+)\]\]?\s*$")
+_KEY = re.compile(r"([^\[\]{}=,]+)=")
+#: Strings and comments, in which brackets and equals signs are none.
+_HIDDEN = re.compile(
+    r'"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
 
 
 def _parts(dotted: str) -> list[str]:
     """Parts of a dotted key, unquoted."""
     parts = [found[0] for found in re.finditer(_PART, dotted)]
     return [tomllib.loads(f"x = {part}")["x"] if part[0] in "\"'" else part for part in parts]
-
-
-class _Value:
-    """Follows a value over its lines until its brackets and long strings are closed."""
-
-    def __init__(self) -> None:
-        self.depth = 0
-        self.quote = ""
-
-    @property
-    def open(self) -> bool:
-        """True where the value goes on in the next line."""
-        return self.depth > 0 or bool(self.quote)
-
-    def feed(self, text: str) -> None:
-        """Read one line, or what follows the equals sign."""
-        while text:
-            if self.quote:
-                end = text.find(self.quote)
-                if end < 0:
-                    return
-                text, self.quote = text[end + 3 :], ""
-                continue
-            token = _TOKEN.search(text)
-            if token is None or token[0] == "#":
-                return
-            if token[0] in {'"""', "'''"}:
-                self.quote = token[0]
-            self.depth += (token[0] in "[{") - (token[0] in "]}")
-            text = text[token.end() :]
 
 
 def _resolved(parts: list[str], counts: dict[TomlPath, int]) -> TomlPath:
@@ -131,27 +103,28 @@ def _resolved(parts: list[str], counts: dict[TomlPath, int]) -> TomlPath:
     return path
 
 
+def _blank(found: re.Match[str]) -> str:
+    """As many characters that mean nothing, on as many lines."""
+    return re.sub(r"[^\n]", " " if found[0].startswith("#") else "_", found[0])
+
+
 def _places(text: str) -> Iterator[tuple[TomlPath, int]]:
     counts: dict[TomlPath, int] = {}
     table: TomlPath = ()
-    value = _Value()
-    for number, line in enumerate(text.split("\n"), start=1):
-        if value.open:
-            value.feed(line)
-            continue
-        header = _HEADER.match(line)
-        if header:
-            parts = _parts(header[2])
+    depth = 0
+    shapes = _HIDDEN.sub(_blank, text).split("\n")
+    for number, (line, shape) in enumerate(zip(text.split("\n"), shapes, strict=True), start=1):
+        if depth == 0 and (header := _HEADER.match(shape)):
+            parts = _parts(line[slice(*header.span(2))])
             if header[1] == "[[":
                 array = (*_resolved(parts[:-1], counts), parts[-1])
                 counts[array] = counts.get(array, -1) + 1
             table = _resolved(parts, counts)
             yield table, number
             continue
-        key = _KEY.match(line)
-        if key:
-            yield (*table, *_parts(key[1])), number
-            value.feed(key[2])
+        if depth == 0 and (key := _KEY.match(shape)):
+            yield (*table, *_parts(line[: key.end(1)])), number
+        depth += sum(map(shape.count, "[{")) - sum(map(shape.count, "]}"))
 
 
 def lines_of_toml(text: str) -> dict[TomlPath, int]:

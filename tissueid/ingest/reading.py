@@ -224,16 +224,13 @@ def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[
     """Every trial of one file, or the refusal in its place; a bad sheet never stops the others."""
     try:
         for item in _read_each(path, options or ReadOptions()):
-            yield _without_frames(item) if isinstance(item, InputError) else item
+            if isinstance(item, InputError):
+                # one that is kept must not keep the file alive, as the frames of its traceback would
+                item.__traceback__ = item.__context__ = item.__cause__ = None
+            yield item
     except MemoryError:
         message = "what the file holds is larger than the memory that is free; export fewer tests"
         yield Place(str(path)).refusal("unreadable_file", message)
-
-
-def _without_frames(error: InputError) -> InputError:
-    """A refusal that is kept must not keep the file alive, as the frames of its traceback would."""
-    error.__traceback__ = error.__context__ = error.__cause__ = None
-    return error
 
 
 def _read_each(path: str | Path, options: ReadOptions) -> Iterator[Trial | InputError]:
@@ -246,9 +243,8 @@ def _read_each(path: str | Path, options: ReadOptions) -> Iterator[Trial | Input
     passed: list[str | None] = []
     found = False
     for table in match.recipe.tables(file):
-        if isinstance(table, InputError) and table.sheet is None:
-            found = True
-        elif not file.options.picks(table.sheet):
+        of_all = isinstance(table, InputError) and table.sheet is None
+        if not of_all and not file.options.picks(table.sheet):
             passed.append(table.sheet)
             continue
         found = True

@@ -37,6 +37,8 @@ _WORKBOOK_PARTS = ("xl/", "[Content_Types]", "mimetype", "content.xml")
 _THREAD_FROM_BYTES = 1 << 24
 
 Detection = tuple[float, str]
+#: No confidence: a reason is told of the surest recipe alone.
+NOT_MINE: Detection = (0.0, "not mine")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,18 +156,15 @@ def lay_out(path: str, data: bytes, options: ReadOptions, digest: Future[str] | 
     try:
         text = decode_text(data, place)
         layout = find_layout(text, options, place)
-        return InputFile(path, data, options, digest, without_results(text, layout), layout)
     except InputError as error:
         return InputFile(path, data, options, digest, text, None, error)
-
-
-def without_results(text: Text, layout: Layout) -> Text:
-    """The text without the table of results below its rows; that it was left out is flagged."""
-    if layout.stop is None:
-        return text
-    first = text.data.count(b"\n", 0, layout.stop) + 1
-    last = first + text.data[layout.stop :].rstrip().count(b"\n")
-    return replace(text, data=text.data[: layout.stop], flags=(*text.flags, results_flag(first, last)))
+    if layout.stop is not None:
+        # the table of results below the rows is left out, and that is said
+        first = text.data.count(b"\n", 0, layout.stop) + 1
+        last = first + text.data[layout.stop :].rstrip().count(b"\n")
+        said = (*text.flags, results_flag(first, last))
+        text = replace(text, data=text.data[: layout.stop], flags=said)
+    return InputFile(path, data, options, digest, text, layout)
 
 
 def _start_digest(data: bytes) -> Future[str] | str:

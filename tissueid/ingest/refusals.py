@@ -57,6 +57,12 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
 REFUSAL_CODES: tuple[str, ...] = tuple(REFUSAL_MEANINGS)
 
 
+def moved(error: InputError, **place: str | int | None) -> InputError:
+    """The same refusal at another path, sheet, line or column."""
+    here = {name: getattr(error, name) for name in ("path", "sheet", "line", "column")}
+    return InputError(error.code, error.message, **(here | place))
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """A file, and sheet, as the user named it; makes refusals that point there."""

@@ -31,7 +31,6 @@ from tissueid.ingest.layout import (
     is_units_row,
     results_flag,
     results_spans,
-    split_line,
 )
 from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number, quoted
 from tissueid.ingest.options import ReadOptions
@@ -87,14 +86,6 @@ def _stripped(cells: Sequence[str]) -> tuple[str, ...]:
     return tuple(filled)
 
 
-def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...]:
-    """:func:`flag_head` for the lines above the names of a laid-out text."""
-    if layout.names_line is None:
-        return ()
-    head = [text.decode(line) for line in text.data[: layout.offset].splitlines()[: layout.names_line - 1]]
-    return flag_head([split_line(line, layout.delimiter) for line in head], place)
-
-
 def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
     """Flag of results and of rows of numbers above the names, which would pass for a header."""
     results = announced_results(head)
@@ -124,25 +115,6 @@ def skipped_flag(lines: Sequence[int], what: str) -> Flag:
 _CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
 #: Lines before the last one that say whether a column has fixed decimals.
 _LOOK_BACK = 5
-
-
-def strict_cells(line: str, delimiter: str) -> list[str] | None:
-    """The cells of a row, or ``None`` where a quote is torn."""
-    if '"' not in line:
-        return line.split(delimiter)
-    pattern = re.compile(_CELL.format(d=re.escape(delimiter)))
-    cells, at = [], 0
-    while True:
-        match = pattern.match(line, at)
-        if match is None:
-            return None
-        cells.append(match[2] if match[1] is None else match[1].replace('""', '"'))
-        at = match.end()
-        if at == len(line):
-            return cells
-        if line[at] != delimiter:
-            return None
-        at += 1
 
 
 def _decimals(cell: str) -> int:
@@ -230,7 +202,20 @@ class RowReader:
 
     def cells(self, line: str) -> list[str] | None:
         """The cells of a row, ``None`` where a quote is torn."""
-        return strict_cells(line, self.layout.delimiter)
+        delimiter = self.layout.delimiter
+        if '"' not in line:
+            return line.split(delimiter)
+        pattern = re.compile(_CELL.format(d=re.escape(delimiter)))
+        cells, at = [], 0
+        while match := pattern.match(line, at):
+            cells.append(match[2] if match[1] is None else match[1].replace('""', '"'))
+            at = match.end()
+            if at == len(line):
+                return cells
+            if line[at] != delimiter:
+                break
+            at += 1
+        return None
 
     def read(self) -> tuple[list[FloatArray], list[Flag]]:
         """Every terminated row, or a refusal of the first that can't be trusted."""

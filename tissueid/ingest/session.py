@@ -14,7 +14,7 @@ import numpy as np
 from tissueid.arrays import FloatArray, RecordArray
 from tissueid.errors import BundleError, InputError
 from tissueid.flags import Flag
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
 from tissueid.trial import RENDERED, Protocol
@@ -51,9 +51,8 @@ _M_TO_MM = 1000.0
 
 def detect_session(file: InputFile) -> Detection:
     """The first bytes of a raw log, or an HDF5 file that says what it is."""
-    if is_session_log(file.data):
-        return 1.0, "the file says that it is the log of a rendered session"
-    return 0.0, "no log of a rendered session"
+    said = "the file says that it is the log of a rendered session"
+    return (1.0, said) if is_session_log(file.data) else NOT_MINE
 
 
 def read_session(file: InputFile) -> Iterator[Table | InputError]:

@@ -20,7 +20,7 @@ from tissueid.flags import Flag
 from tissueid.ingest.header import is_protocol_key
 from tissueid.ingest.markup import lines_of_markup
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, rank_of, specimen_key_rank
 
 #: What is looked at to recognise a file: 48 header lines and several hundred rows; lines of it that are here.
 HEAD_BYTES, HEAD_LINES = 1 << 16, 300
@@ -338,7 +338,7 @@ def _known_words(decoded: str) -> int:
     lines = (line for line in decoded.splitlines()[:100] if not line.isascii())
     pieces = {piece for line in lines for piece in re.split(r'[,;\t"()\[\]]', line) if not piece.isascii()}
     return sum(
-        is_specimen_key(piece)
+        specimen_key_rank(piece) is not None
         or is_protocol_key(piece)
         or _SIGNED_UNIT.fullmatch(piece.strip()) is not None
         or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)

@@ -201,8 +201,3 @@ def specimen_key_rank(key: str) -> int | None:
         if pattern.search(words):
             return rank
     return None
-
-
-def is_specimen_key(key: str) -> bool:
-    """True where a header key names the specimen."""
-    return specimen_key_rank(key) is not None

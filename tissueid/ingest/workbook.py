@@ -11,6 +11,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor, results_below, results_flag
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, packed_kind
+from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table, packed_kind
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import begins_a_table, flag_head
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
@@ -115,25 +116,22 @@ def _test_name(cells: Cells, found: Anchor) -> str | None:
 def detect_testxpert_workbook(file: InputFile) -> Detection:
     """One test name repeated over the columns of the first trial."""
     if packed_kind(file.data) != "workbook":
-        return 0.0, "no workbook"
-    try:
+        return NOT_MINE
+    with suppress(InputError):
         workbook = _open(file.data, Place(file.path))
         for sheet in workbook.sheet_names:
             cells = _cells(workbook, sheet, Place(file.path, sheet))
             found = _trial_anchor(cells, file)
-            if found is not None:
-                name = _test_name(cells, found)
-                if name is None:
-                    return 0.2, "no test name above the columns"
+            if found is not None and (name := _test_name(cells, found)) is not None:
                 return 0.95, f"the test name {name!r} stands above every column"
-    except InputError as error:
-        return 0.0, error.message
-    return 0.2, "no sheet with time, displacement and force"
+            if found is not None:
+                break
+    return NOT_MINE
 
 
 def detect_workbook(file: InputFile) -> Detection:
     """Any workbook."""
-    return (0.6, "a workbook") if packed_kind(file.data) == "workbook" else (0.0, "no workbook")
+    return (0.6, "a workbook") if packed_kind(file.data) == "workbook" else NOT_MINE
 
 
 def read_workbook(file: InputFile) -> Iterator[Table | InputError]:

@@ -49,24 +49,17 @@ def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
         first -= 1
     if first == number:
         return None
-    moving, speed = first, phases[first].speed_mm_s
-    while moving > 0 and phases[moving - 1].kind == "approach" and _moves(phases[moving - 1], speed):
+    moving, least = first, STANDS * abs(phases[first].speed_mm_s)
+    while moving > 0 and phases[moving - 1].kind == "approach" and abs(phases[moving - 1].speed_mm_s) > least:
         moving -= 1
     stop = phases[number].start if number < len(phases) else phases[number - 1].stop - 1
     return Move(moving, first, number - 1, stop)
 
 
-def _moves(approach: Phase, speed_mm_s: float) -> bool:
-    return abs(approach.speed_mm_s) > STANDS * abs(speed_mm_s)
-
-
 def moves(phases: tuple[Phase, ...]) -> list[Move]:
     """Every loading move, in time order; cycles are loops and no moves."""
-    ends = [
-        number
-        for number in range(1, len(phases) + 1)
-        if phases[number - 1].kind == "ramp" and (number == len(phases) or phases[number].kind != "ramp")
-    ]
+    kinds = [phase.kind for phase in phases]
+    ends = (k for k, after in enumerate([*kinds[1:], None], 1) if kinds[k - 1] == "ramp" != after)
     found = (move_before(phases, number) for number in ends)
     return [one for one in found if one is not None]
 
