@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import shutil
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,21 +28,23 @@ def _bundling(root: str) -> ModuleType:
     return module
 
 
-#: Package that the drawing library comes from, and the file's place in it and here.
+#: Package that the drawing library comes from, the file's place in it, and here, a raw deflate stream.
 PLOTLY = "plotly==7.1.0"
 LIBRARY = Path("package_data", "plotly.min.js")
-PLACE = Path("tissueid", "report", "static", "plotly.min.js")
+PLACE = Path("tissueid", "report", "static", "plotly.min.js.deflated")
 
 
-def _copy_library(root: Path) -> None:
-    """Copy the drawing library out of the package of the build's environment."""
+def _put_library(root: Path) -> None:
+    """Deflate the drawing library out of the package of the build's environment."""
     spec = importlib.util.find_spec("plotly")
     if spec is None or not spec.submodule_search_locations:
         message = f"reports need {PLOTLY} while tissueid is built: pip install '{PLOTLY}'"
         raise RuntimeError(message)
+    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    whole = (Path(spec.submodule_search_locations[0]) / LIBRARY).read_bytes()
     (root / PLACE).parent.mkdir(exist_ok=True)
     unfinished = (root / PLACE).with_suffix(".new")
-    shutil.copyfile(Path(spec.submodule_search_locations[0]) / LIBRARY, unfinished)
+    unfinished.write_bytes(packer.compress(whole) + packer.flush())
     unfinished.replace(root / PLACE)
 
 
@@ -66,7 +68,7 @@ class BuiltFiles(BuildHookInterface[Any]):
         """Make them before files are collected."""
         del version, build_data
         if not (Path(self.root) / PLACE).is_file():
-            _copy_library(Path(self.root))
+            _put_library(Path(self.root))
         wish, bundling = os.environ.get("TISSUEID_VIEWER", ""), _bundling(self.root)
         if wish == "skip" or bundling.is_built():
             return

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
-from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from msgspec import structs
 
@@ -76,9 +77,11 @@ _WORDS: tuple[Callable[..., Any], ...] = (
 
 @cache
 def page_environment() -> Environment:
-    """The template environment that every page shares; a template is compiled once in a process."""
+    """The template environment that every page shares; compiled templates stand beside compiled modules."""
+    compiled = str(Path(__file__).with_name("__pycache__"))
     environment = Environment(
         loader=PackageLoader("tissueid.report", "templates"),
+        bytecode_cache=FileSystemBytecodeCache(compiled) if os.access(compiled, os.W_OK) else None,
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -123,7 +126,7 @@ def render_page(
             data=data,
             style=asset("page.css") + (asset(style) if style else ""),
             script_file=script_file,
-            library=_deflated_library() if holds else None,
+            library=base64.b64encode(_library()).decode("ascii") if holds else None,
             scripts=[asset(name) for name in (*["library.js"] * holds, "boxes.js", *scripts)],
         )
     )
@@ -136,25 +139,21 @@ def asset(name: str) -> Markup:
     return Markup(text)  # noqa: S704
 
 
-def plotly_script() -> Markup:
-    """The drawing library, whole; UsageError where tissueid runs from a folder that was never installed."""
-    ours = resources.files("tissueid.report") / "static" / "plotly.min.js"
-    if not ours.is_file() and find_spec("plotly") is not None:
-        ours = resources.files("plotly") / "package_data" / "plotly.min.js"
+@cache
+def _library() -> bytes:
+    """The drawing library as an installation brings it, a raw deflate stream (RFC 1951)."""
+    place = resources.files("tissueid.report") / "static" / "plotly.min.js.deflated"
     try:
-        text = ours.read_text(encoding="utf-8")
+        return place.read_bytes()
     except FileNotFoundError as error:
         msg = f"{error.filename}: reports need plotly.js, which an installation brings: pip install ."
         raise UsageError(msg) from error
-    return Markup(text)  # noqa: S704 -- the library's own file
 
 
-@cache
-def _deflated_library() -> str:
-    """The drawing library in a third of its bytes, as base64 of a raw deflate stream."""
-    packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
-    deflated = packer.compress(str(plotly_script()).encode("utf-8")) + packer.flush()
-    return base64.b64encode(deflated).decode("ascii")
+def plotly_script() -> Markup:
+    """The drawing library, whole; UsageError where tissueid runs from a folder that was never installed."""
+    # the library's own file
+    return Markup(zlib.decompress(_library(), -zlib.MAX_WBITS).decode("utf-8"))  # noqa: S704
 
 
 def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
