@@ -73,6 +73,22 @@ def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
     assert hold.tau.window_s == pytest.approx((STOP, END))
 
 
+def test_forces_of_a_loading_stand_at_round_depths_and_predict_the_next():
+    logs = [measure(*recording(noise=noise, stretch=1.0)) for noise in (0.0, 0.02, 0.05)]
+    own = {one.depth_mm: one.force_N for one in logs[0].push.forces}
+    # 4 mm are passed in braking: the last three of 1, 2, 5 before them; the ramp is a line to the corner
+    assert own == pytest.approx({depth: 10.5 * depth / 3.95 for depth in (0.5, 1.0, 2.0)}, rel=1e-3)
+    rows = {row.depth_mm: row for row in spread(logs) if row.name == "force_at_depth"}
+    assert list(rows) == [0.5, 1.0, 2.0]
+    for depth, row in rows.items():
+        low, high = row.prediction95
+        assert low < 10.5 * depth / 3.95 < high
+    # at one depth forces are compared however deep the pushes went on
+    (pair,) = measured_pairs([("one", spread(logs[:1])), ("other", spread(logs[1:]))])
+    ratios = [row["ratio"] for row in pair["numbers"] if row["name"] == "force_at_depth"]
+    assert ratios == pytest.approx([1.0, 1.0, 1.0], rel=0.05)
+
+
 @pytest.mark.parametrize("rate", [200.0, 50.0, 20.0])
 @pytest.mark.parametrize("brake", [0.2, 0.4])
 def test_a_stop_is_where_a_thousandth_of_the_step_is_left(rate, brake):

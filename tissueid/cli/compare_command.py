@@ -268,8 +268,9 @@ def measured_pair_lines(pair: MeasuredPair) -> list[str]:
 
 
 def _name(row: MeasuredNumber) -> str:
-    time = "" if row.time_s is None else f" at {row.time_s:g} s"
+    place = "" if row.time_s is None else f" at {row.time_s:g} s"
+    place = place if row.depth_mm is None else f" {row.depth_mm:g} mm"
     unit = "" if row.unit == "1" else f" [{row.unit}]"
     number = f", program {row.program}" if row.program > 1 else ""
     number += f", hold {row.hold}" if row.hold > 1 else ""
-    return f"{row.name.replace('_', ' ')}{time}{number}{unit}"
+    return f"{row.name.replace('_', ' ')}{place}{number}{unit}"

@@ -153,6 +153,7 @@ class MeasuredNumber(Document, frozen=True):
     other: Side
     ratio: float | None  # Of other over one
     reason: str | None  # Why they are not compared
+    depth_mm: float | None = None  # Below contact, of a force while loading
 
 
 class MeasuredPair(Document, frozen=True):

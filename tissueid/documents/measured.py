@@ -41,6 +41,14 @@ class MeasuredModulus(Document, frozen=True):
     refused: str | None  # Limit that is passed, with its number; null within the range
 
 
+class MeasuredDepth(Document, frozen=True):
+    """Force while loading at one depth below contact."""
+
+    depth_mm: float
+    force_N: float
+    sd_N: float  # By white noise
+
+
 class MeasuredPush(Document, frozen=True):
     """One loading move."""
 
@@ -53,6 +61,7 @@ class MeasuredPush(Document, frozen=True):
     braking_s: float | None  # From the corner to the stop; null where there is no corner
     peak: MeasuredPeak
     modulus: MeasuredModulus | None
+    forces: tuple[MeasuredDepth, ...] = ()  # At the last round depths that were passed
 
 
 class MeasuredForce(Document, frozen=True):
@@ -148,3 +157,9 @@ class Spread(Document, frozen=True):
     #: 95 % prediction interval of the next indentation [low, high]: Student's t on the log scale over the
     #: logs; null where too few logs show how much sites differ
     prediction95: tuple[float, float] | None = None
+    depth_mm: float | None = None  # Below contact, of a force while loading
+
+    @property
+    def at(self) -> float | None:
+        """Time [s] or depth [mm] of a force that has either."""
+        return self.depth_mm if self.time_s is None else self.time_s

@@ -15,6 +15,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents.measured import (
     Base,
     Measured,
+    MeasuredDepth,
     MeasuredForce,
     MeasuredHold,
     MeasuredLoop,
@@ -73,6 +74,9 @@ def force_at(time_s: FloatArray, force_N: FloatArray, at_s: float, noise_N: floa
 TIMES_S = (0.1, 1.0, 10.0, 100.0)
 #: The time whose force the others are put over.
 REFERENCE_S = 10.0
+#: First digits of the depths at which the force of a loading is stated, how many of them at the most, and the
+#: share of its depth that the last one may have.
+ROUND_DEPTHS, MOST_DEPTHS, WITHIN = (1.0, 2.0, 5.0), 3, 0.98
 #: Exponentials of a hold.
 EXPONENTIALS = 2
 #: Fewest samples at rest that give a base.
@@ -154,7 +158,25 @@ def _push(record: _Record, move: Move, geometry: Geometry | None) -> MeasuredPus
         braking_s=braking_before(segmentation, move),
         peak=MeasuredPeak(float(trial.time_s[at]), force, record.recorded(force)),
         modulus=modulus_of(trial, segmentation, slice(start, move.stop + 1), last, geometry),
+        forces=() if segmentation.contact is None else _loading(record, slice(start, move.stop + 1)),
     )
+
+
+def _loading(record: _Record, inside: slice) -> tuple[MeasuredDepth, ...]:
+    """Forces at the last round depths of a loading, as :func:`force_at` of depths that grow."""
+    depth, force = record.depth_mm[inside], record.force_N[inside]
+    grown = np.append(True, depth[1:] > np.maximum.accumulate(depth)[:-1])
+    deepest = float(depth[grown][-1])
+    if not deepest > 0.0:
+        return ()
+    digits = int(np.floor(np.log10(deepest)))
+    asked = [first * 10.0**power for power in (digits - 1, digits) for first in ROUND_DEPTHS]
+    rows = []
+    for one in [depth_mm for depth_mm in asked if depth_mm <= WITHIN * deepest][-MOST_DEPTHS:]:
+        found, sd, _ = force_at(depth[grown], force[grown], one, record.segmentation.force_noise_N)
+        if found is not None and sd is not None:
+            rows.append(MeasuredDepth(one, found, sd))
+    return tuple(rows)
 
 
 def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHold:

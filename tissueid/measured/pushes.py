@@ -59,7 +59,8 @@ def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
 def moves(phases: tuple[Phase, ...]) -> list[Move]:
     """Every loading move, in time order; cycles are loops and no moves."""
     kinds = [phase.kind for phase in phases]
-    ends = (k for k, after in enumerate([*kinds[1:], None], 1) if kinds[k - 1] == "ramp" != after)
+    pairs = enumerate(zip(kinds, [*kinds[1:], None], strict=False), 1)
+    ends = (k for k, (kind, after) in pairs if kind == "ramp" != after)
     found = (move_before(phases, number) for number in ends)
     return [one for one in found if one is not None]
 

@@ -7,6 +7,7 @@ from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import structs
 
 from tissueid.documents import plain
 from tissueid.documents.contrast import MeasuredNumber, Side
@@ -143,6 +144,13 @@ def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterat
     for name, unit, value in _PUSH_NUMBERS:
         reason = ramp_reason(None, times) if unit in ("N", "kPa") else ""
         yield _row(name, unit, place, None, [value(push) for push in pushes], times, reason)
+    known = [{one.depth_mm: one.force_N for one in push.forces} for push in pushes]
+    for depth in sorted(set[float]().union(*known)):
+        values = [of_push.get(depth) for of_push in known]
+        row = _row("force_at_depth", "N", place, None, values, times, ramp_reason(None, times))
+        # a depth that some logs did not reach, or none may be pooled at, is no number of the program
+        if row.mean is not None and None not in values:
+            yield structs.replace(row, depth_mm=depth)
 
 
 def _of_holds(
@@ -201,7 +209,7 @@ def measured_pairs(sides: Sequence[tuple[str, Sequence[Spread]]]) -> list[dict[s
 
 
 def _key(row: Spread) -> tuple[str, int, float | None]:
-    return row.name, row.hold, row.time_s
+    return row.name, row.hold, row.at
 
 
 def _numbers(one: Sequence[Spread], other: Sequence[Spread]) -> list[MeasuredNumber]:
@@ -249,6 +257,7 @@ def _number(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | No
         program=one.program,
         hold=one.hold,
         time_s=one.time_s,
+        depth_mm=one.depth_mm,
         one=_side(one),
         other=_side(other),
         ratio=ratio,
@@ -269,6 +278,7 @@ def _reason(one: Spread, other: Spread, depths: Sequence[Mapping[int, float | No
     if reason:
         return reason
     deep = [found.get(one.hold) for found in depths]
-    if one.unit == "N" and deep[0] and deep[1] and abs(deep[1] - deep[0]) > EQUAL_DEPTH * abs(deep[0]):
+    whole = one.unit == "N" and one.depth_mm is None
+    if whole and deep[0] and deep[1] and abs(deep[1] - deep[0]) > EQUAL_DEPTH * abs(deep[0]):
         return f"forces at {deep[0]:.3g} and {deep[1]:.3g} mm of depth"
     return ""

@@ -20,6 +20,7 @@ _WORDS: Mapping[str, str] = {
     "speed": "Speed",
     "ramp_time": "Ramp time",
     "force": "F({})",
+    "force_at_depth": "F({})",
     "force_over_10s": "F({})/F(10 s)",
     "modulus_loading": "Modulus, loading",
     "modulus_held": "Modulus, held",
@@ -28,7 +29,7 @@ _WORDS: Mapping[str, str] = {
     "loop_area": "Loop area",
 }
 #: What knows the ramp stands in the workbook alone.
-_ASIDE = {"force_over_peak"}
+_ASIDE = {"force_over_peak", "force_at_depth"}
 #: Columns that are shown, of holds or of programs.
 MOST_COLUMNS = 2
 #: A smaller standard deviation, as a share of the mean, is one of rounding.
@@ -42,7 +43,7 @@ Key = tuple[str, float | None]
 def measured_name(row: Spread) -> str:
     """Name of a measured number; of a force with its time after the stop."""
     words = _WORDS.get(row.name, str(row.name).replace("_", " "))
-    return words if row.time_s is None else words.format(f"{row.time_s:g} s")
+    return words if row.at is None else words.format(f"{row.at:g} {'mm' if row.time_s is None else 's'}")
 
 
 @dataclass(frozen=True, slots=True)
