@@ -206,7 +206,8 @@ def _medians(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | i
 
 
 #: Measured curves and numbers whose next value is predicted, and peaks within which a log is of the program.
-NEXT, SAME_PEAK = ("force", "force_over_10s", "force_over_peak", "relaxation_time"), 1.05
+NEXT = ("force", "force_at_depth", "force_over_10s", "force_over_peak", "relaxation_time")
+SAME_PEAK = 1.05
 
 
 def _measured(members: Sequence[Recording], name: str) -> Sequence[Mapping[str, Any]]:
@@ -215,12 +216,17 @@ def _measured(members: Sequence[Recording], name: str) -> Sequence[Mapping[str, 
     return [] if isinstance(found, str) else found.document["measured"]
 
 
+def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Name of a measured number, with its hold and its time or depth."""
+    return row["name"], row["hold"], row["time_s"] or row.get("depth_mm")
+
+
 def measured_next(cut: str, left_out: Recording, rest: Sequence[Recording]) -> dict[str, bool]:
     """Report if the measured curves of a left-out log lie whole in ``prediction95`` of the others."""
     rows = _measured(rest, cut)
-    own = {(row["name"], row["hold"], row["time_s"]): row["mean"] for row in _measured([left_out], cut)}
+    own = {_key(row): row["mean"] for row in _measured([left_out], cut)}
     for program in dict.fromkeys(row["program"] for row in rows):
-        known = {(row["name"], row["hold"], row["time_s"]): row for row in rows if row["program"] == program}
+        known = {_key(row): row for row in rows if row["program"] == program}
         peak, mine = (
             next(row["mean"] for key, row in known.items() if key[0] == "peak"),
             own.get(("peak", 1, None)),
