@@ -32,6 +32,7 @@ from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageEr
 from tissueid.flags import Flag
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.posterior import PosteriorOptions
+from tissueid.inference.prediction import at_samples, half_width
 from tissueid.inference.reported import reported_draws
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
 from tissueid.ingest import ReadOptions, find_inputs, read_each
@@ -45,7 +46,7 @@ from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.files import TEMPORARY_PREFIX, plain_json, replace_file
-from tissueid.trial import Trial, contact_frame
+from tissueid.trial import Trial
 from tissueid.uncertainty import ParameterUncertainty
 
 if TYPE_CHECKING:
@@ -313,24 +314,10 @@ class Fit(_Reported):
         InputError
             There is no contact in the recording.
         """
-        place = next((i for i, one in enumerate(self.trials) if one is trial), None)
-        if place is not None:
-            handle, own = self.fitted.handles[place], place
-        else:
-            handle, own = _handle_of(trial, self.setting), 0
-        point = self.fitted.identified.optimum.point
-        if place is None:
-            point = replace(point, own=np.zeros_like(point.own[:1]))
-        _, log = handle.fitted()
-        force = force_along(self.fitted.identified, handle, log, own, point)[int(log.inserted) :]
-        depth, _ = contact_frame(trial, handle.segmentation)
-        out = np.full(trial.time_s.size, np.nan)
-        out[: log.first] = 0.0
-        out[log.first : log.first + force.size] = force
-        out[: log.first][depth[: log.first] > log.depth_mm] = np.nan
-        contact = handle.segmentation.contact
-        assert contact is not None  # noqa: S101 -- without one there is no handle
-        return np.asarray(handle.segmentation.force_sign * out + contact.baseline_N)
+        for place, one in enumerate(self.trials):
+            if one is trial:
+                return _along(self, trial, self.fitted.handles[place], place)
+        return _along(self, trial, _handle_of(trial, self.setting), None)
 
     def residual(self, trial: Trial) -> FloatArray:
         """Measured minus predicted force, (n,) [N]; NaN where nothing is predicted."""
@@ -369,6 +356,19 @@ class Fit(_Reported):
             msg = f"{found.specimen}: no posterior could be sampled: {'; '.join(said) or 'see Fit.flags'}"
             raise NotIdentifiedError(msg)
         return Sampled(self, found, asked)
+
+
+def _along(fit: Fit, trial: Trial, handle: LogHandle, place: int | None) -> FloatArray:
+    """Predicted force of the load channel, with the gain and contact of a log of the fit or of none."""
+    found = fit.fitted.identified
+    point = found.optimum.point
+    if place is None:
+        point = replace(point, own=np.zeros_like(point.own[:1]))
+    _, log = handle.fitted()
+    out = at_samples(trial, handle, log, force_along(found, handle, log, place or 0, point))
+    contact = handle.segmentation.contact
+    assert contact is not None  # noqa: S101 -- without one there is no handle
+    return np.asarray(handle.segmentation.force_sign * out + contact.baseline_N)
 
 
 def _handle_of(trial: Trial, setting: _Setting) -> LogHandle:
@@ -450,6 +450,24 @@ class Sampled(_Reported):
         assert posterior is not None  # noqa: S101 -- it was checked when this was made
         values = reported_draws(self.fit.fitted.tissue.model, self._draws)[one.name]
         return Marginal(one.name, one.unit, values, posterior.parameters[one.name])
+
+    def band(self, trial: Trial, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """Band that holds the whole force of a push at another site with this probability, (n,) [N] each.
+
+        The push is along the recording's path, at whatever speed, in its signs and its zero; NaN where
+        nothing is predicted.  How much sites differ is told by the logs of the fit; with one log it is
+        unknown, and left out.
+
+        Raises
+        ------
+        InputError
+            There is no contact in the recording.
+        """
+        handle = _handle_of(trial, self.fit.setting)
+        _, log = handle.fitted()
+        half = at_samples(trial, handle, log, half_width(self.fit.fitted, handle, log, self._draws, level))
+        middle = _along(self.fit, trial, handle, None)
+        return middle - half, middle + half
 
     def to_arviz(self) -> Any:
         """The draws as arviz knows them.

@@ -71,6 +71,37 @@ def test_another_recording_is_predicted_in_its_own_sign_and_zero(own, sign, zero
     assert np.sqrt(np.nanmean(residual**2)) < 0.01 * np.ptp(other.force_N)
 
 
+def pushes(sites, *, spread, seed):
+    """A tissue of one branch of 0.3 s at sites that are stiffer or softer, pushed at two speeds in turn."""
+    rng, out = np.random.default_rng(seed), []
+    for k in range(sites):
+        speed = (2.0, 8.0)[k % 2]
+        time = np.arange(0.0, 6.0, 0.01)
+        x = np.minimum(speed * time, 4.0)
+        state = np.where(
+            time < 4.0 / speed,
+            speed * 0.3 * -np.expm1(-time / 0.3),
+            speed * 0.3 * -np.expm1(-4.0 / speed / 0.3) * np.exp(-(time - 4.0 / speed) / 0.3),
+        )
+        force = np.exp(rng.normal(0.0, spread)) * (5.0 * x + 0.3 * x**3 + 8.0 * state)
+        out.append(ti.Trial("s", time, x, force + rng.normal(0.0, 0.05, time.size)))
+    return out
+
+
+@pytest.mark.system
+def test_the_band_holds_the_whole_force_of_sites_that_were_left_out():
+    inside, wide = [], []
+    for seed in range(8):
+        *known, left_out = pushes(6, spread=0.05, seed=seed)
+        low, high = ti.fit(known, "polynomial * prony:1").sample(draws=400).band(left_out)
+        inside.append(bool(((low <= left_out.force_N) & (left_out.force_N <= high)).all()))
+        wide.append(float(np.max(high - low)) / 2.0 / np.ptp(left_out.force_N))
+    # at 95 % fewer than six of eight have a chance of 0.6 %
+    assert sum(inside) >= 6
+    # Student's t of five sites, 2.8 times 5 %
+    assert 0.05 < np.median(wide) < 0.4
+
+
 def test_a_parameter_that_is_fixed_stays_and_the_others_follow(own):
     fixed = own.fix(p=0.55, c=2.02)
     assert fixed["p"].value == pytest.approx(0.55, rel=1e-4)
@@ -99,7 +130,7 @@ def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
     assert marginal.median == pytest.approx(sampled.parameter("p").value, rel=1e-2)
     path = ti.Bundle(own, sampled).save(tmp_path / "own.h5")
     bundle = ti.load_bundle(path)
-    assert bundle.contact_model().key == own.result.model.name
+    assert bundle.contact_model().name == own.result.model.name
     assert np.array_equal(bundle.theta, sampled.result.theta)
     assert json.loads(json.dumps(bundle.provenance["options"]))["draws"] == 400
     script = "indent 5 mm at 200 mm/min; hold 1 s"
