@@ -158,6 +158,9 @@ def prediction_lines(result: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {condition:42}" + "".join(f"{row['left_out'].removeprefix(condition):>10}" for row in rows)
         for name in rows[0]["nrmsd"]:
             yield f"    {name:40}" + "".join(f"{percent(row['nrmsd'][name]):>10}" for row in rows)
+        for name in rows[0]["whole_in_band"]:
+            held = ("inside" if row["whole_in_band"][name] else "outside" for row in rows)
+            yield f"    {f'whole curve in the band, {name}':40}" + "".join(f"{one:>10}" for one in held)
 
 
 def law_lines(result: Mapping[str, Any]) -> Iterator[str]:

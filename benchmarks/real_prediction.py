@@ -32,6 +32,7 @@ from real_baselines import (
 from real_pooled import fit_pooled
 from real_recordings import Found, Recording, fit_of, grouped, left_out, tell
 
+import tissueid
 from tissueid.model.base import ContactPath
 from tissueid.model.servo_law import TissueStepper
 
@@ -170,6 +171,17 @@ def speed_laws(logs: Sequence[Log]) -> dict[str, Law]:
     return laws | {"yardstick": Yardstick.of(logs), "fractional x power of depth": FractionalPower(depth)}
 
 
+def band_holds(left_out: Recording, rest: Sequence[Recording]) -> dict[str, bool]:
+    """Report if the whole curve at a speed that was left out lies in its band, by law."""
+    held = {}
+    for model in ("kelvin-voigt", "auto"):
+        sampled = tissueid.fit([one.trial for one in rest], model, specimen="rest").sample()
+        low, high = sampled.band(left_out.trial)
+        seen, force = np.isfinite(low), left_out.trial.force_N
+        held[model] = bool(((low <= force) & (force <= high))[seen].all())
+    return held
+
+
 def _left_out_speeds(condition: str, members: Sequence[Recording]) -> list[dict[str, Any]]:
     """Rows of one condition: each ramp time predicted from the others, nothing free."""
     rows = []
@@ -190,7 +202,8 @@ def _left_out_speeds(condition: str, members: Sequence[Recording]) -> list[dict[
                 errors[name] = foreign_error(found, one.log, logs)
         for name, law in speed_laws(logs).items():
             errors[name] = nrmsd(fit_law(law, logs).force(one.log), one.log.force_N)
-        rows.append({"condition": condition, "left_out": one.name, "chosen": chosen, "nrmsd": errors})
+        row = {"condition": condition, "left_out": one.name, "chosen": chosen, "nrmsd": errors}
+        rows.append({**row, "whole_in_band": band_holds(one, rest)})
     return rows
 
 
