@@ -266,3 +266,14 @@ def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
     sd, expected = (relative_sd(one + prior, gradient)[:, 0] for one in (found, exact))
     # the frame's own derivative is taken at the force that was recorded, which gives 5 % here
     assert sd == pytest.approx(expected, rel=0.08)
+
+
+def test_a_filter_and_correlated_noise_cost_precision() -> None:
+    base = paper_a()
+    white = base.predicted()[TAU]
+    slow = replace(base, setting=Setting(1000.0, 1.0, filter_s=0.05)).predicted()[TAU]
+    total = replace(base, asked=replace(base.asked, total=True)).predicted()
+    assert slow > 1.3 * white
+    assert total[TAU] > white
+    # the force channel's gain is known to 1 %, and no number of logs betters that
+    assert total[ETA] > 0.01

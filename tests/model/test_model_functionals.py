@@ -25,14 +25,19 @@ THETA = MODEL.join(
 )
 
 
+LINEAR = kelvin_voigt(1, 1, 4.0), np.array([5.0, 0.4, 0.1, 8.0, 1.0, 0.05])
+
+
 @pytest.mark.parametrize("ramp_s", [0.0, 1.5])
-def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(ramp_s):
+@pytest.mark.parametrize("tissue", [(MODEL, THETA), LINEAR], ids=["quadratic", "linear"])
+def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(tissue, ramp_s):
+    model, theta = tissue
     time = np.array([0.0, ramp_s, ramp_s + 0.1, 5.0])
-    force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
+    force = model.force(theta, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
     for k in (1, 2, 3):
         since = float(time[k] - ramp_s)
-        ramp = (force_after_ramp, (MODEL, THETA, 3.0, 2.0, since))
-        function, at = ramp if ramp_s else (force_after_step, (MODEL, THETA, 3.0, since))
+        ramp = (force_after_ramp, (model, theta, 3.0, 2.0, since))
+        function, at = ramp if ramp_s else (force_after_step, (model, theta, 3.0, since))
         assert function(*at) == pytest.approx(force[k], rel=1e-13)
 
 
