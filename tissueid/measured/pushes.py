@@ -6,6 +6,7 @@ the stop to 0.1 s after it: crossheads brake, and the force may fall while they 
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -49,24 +50,18 @@ def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
         first -= 1
     if first == number:
         return None
-    moving, speed = first, phases[first].speed_mm_s
-    while moving > 0 and phases[moving - 1].kind == "approach" and _moves(phases[moving - 1], speed):
+    moving, least = first, STANDS * abs(phases[first].speed_mm_s)
+    while moving > 0 and phases[moving - 1].kind == "approach" and abs(phases[moving - 1].speed_mm_s) > least:
         moving -= 1
     stop = phases[number].start if number < len(phases) else phases[number - 1].stop - 1
     return Move(moving, first, number - 1, stop)
 
 
-def _moves(approach: Phase, speed_mm_s: float) -> bool:
-    return abs(approach.speed_mm_s) > STANDS * abs(speed_mm_s)
-
-
 def moves(phases: tuple[Phase, ...]) -> list[Move]:
     """Every loading move, in time order; cycles are loops and no moves."""
-    ends = [
-        number
-        for number in range(1, len(phases) + 1)
-        if phases[number - 1].kind == "ramp" and (number == len(phases) or phases[number].kind != "ramp")
-    ]
+    kinds = [phase.kind for phase in phases]
+    neighbours = enumerate(zip_longest(kinds, kinds[1:]), 1)
+    ends = (number for number, (kind, after) in neighbours if kind == "ramp" and after != "ramp")
     found = (move_before(phases, number) for number in ends)
     return [one for one in found if one is not None]
 

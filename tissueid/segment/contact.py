@@ -9,7 +9,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.hinge import HingeFit, fit_contact
-from tissueid.segment.motion import Piece
+from tissueid.segment.motion import Piece, slope_of
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.preload import relaxing_stiffness, with_relaxed
 from tissueid.signal_noise import without_spikes
@@ -80,9 +80,8 @@ def left_air(depth_mm: FloatArray, force_N: FloatArray, contact_mm: float, noise
 
 def _rise(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
     """Mean rise of the force from sample to sample, and its standard error."""
-    along = np.arange(force_N.size) - 0.5 * (force_N.size - 1)
-    spread = float(along @ along)
-    return float(along @ force_N) / spread, noise_N / float(np.sqrt(spread))
+    slope, spread = slope_of(np.arange(float(force_N.size)), force_N)
+    return slope, noise_N / float(np.sqrt(spread))
 
 
 def rises(before_N: FloatArray, after_N: FloatArray, noise_N: float) -> bool:

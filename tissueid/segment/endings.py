@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import Path, Piece, corner_near
+from tissueid.segment.motion import Path, Piece, corner_near, slope_of
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -58,9 +58,7 @@ def _force_at(path: Path, phase: Phase, level_mm: float) -> float:
     near = np.flatnonzero(x >= level_mm - PEAK_SHARE * float(np.ptp(x)))
     if near.size < 3:
         near = np.arange(max(x.size - 3, 0), x.size)
-    off = x[near] - x[near].mean()
-    spread = float(off @ off)
-    slope = float(off @ f[near]) / spread if spread > 0.0 else 0.0
+    slope, _ = slope_of(x[near], f[near])
     return float(f[near].mean() + slope * (level_mm - x[near].mean()))
 
 
@@ -169,8 +167,7 @@ def held_from(path: Path, ramp: Piece, slow: Piece) -> int | None:
     # the last of the way to the held load is drawn as a straight line
     lead = slice(max(ramp.start, last - max(LEAD_SAMPLES, (last - ramp.start) // 10)), last + 1)
     time, force = path.time_s[lead], path.force_N[lead]
-    off = time - time.mean()
-    slope = float(off @ force) / max(float(off @ off), 1e-300)
+    slope, _ = slope_of(time, force)
     meets = float(time.mean()) + (level - float(force.mean())) / slope if slope > 0.0 else 0.0
     at = int(np.searchsorted(path.time_s, meets)) if meets > path.time_s[last] else last + 1
     at = min(max(at, ramp.start + 2), slow.stop - 1)

@@ -7,6 +7,7 @@ become moves and standstills, whose ends are placed where the lines of their two
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,12 +71,11 @@ def corner_near(path: Path, at: int, within: tuple[int, int], *, stands: tuple[b
         guess = moved
     if not any(stands):
         return first
-    if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
-        plateau = float(np.median(path.depth_mm[max(at, first) : high + 1]))
-        outside = np.flatnonzero(np.abs(path.depth_mm[low : high + 1] - plateau) > path.tolerance_mm)
-        return low + int(outside[-1]) + 1 if outside.size and outside[-1] + low < high else at
-    plateau = float(np.median(path.depth_mm[low : min(at, first) + 1]))
+    standing = slice(max(at, first), high + 1) if stands[1] else slice(low, min(at, first) + 1)
+    plateau = float(np.median(path.depth_mm[standing]))
     outside = np.flatnonzero(np.abs(path.depth_mm[low : high + 1] - plateau) > path.tolerance_mm)
+    if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
+        return low + int(outside[-1]) + 1 if outside.size and outside[-1] + low < high else at
     return max(low, low + int(outside[0]) - 1) if outside.size else at
 
 
@@ -124,11 +124,15 @@ def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> Li
     """Slope and level at t = 0 of the straight line through samples; the median level where ``flat``."""
     if flat:
         return 0.0, float(np.median(depth_mm))
-    centre = time_s.mean()
-    off = time_s - centre
+    slope, _ = slope_of(time_s, depth_mm)
+    return slope, float(depth_mm.mean() - slope * time_s.mean())
+
+
+def slope_of(places: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Least-squares slope of values over places, 0 over a single one, and the places' sum of squares."""
+    off = places - places.mean()
     spread = float(off @ off)
-    slope = float(off @ depth_mm) / spread if spread > 0.0 else 0.0
-    return slope, float(depth_mm.mean() - slope * centre)
+    return (float(off @ values) / spread if spread > 0.0 else 0.0), spread
 
 
 def leaves_line(path: Path, move: Piece, end: int) -> int:
@@ -292,17 +296,10 @@ def pieces(path: Path) -> list[Piece]:
         return [Piece(0, 0, last)]
     size = max(1, path.depth_mm.size // BLOCKS)
     held = 1.01 * _held_step(path.depth_mm, _moving(path.depth_mm))  # means of blocks hide it
-    found = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)), held_mm=held)
-    found = [
-        Piece(
-            piece.direction,
-            min(piece.start * size + size // 2, last) if k else 0,
-            min(piece.stop * size + size // 2, last) if k + 1 < len(found) else last,
-        )
-        for k, piece in enumerate(found)
-    ]
-    found = _demote_drifting(path, found)
-    return _place_corners(path, found)
+    coarse = _coarse(*(_block_means(values, size) for values in (path.time_s, path.depth_mm)), held_mm=held)
+    edges = [0, *(min(one.stop * size + size // 2, last) for one in coarse[:-1]), last]
+    found = [Piece(one.direction, *span) for one, span in zip(coarse, pairwise(edges), strict=True)]
+    return _place_corners(path, _demote_drifting(path, found))
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
@@ -313,7 +310,7 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
     return np.asarray(np.add.reduceat(values, starts) / np.diff(np.append(starts, values.size)))
 
 
-def _coarse(time_s: FloatArray, depth_mm: FloatArray, *, held_mm: float) -> list[Piece]:
+def _coarse(time_s: FloatArray, depth_mm: FloatArray, *, held_mm: float) -> list[_Stretch]:
     """Moves and standstills, their corners those of the polyline."""
     tolerance = _tolerance(max(path_noise(time_s, depth_mm), held_mm), depth_mm)
     knots = corners(time_s, depth_mm, tolerance=tolerance)
@@ -341,27 +338,16 @@ def _classify(
         & (np.abs(rise) <= 2.0 * tolerance + MOVE_SHARE * np.ptp(depth_mm))
     )
     direction = np.where(stands, 0, np.sign(rise)).astype(int)
-    return [
-        (
-            _Stretch(
-                Piece(int(direction[k]), int(knots[k]), int(knots[k + 1])),
-                float(span[k]),
-                float(rise[k]),
-                float(speed[k]),
-                float(span[k]),
-            ),
-            bool(large[k] or stands[k]),
-        )
-        for k in range(rise.size)
-    ]
+    columns = (direction, knots[:-1], knots[1:], span, rise, speed, span)
+    stretches = (_Stretch(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
+    return list(zip(stretches, (large | stands).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
-class _Stretch:
+class _Stretch(Piece):
     """A piece with the time and travel of all of it, and the speed of its longest straight part."""
 
-    piece: Piece
-    took_s: float
+    lasted_s: float
     moved_mm: float
     speed_mm_s: float
     longest_s: float
@@ -369,32 +355,26 @@ class _Stretch:
     def joined(self, after: _Stretch) -> _Stretch:
         """Both as one."""
         longer = max((self, after), key=lambda one: one.longest_s)
-        return _Stretch(
-            replace(self.piece, stop=after.piece.stop),
-            self.took_s + after.took_s,
-            self.moved_mm + after.moved_mm,
-            longer.speed_mm_s,
-            longer.longest_s,
-        )
+        lasted, moved = self.lasted_s + after.lasted_s, self.moved_mm + after.moved_mm
+        return replace(longer, start=self.start, stop=after.stop, lasted_s=lasted, moved_mm=moved)
 
 
-def _absorb(stretches: list[tuple[_Stretch, bool]]) -> list[Piece]:
+def _absorb(stretches: list[tuple[_Stretch, bool]]) -> list[_Stretch]:
     """Join neighbours that do the same, and give transients to the piece before them."""
     alone: list[_Stretch] = []
     waiting: int | None = None
     for stretch, stands_alone in stretches:
         if stands_alone:
-            start = stretch.piece.start if waiting is None else waiting
-            alone.append(replace(stretch, piece=replace(stretch.piece, start=start)))
+            alone.append(replace(stretch, start=stretch.start if waiting is None else waiting))
             waiting = None
-        elif alone and alone[-1].piece.direction != 0:
-            alone[-1] = replace(alone[-1], piece=replace(alone[-1].piece, stop=stretch.piece.stop))
+        elif alone and alone[-1].direction != 0:
+            alone[-1] = replace(alone[-1], stop=stretch.stop)
         elif waiting is None:
-            waiting = stretch.piece.start  # a start from standstill belongs to what starts
-    end = stretches[-1][0].piece.stop
+            waiting = stretch.start  # a start from standstill belongs to what starts
+    first, last = stretches[0][0], stretches[-1][0]
     if not alone:
-        return [Piece(0, stretches[0][0].piece.start, end)]
-    alone[-1] = replace(alone[-1], piece=replace(alone[-1].piece, stop=end))
+        return [replace(first, direction=0, stop=last.stop)]
+    alone[-1] = replace(alone[-1], stop=last.stop)
     count = 0
     while count != len(alone):  # parts of a rounded turn may be joined to each other before the move
         count = len(alone)
@@ -405,21 +385,21 @@ def _absorb(stretches: list[tuple[_Stretch, bool]]) -> list[Piece]:
             else:
                 joined.append(stretch)
         alone = joined
-    return [stretch.piece for stretch in alone]
+    return alone
 
 
 def _same(before: _Stretch, after: _Stretch) -> bool:
     """True where two neighbouring stretches are one phase."""
-    if before.piece.direction != after.piece.direction:
+    if before.direction != after.direction:
         return False
-    if before.piece.direction == 0:
+    if before.direction == 0:
         return True
-    few = min(one.piece.stop - one.piece.start for one in (before, after)) < MOVE_SAMPLES
-    short, long = sorted((before, after), key=lambda one: one.took_s)
+    few = min(one.stop - one.start for one in (before, after)) < MOVE_SAMPLES
+    short, long = sorted((before, after), key=lambda one: one.lasted_s)
     slow, fast = sorted(abs(one.speed_mm_s) for one in (before, after))
     # of a crosshead that slows down evenly, the time below a share of its speed goes with the root of it
-    stopping = abs(short.speed_mm_s) == slow and short.took_s <= STOP_S * np.sqrt(slow / max(fast, 1e-300))
-    minor = short.took_s < MINOR * long.took_s and abs(short.moved_mm) < MINOR * abs(long.moved_mm)
+    stopping = abs(short.speed_mm_s) == slow and short.lasted_s <= STOP_S * np.sqrt(slow / max(fast, 1e-300))
+    minor = short.lasted_s < MINOR * long.lasted_s and abs(short.moved_mm) < MINOR * abs(long.moved_mm)
     return bool(few or stopping or minor or fast <= SPEED_RATIO * slow)
 
 

@@ -49,15 +49,14 @@ class SegmentOptions:
             if getattr(self, name) not in (None, 1, -1):
                 msg = f"{name} is {getattr(self, name)}, must be 1, -1 or None"
                 raise ValueError(msg)
-        if self.start_s is not None and self.end_s is not None and not self.start_s < self.end_s:
-            msg = f"start_s is {self.start_s} and end_s {self.end_s}: the window must end after it starts"
-            raise ValueError(msg)
         if not self.contact_sd_mm >= 0.0:
             msg = f"contact_sd_mm is {self.contact_sd_mm}, must be >= 0"
             raise ValueError(msg)
-        if self.hold_from_s is not None and self.end_s is not None and not self.hold_from_s < self.end_s:
-            msg = f"hold_from_s is {self.hold_from_s} and end_s {self.end_s}: a hold must end after it starts"
-            raise ValueError(msg)
+        for name, what in (("start_s", "the window"), ("hold_from_s", "a hold")):
+            start = getattr(self, name)
+            if start is not None and self.end_s is not None and not start < self.end_s:
+                msg = f"{name} is {start} and end_s {self.end_s}: {what} must end after it starts"
+                raise ValueError(msg)
 
     def stated(self) -> dict[str, float | int | bool]:
         """Decisions, by the key that study.toml has for them."""

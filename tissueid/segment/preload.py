@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.segment.motion import Piece
+from tissueid.segment.motion import Piece, slope_of
 
 #: Largest share of the stiffness at the start that may relax: taken where no hold tells.
 LARGEST_SHARE = 0.75
@@ -63,9 +63,7 @@ def relaxing_stiffness(
     last = min(end, max(part, begin + FEWEST))
     if last - begin < FEWEST or time[last - 1] <= time[begin]:
         return None
-    along = time[begin:last] - time[begin:last].mean()
-    spread = float(along @ along)
-    rate = float(along @ force[begin:last]) / spread
+    rate, spread = slope_of(time[begin:last], force[begin:last])
     return max(ERRORS * noise_N / float(np.sqrt(spread)) - rate, 0.0) * ramp_s / travel
 
 

@@ -221,22 +221,6 @@ def _shows_depths(depth: FloatArray) -> bool:
     return bool(depth[-1] > depth[0]) and np.unique(depth).size >= FEWEST_DEPTHS
 
 
-def _located(
-    path: Path,
-    moves: list[Piece],
-    start: int,
-    locate: Callable[[FloatArray, FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
-) -> tuple[Contact | None, list[Flag]]:
-    """Contact on the moves from a sample on, and on what the record shows before them from there."""
-    later = [
-        Piece(1, piece.start - start, piece.stop - start)
-        for piece in moves
-        if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
-    ]
-    contact, flags = locate(path.time_s[start:], path.depth_mm[start:], path.force_N[start:], later)
-    return (None if contact is None else replace(contact, index=contact.index + start)), flags
-
-
 def _lasting(
     path: Path,
     quiet: list[FloatArray],
@@ -244,17 +228,28 @@ def _lasting(
     moves: list[Piece],
     start: int,
 ) -> tuple[Contact | None, list[Flag]]:
-    """Contact under the noise that lasts over many samples, as standstills show it, else the air."""
-    ratio = long_run_ratio(quiet)
-    contact, flags = _located(path, moves, start, partial(locate, noise_N=path.noise_N * ratio))
+    """Contact on the moves from a sample on, and on what the record shows before them from there.
+
+    The noise is that which lasts over many samples, as standstills show it, else the air.
+    """
+    later = [
+        Piece(1, piece.start - start, piece.stop - start)
+        for piece in moves
+        if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
+    ]
+    record = [values[start:] for values in (path.time_s, path.depth_mm, path.force_N)]
+
+    def located(ratio: float) -> tuple[Contact | None, list[Flag]]:
+        contact, flags = locate(*record, later, noise_N=path.noise_N * ratio)
+        return (None if contact is None else replace(contact, index=contact.index + start)), flags
+
+    contact, flags = located(long_run_ratio(quiet))
     if quiet or contact is None or not contact.in_record:
         return contact, flags
     air = slice(start, start + int(AIR_SHARE * (contact.index - start)))
     left = without_slow(path.time_s[air], path.force_N[air])
     ratio = 1.0 if left is None else long_run_ratio([left])
-    if ratio == 1.0:
-        return contact, flags
-    return _located(path, moves, start, partial(locate, noise_N=path.noise_N * ratio))
+    return (contact, flags) if ratio == 1.0 else located(ratio)
 
 
 def _whole(path: Path, found: list[Piece], *, breaks: bool) -> list[Piece]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
+from tissueid.segment.motion import slope_of
 from tissueid.segment.options import SegmentOptions
 from tissueid.signal_noise import white_noise_sd, without_spikes
 from tissueid.trial import Contact, Phase, Trial
@@ -121,8 +122,6 @@ def _line(time_s: FloatArray, force_N: FloatArray) -> tuple[float, float]:
     t, f = (
         np.array([part.mean() for part in np.array_split(values, BLOCKS)]) for values in (time_s, force_N)
     )
-    off = t - t.mean()
-    spread = float(off @ off)
-    slope = float(off @ f) / spread
-    rest = f - f.mean() - slope * off
+    slope, spread = slope_of(t, f)
+    rest = f - f.mean() - slope * (t - t.mean())
     return slope, float(np.sqrt(rest @ rest / (BLOCKS - 2) / spread))
