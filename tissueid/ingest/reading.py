@@ -394,19 +394,10 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
     time_s, tick_s = between_ticks(table.time_s)
     repeats = zero_dt(table.time_s, np.diff(table.time_s), tick_s) if tick_s > 0.0 else None
-    no_test = no_specimen(file.path, table.sheet)
-    flags = (
-        *table.flags,
-        *_normalised(axes),
-        *(() if no_test is None else (no_test,)),
-        *(() if repeats is None else (repeats,)),
-        *quality_flags(
-            time_s,
-            table.displacement_mm,
-            table.force_N,
-            capacity_N=capacity_in(table.metadata, decimal=table.decimal),
-        ),
-    )
+    said = (_normalised(axes), no_specimen(file.path, table.sheet), repeats)
+    capacity_N = capacity_in(table.metadata, decimal=table.decimal)
+    quality = quality_flags(time_s, table.displacement_mm, table.force_N, capacity_N=capacity_N)
+    flags = (*table.flags, *(flag for flag in said if flag is not None), *quality)
     return Trial(
         specimen=_specimen(file, table),
         time_s=time_s,
@@ -419,11 +410,11 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     )
 
 
-def _normalised(axes: Axes) -> tuple[Flag, ...]:
+def _normalised(axes: Axes) -> Flag | None:
     if not axes.normalised:
-        return ()
+        return None
     message = f"declared as normalised: for mm read {axes.length}, for N {axes.force}; can't be rendered"
-    return (Flag("normalised_axes", message, {"length": axes.length, "force": axes.force}),)
+    return Flag("normalised_axes", message, {"length": axes.length, "force": axes.force})
 
 
 def _specimen(file: InputFile, table: Table) -> str:
