@@ -12,7 +12,7 @@ import pytest
 from ingest_files import put, read, refusal, zipped
 
 from tissueid.errors import InputError
-from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
+from tissueid.ingest import find_inputs, read_each, read_one, read_trials
 from tissueid.synth import DIALECTS, EXPORTS, SyntheticLog
 from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
 from tissueid.trial import Trial
@@ -337,9 +337,3 @@ def test_a_folder_takes_every_kind_of_export_once(tmp_path: Path) -> None:
     (tmp_path / "blob.dat").write_bytes(bytes(range(256)))
     put(tmp_path / "backup.zip", zipped({"a.csv": (tmp_path / "a.csv").read_bytes()}))
     assert [path.name for path in find_inputs([tmp_path])] == sorted(wanted)
-
-
-def test_a_user_who_names_the_recipe_gets_it(tmp_path: Path) -> None:
-    path = put(tmp_path / "synthetic.csv", EXPORTS["bare"].write(log_of(40)))
-    trial = read(path, ReadOptions(recipe="columns"))
-    assert trial.source.recipe == "columns"
