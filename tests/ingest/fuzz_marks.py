@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fuzz_mutant import Mutant, Mutation, Random, textual
-from fuzz_seeds import Seed, split_cells
+from fuzz_seeds import OTHER_MARK, Seed, split_cells
 
 UNKNOWN_UNITS = ("zork", "Nn", "sce", "mmm", "newtons per", "?", "m m", "1", "N*", "mu", "kgN", "mn2", "#")
 WRONG_UNITS = {
@@ -13,7 +13,6 @@ WRONG_UNITS = {
     1: ("s", "N", "mm/s", "mm2", "kN"),
     2: ("mm", "s", "MPa", "N/mm", "J", "mm/mm"),
 }
-OTHER = {".": ",", ",": "."}
 
 
 def _with_unit(seed: Seed, channel: int, new: str | None) -> list[str]:
@@ -68,7 +67,7 @@ def conflict(seed: Seed, rng: Random) -> Mutant | None:
 
 
 def _marked(
-    kind: str, seed: Seed, rng: Random, change: Callable[[str], str | None], *, few: bool, column: bool = True
+    kind: str, seed: Seed, rng: Random, change: Callable[[str], str], *, few: bool, column: bool = True
 ) -> Mutant | None:
     """Cells of one column, a few or all, changed where ``change`` finds something to change."""
     lines, k = list(seed.lines), rng.choice(seed.intent.channels)
@@ -80,8 +79,9 @@ def _marked(
         cells = split_cells(lines[at], seed.intent.delimiter)
         for place in (k,) if column else seed.intent.channels:
             quote = '"' if cells[place].startswith('"') else ""
-            new = change(cells[place].strip('"'))
-            if new is not None:
+            bare = cells[place].strip('"')
+            new = change(bare)
+            if new != bare:
                 cells[place] = quote + new + quote
                 changed += 1
         lines[at] = seed.intent.delimiter.join(cells)
@@ -92,21 +92,16 @@ def _marked(
 
 def mark_changed(seed: Seed, rng: Random) -> Mutant | None:
     point = seed.intent.decimal
-    new = rng.choice((OTHER[point],) * 4 + (":", "'", " ", "_", "\u00b7", "..", ",,", ".,", ",.", "\u066b"))
-
-    def change(cell: str) -> str | None:
-        return cell.replace(point, new) if point in cell else None
-
+    others = (":", "'", " ", "_", "\u00b7", "..", ",,", ".,", ",.", "\u066b")
+    new = rng.choice((OTHER_MARK[point],) * 4 + others)
     few = rng.random() < 0.7
     kind = f"decimal mark changed, {'few cells' if few else 'a column'}"
-    return _marked(kind, seed, rng, change, few=few)
+    return _marked(kind, seed, rng, lambda cell: cell.replace(point, new), few=few)
 
 
 def mark_lost(seed: Seed, rng: Random) -> Mutant | None:
-    point = seed.intent.decimal
-
-    def change(cell: str) -> str | None:
-        return cell.replace(point, "") if point in cell and len(cell) > 3 else None
+    def change(cell: str) -> str:
+        return cell.replace(seed.intent.decimal, "") if len(cell) > 3 else cell
 
     how = rng.choice(("few cells", "few cells", "a column", "all columns"))
     few = how == "few cells"
@@ -116,9 +111,9 @@ def mark_lost(seed: Seed, rng: Random) -> Mutant | None:
 def mark_doubled(seed: Seed, rng: Random) -> Mutant | None:
     point = seed.intent.decimal
 
-    def change(cell: str) -> str | None:
+    def change(cell: str) -> str:
         at = rng.randrange(len(cell) + 1)
-        return cell[:at] + point + cell[at:] if point in cell else None
+        return cell[:at] + point + cell[at:] if point in cell else cell
 
     return _marked("a second decimal mark", seed, rng, change, few=True)
 
@@ -126,9 +121,9 @@ def mark_doubled(seed: Seed, rng: Random) -> Mutant | None:
 def group_misplaced(seed: Seed, rng: Random) -> Mutant | None:
     """A separator of thousands where there are no thousands, or two kinds of it in one number."""
     point = seed.intent.decimal
-    mark = seed.intent.thousands or rng.choice((OTHER[point], "'", " ", "\u00a0"))
+    mark = seed.intent.thousands or rng.choice((OTHER_MARK[point], "'", " ", "\u00a0"))
 
-    def change(cell: str) -> str | None:
+    def change(cell: str) -> str:
         bare = cell.replace(mark, "")
         whole = bare.partition(point)[0]
         start = len(whole) - len(whole.lstrip("+-"))
@@ -137,7 +132,7 @@ def group_misplaced(seed: Seed, rng: Random) -> Mutant | None:
         if not mark.strip():
             places = [i for i in places if start < i < len(bare) or (i == start > 0)]  # else it is padding
         if not places:
-            return None
+            return cell
         at = rng.choice(places)
         return bare[:at] + mark + bare[at:]
 
@@ -149,22 +144,19 @@ def group_mixed(seed: Seed, rng: Random) -> Mutant | None:
     mark = seed.intent.thousands
     if not mark:
         return None
-    new = rng.choice([m for m in (OTHER[seed.intent.decimal], "'", " ") if m != mark.replace("\u00a0", " ")])
-
-    def change(cell: str) -> str | None:
-        return cell.replace(mark, new) if mark in cell else None
-
-    return _marked("two kinds of thousands mark", seed, rng, change, few=True)
+    others = (OTHER_MARK[seed.intent.decimal], "'", " ")
+    new = rng.choice([m for m in others if m != mark.replace("\u00a0", " ")])
+    return _marked("two kinds of thousands mark", seed, rng, lambda cell: cell.replace(mark, new), few=True)
 
 
 def group_without_decimals(seed: Seed, rng: Random) -> Mutant | None:
     """Grouped, and the decimals gone: a thousand or a decimal number."""
     point = seed.intent.decimal
-    mark = seed.intent.thousands or OTHER[point]
+    mark = seed.intent.thousands or OTHER_MARK[point]
 
-    def change(cell: str) -> str | None:
+    def change(cell: str) -> str:
         whole = cell.partition(point)[0].replace(mark, "")
-        return f"{whole[:-3]}{mark}{whole[-3:]}" if len(whole.lstrip("+-")) == 4 else None
+        return f"{whole[:-3]}{mark}{whole[-3:]}" if len(whole.lstrip("+-")) == 4 else cell
 
     return _marked("grouped without decimals", seed, rng, change, few=True)
 

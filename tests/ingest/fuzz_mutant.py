@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import random
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
@@ -41,25 +40,6 @@ class Mutant:
 
 #: kind -> what makes a mutant of a seed, or ``None`` where the seed has nothing to change.
 Mutation = Callable[[Seed, Random], "Mutant | None"]
-
-
-@dataclass
-class Tally:
-    """Outcomes of one class, by kind."""
-
-    outcomes: Counter[tuple[str, Outcome]] = field(default_factory=Counter)
-    bugs: list[str] = field(default_factory=list)
-
-    def count(self, outcome: Outcome | None = None) -> int:
-        return sum(n for (_, found), n in self.outcomes.items() if outcome in (None, found))
-
-    def table(self) -> str:
-        kinds = sorted({kind for kind, _ in self.outcomes})
-        rows = [f"    {'kind':<36}{'read':>7}{'flagged':>9}{'refused':>9}"]
-        for kind in kinds:
-            read, flagged, refused = (self.outcomes[kind, o] for o in ("read", "flagged", "refused"))
-            rows.append(f"    {kind:<36}{read:>7}{flagged:>9}{refused:>9}")
-        return "\n".join(rows)
 
 
 class WrongError(AssertionError):
@@ -108,15 +88,20 @@ def judge(mutant: Mutant, item: Trial | InputError, usual: frozenset[tuple[str, 
         if not unusual & DOUBTS:
             raise WrongError("read without a doubt")
         return "flagged"
-    expected = _expected(mutant, item)
-    channels = (item.time_s.tolist(), item.displacement_mm.tolist(), item.force_N.tolist())
+    compare(item, _expected(mutant, item))
+    return "flagged" if unusual else "read"
+
+
+def compare(trial: Trial, expected: Sequence[tuple[float, float, float]]) -> None:
+    """Raise :class:`WrongError` where a recording has other rows."""
+    channels = (trial.time_s.tolist(), trial.displacement_mm.tolist(), trial.force_N.tolist())
     got = list(zip(*channels, strict=True))
     if len(got) != len(expected):
-        raise WrongError(f"{len(got)} rows read, {len(expected)} are there (flags: {sorted(unusual)})")
+        said = sorted({flag.code for flag in trial.flags})
+        raise WrongError(f"{len(got)} rows read, {len(expected)} are there (flags: {said})")
     for i, (read, meant) in enumerate(zip(got, expected, strict=True)):
         if any(abs(a - b) > RELATIVE * abs(b) for a, b in zip(read, meant, strict=True)):
             raise WrongError(f"row {i} was read as {read}, it is {meant}")
-    return "flagged" if unusual else "read"
 
 
 def _expected(mutant: Mutant, trial: Trial) -> list[tuple[float, float, float]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fuzz_seeds import FACTORS, Intent
+from fuzz_seeds import FACTORS, OTHER_MARK, Intent, split_cells
 
 DIGITS = frozenset("0123456789")
 #: Separators of thousands besides the mark that is not the decimal one; before a decimal mark, a number
@@ -31,87 +31,38 @@ class Reading:
     odd: tuple[int, ...]
 
 
-def _digits(text: str, at: int) -> int:
-    while at < len(text) and text[at] in DIGITS:
-        at += 1
-    return at
-
-
-def _whole_part(text: str, marks: str) -> tuple[str, int, bool] | None:
-    """The digits before the decimal mark, where they end, and whether they are grouped."""
-    end = _digits(text, 0)
-    whole = text[:end]
-    if end == len(text) or text[end] not in marks:
-        return whole, end, False
-    mark, at = text[end], end
-    if not 1 <= len(whole) <= 3 or whole[0] == "0":
-        return None
-    while at < len(text) and text[at] == mark:
-        group = text[at + 1 : at + 4]
-        if len(group) != 3 or not set(group) <= DIGITS:
-            return None
-        whole += group
-        at += 4
-    return whole, at, True
-
-
 def number(cell: str, intent: Intent) -> float | None:
     """The value of a cell by the grammar of the dialect, or ``None``."""
-    text = cell.strip(" \t")
-    sign = ""
-    if text[:1] in ("+", "-") and text:
-        sign, text = text[0], text[1:]
-    whole_part = _whole_part(text, SPACES + ("," if intent.decimal == "." else "."))
-    if whole_part is None:
-        return None
-    whole, at, grouped = whole_part
-    fraction = ""
-    marked = text[at : at + 1] == intent.decimal
-    if marked:
-        stop = _digits(text, at + 1)
-        fraction, at = text[at + 1 : stop], stop
-    if not (whole or fraction) or (grouped and not marked):
-        return None
-    power = ""
-    if text[at : at + 1] in ("e", "E") and at < len(text):
-        begin = at + 2 if text[at + 1 : at + 2] in ("+", "-") else at + 1
-        stop = _digits(text, begin)
-        if stop == begin:
+    whole, point, rest = cell.strip(" \t").partition(intent.decimal)
+    marks = [mark for mark in SPACES + OTHER_MARK[intent.decimal] if mark in whole]
+    if marks:
+        sign = whole[:1] if whole[:1] in {"+", "-"} else ""
+        first, *others = whole.removeprefix(sign).split(marks[0])
+        sound = 1 <= len(first) <= 3 and first[0] != "0" and all(len(group) == 3 for group in others)
+        if not (point and sound and set(first).union(*others) <= DIGITS):
             return None
-        power, at = text[at + 1 : stop], stop
-    if at != len(text):
+        whole = sign + first + "".join(others)
+    plain = f"{whole}.{rest}" if point else whole
+    if not set(plain) <= DIGITS | set("+-.eE"):
         return None
-    value = float(f"{sign}{whole or '0'}.{fraction or '0'}e{power or '0'}")
+    try:
+        value = float(plain)
+    except ValueError:
+        return None
     return value if abs(value) < float("inf") else None
 
 
 def cells_of(line: str, delimiter: str) -> list[str] | None:
     """Cells without their quotes, ``None`` where a quote is torn."""
-    cells, at = [], 0
-    while True:
-        if line[at : at + 1] == '"':
-            text, at = "", at + 1
-            while True:
-                close = line.find('"', at)
-                if close < 0:
-                    return None
-                text += line[at:close]
-                if line[close + 1 : close + 2] != '"':
-                    at = close + 1
-                    break
-                text, at = text + '"', close + 2
-        else:
-            stop = line.find(delimiter, at)
-            stop = len(line) if stop < 0 else stop
-            text, at = line[at:stop], stop
-            if '"' in text:
+    cells = []
+    for cell in split_cells(line, delimiter):
+        inner = cell
+        if '"' in cell:
+            inner = cell[1:-1]
+            if len(cell) < 2 or cell[0] + cell[-1] != '""' or '"' in inner.replace('""', ""):
                 return None
-        cells.append(text)
-        if at == len(line):
-            return cells
-        if line[at] != delimiter:
-            return None
-        at += 1
+        cells.append(inner.replace('""', '"'))
+    return cells
 
 
 def read(data: bytes, intent: Intent) -> Reading:

@@ -20,6 +20,8 @@ FACTORS = {
     "mm": 1.0, "um": 1e-3, "m": 1e3, "cm": 10.0, "in": 25.4,
     "N": 1.0, "kN": 1e3, "mN": 1e-3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 0.45359237 * 9.80665,
 }  # fmt: skip
+#: The mark that is not the decimal one.
+OTHER_MARK = {".": ",", ",": "."}
 UNITS_OF = {0: ("s", "sec", "ms", "min"), 1: ("mm", "um", "m", "cm", "in"), 2: ("N", "kN", "mN", "gf", "lbf")}
 
 

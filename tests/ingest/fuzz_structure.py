@@ -196,14 +196,10 @@ def swap_decimal(seed: Seed, rng: Random) -> Mutant:
 
 
 def truncate(seed: Seed, rng: Random) -> Mutant:
+    """Cut at a byte; the last row counts as cut where part of its text is gone."""
     data = seed.data
     near_end = rng.random() < 0.6
     at = rng.randrange(len(data) * 9 // 10, len(data)) if near_end else rng.randrange(1, len(data))
-    return _truncated(seed, data, at)
-
-
-def _truncated(seed: Seed, data: bytes, at: int) -> Mutant:
-    """Cut at a byte; the last row counts as cut where part of its text is gone."""
     kept = data[:at].decode(seed.intent.encoding, errors="replace")
     lines = kept.replace("\r\n", "\n").removesuffix("\r").split("\n")
     index = len(lines) - 1
@@ -245,20 +241,22 @@ def move_block(seed: Seed, rng: Random) -> Mutant:
     return textual("block moved", seed, lines, expect="oracle")
 
 
-def cut_bytes(seed: Seed, rng: Random) -> Mutant:
-    data, size = seed.data, rng.choice((1, 2, 5, 20, 60, 400))
-    at = rng.randrange(len(data) - 1)
+def _stretch(seed: Seed, rng: Random) -> tuple[int, int]:
+    """A few bytes of a file, most often whole letters."""
+    size, at = rng.choice((1, 2, 5, 20, 60, 400)), rng.randrange(len(seed.data) - 1)
     if seed.intent.encoding == "utf-16" and rng.random() < 0.9:
         at, size = at - at % 2, 2 * size
-    return Mutant("bytes cut out", seed, data[:at] + data[at + size :], seed.intent, "oracle")
+    return at, at + size
+
+
+def cut_bytes(seed: Seed, rng: Random) -> Mutant:
+    start, stop = _stretch(seed, rng)
+    return Mutant("bytes cut out", seed, seed.data[:start] + seed.data[stop:], seed.intent, "oracle")
 
 
 def repeat_bytes(seed: Seed, rng: Random) -> Mutant:
-    data, size = seed.data, rng.choice((1, 2, 5, 20, 60, 400))
-    at = rng.randrange(len(data) - 1)
-    if seed.intent.encoding == "utf-16" and rng.random() < 0.9:
-        at, size = at - at % 2, 2 * size
-    return Mutant("bytes repeated", seed, data[: at + size] + data[at:], seed.intent, "oracle")
+    start, stop = _stretch(seed, rng)
+    return Mutant("bytes repeated", seed, seed.data[:stop] + seed.data[start:], seed.intent, "oracle")
 
 
 def splice(seed: Seed, rng: Random) -> Mutant:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import openpyxl
-from fuzz_mutant import DOUBTS, RELATIVE, Outcome, Random, WrongError
+from fuzz_mutant import DOUBTS, Outcome, Random, WrongError, compare
 from fuzz_seeds import FACTORS, UNITS_OF
 
 from tissueid.errors import InputError
@@ -156,9 +156,8 @@ WORKBOOK_MUTATIONS: dict[str, tuple[Callable[[Random], WorkbookMutant], ...]] = 
 }
 
 
-def judge_workbook(mutant: WorkbookMutant, items: list[Trial | InputError]) -> Outcome:
+def judge_workbook(mutant: WorkbookMutant, item: Trial | InputError) -> Outcome:
     """As for text: equal to what is meant, or refused; a lost row is told."""
-    (item,) = items
     if isinstance(item, InputError):
         return "refused"
     codes = {flag.code for flag in item.flags}
@@ -168,11 +167,5 @@ def judge_workbook(mutant: WorkbookMutant, items: list[Trial | InputError]) -> O
         return "flagged"
     if mutant.odd and not codes & {"rows_skipped", "cut_row"}:
         raise WrongError("a row that is none was passed over")
-    channels = (item.time_s.tolist(), item.displacement_mm.tolist(), item.force_N.tolist())
-    got = list(zip(*channels, strict=True))
-    if len(got) != len(mutant.rows):
-        raise WrongError(f"{len(got)} rows read, {len(mutant.rows)} are there ({sorted(codes)})")
-    for read, meant in zip(got, mutant.rows, strict=True):
-        if any(abs(a - b) > RELATIVE * abs(b) for a, b in zip(read, meant, strict=True)):
-            raise WrongError(f"read as {read}, it is {meant}")
+    compare(item, mutant.rows)
     return "flagged" if codes else "read"

@@ -14,6 +14,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ingest_files import zipped
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 HEAD = b"Time,Extension,Load\n(s),(mm),(N)\n"
 MEBI = 1 << 20
@@ -101,14 +103,6 @@ def xlsx(cells: str, *, before: str = "", more: dict[str, bytes] | None = None) 
         "xl/worksheets/sheet1.xml": sheet,
     }
     return zipped(parts | (more or {}))
-
-
-def zipped(parts: dict[str, bytes | str]) -> bytes:
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in parts.items():
-            archive.writestr(name, content)
-    return out.getvalue()
 
 
 def row(number: int, *values: float) -> str:

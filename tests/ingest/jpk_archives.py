@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -95,12 +93,3 @@ class Curve:
             found[f"{segment}channels/measuredHeight.dat"] = height.astype(">i8").tobytes()
             found[f"{segment}channels/vDeflection.dat"] = force.astype(">i4").tobytes()
         return found
-
-
-def zipped(files: Mapping[str, bytes]) -> bytes:
-    """A zip archive."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return stream.getvalue()

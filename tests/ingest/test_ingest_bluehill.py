@@ -145,15 +145,6 @@ def test_whole_lines_quoted_by_a_spreadsheet(tmp_path):
     assert_reads(write(tmp_path, text), rows)
 
 
-def test_units_are_converted_once(tmp_path):
-    text = "Time,Extension,Load\r\n(min),(in),(lbf)\r\n0.00,0.00,0.00\r\n0.50,1.00,2.00\r\n"
-    trial = read(write(tmp_path, text))
-    assert trial.time_s[1] == 30.0
-    assert trial.displacement_mm[1] == 25.4  # by definition of the inch
-    # by definition of pound and standard gravity; two roundings
-    assert trial.force_N[1] == pytest.approx(2 * 0.45359237 * 9.80665, rel=1e-15)
-
-
 def test_header_gives_protocol_specimen_and_metadata(tmp_path):
     folder = tmp_path / "meat.is_trelax_RawData"
     folder.mkdir()

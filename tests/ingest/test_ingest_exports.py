@@ -5,15 +5,14 @@ The writer shares nothing with the reader; the numbers expected are rounded here
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_files import put, read, refusal
+from ingest_files import put, read, refusal, zipped
 
 from tissueid.errors import InputError
-from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
+from tissueid.ingest import find_inputs, read_each, read_one, read_trials
 from tissueid.synth import DIALECTS, EXPORTS, SyntheticLog
 from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
 from tissueid.trial import Trial
@@ -251,10 +250,8 @@ def test_mach1_rows_may_end_in_a_tab_and_blocks_may_be_empty(tmp_path: Path) -> 
 
 
 def test_a_folder_in_an_archive_says_the_kind_of_test(tmp_path: Path) -> None:
-    path = tmp_path / "synthetic.zip"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("meat.is_trelax_RawData/Specimen_RawData_1.csv", EXPORTS["bare"].write(log_of(20)))
-    trial = read(path)
+    parts = {"meat.is_trelax_RawData/Specimen_RawData_1.csv": EXPORTS["bare"].write(log_of(20))}
+    trial = read(put(tmp_path / "synthetic.zip", zipped(parts)))
     assert (trial.protocol.kind, trial.protocol.speed_mm_s) == ("trelax", SPEED_MM_S)
 
 
@@ -275,15 +272,11 @@ def test_shimadzu_refusals_point_at_the_column_of_the_file(tmp_path: Path) -> No
 def test_a_zip_archive_of_several_exports_gives_their_trials_and_refusals(tmp_path: Path) -> None:
     log = log_of(40)
     names = ("semicolon", "mach-1", "shimadzu", "testxpert-workbook", "utf-16")
-    path = tmp_path / "synthetic.zip"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in names:
-            archive.writestr(f"folder/{name}{EXPORTS[name].suffix}", EXPORTS[name].write(log))
-        archive.writestr("folder/readme.txt", "no table")
-        archive.writestr("folder/.hidden.csv", EXPORTS["bare"].write(log))
-        archive.writestr(
-            "folder/damaged.csv", EXPORTS["bare"].write(log).replace(b"993.25000", b"99.325.000")
-        )
+    bare = EXPORTS["bare"].write(log)
+    parts = {f"folder/{name}{EXPORTS[name].suffix}": EXPORTS[name].write(log) for name in names}
+    parts |= {"folder/readme.txt": b"no table", "folder/.hidden.csv": bare}
+    parts["folder/damaged.csv"] = bare.replace(b"993.25000", b"99.325.000")
+    path = put(tmp_path / "synthetic.zip", zipped(parts))
     items = list(read_each(path))
     sheets = [item.sheet if isinstance(item, InputError) else item.source.sheet for item in items]
     assert sheets == [
@@ -302,15 +295,9 @@ def test_a_zip_archive_of_several_exports_gives_their_trials_and_refusals(tmp_pa
 
 
 def test_archives_in_archives_and_empty_ones_are_refused(tmp_path: Path) -> None:
-    inner = tmp_path / "inner.zip"
-    with zipfile.ZipFile(inner, "w") as archive:
-        archive.writestr("a.csv", EXPORTS["bare"].write(log_of(10)))
+    inner = zipped({"a.csv": EXPORTS["bare"].write(log_of(10))})
     for name, code in (("nested.csv", "unreadable_archive"), ("photo.png", "no_recording")):
-        path = tmp_path / "outer.zip"
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr(name, inner.read_bytes())
-        error = refusal(path)
-        assert error.code == code
+        assert refusal(put(tmp_path / "outer.zip", zipped({name: inner}))).code == code
 
 
 def test_workbooks_of_several_tests_read_sheet_by_sheet(tmp_path: Path) -> None:
@@ -348,12 +335,5 @@ def test_a_folder_takes_every_kind_of_export_once(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(EXPORTS[export].write(log))
     (tmp_path / "notes.txt").write_text("prose")
     (tmp_path / "blob.dat").write_bytes(bytes(range(256)))
-    with zipfile.ZipFile(tmp_path / "backup.zip", "w") as archive:
-        archive.write(tmp_path / "a.csv", "a.csv")
+    put(tmp_path / "backup.zip", zipped({"a.csv": (tmp_path / "a.csv").read_bytes()}))
     assert [path.name for path in find_inputs([tmp_path])] == sorted(wanted)
-
-
-def test_a_user_who_names_the_recipe_gets_it(tmp_path: Path) -> None:
-    path = put(tmp_path / "synthetic.csv", EXPORTS["bare"].write(log_of(40)))
-    trial = read(path, ReadOptions(recipe="columns"))
-    assert trial.source.recipe == "columns"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from random import Random
 
 import pytest
 from fuzz_marks import MARKS
-from fuzz_mutant import Mutant, Mutation, Tally, judge, original, remarks
+from fuzz_mutant import Mutant, Mutation, Outcome, judge, original, remarks
 from fuzz_seeds import seeds
 from fuzz_structure import STRUCTURE
 from fuzz_values import VALUES
@@ -17,9 +19,10 @@ from ingest_files import put
 
 from tissueid.errors import InputError
 from tissueid.ingest import read_each
+from tissueid.trial import Trial
 
+#: Of structure, of values, of units and marks.
 CLASSES: dict[str, tuple[Mutation, ...]] = {"a": STRUCTURE, "b": VALUES, "c": MARKS}
-NAMES = {"a": "structure", "b": "values", "c": "units and marks"}
 #: Mutants of each class: 500 by default, 20,000 in all with the slow run; and of workbooks.
 SHORT = {"a": 200, "b": 150, "c": 150}
 LONG = {"a": 8000, "b": 6000, "c": 6000}
@@ -52,57 +55,47 @@ def usual_flags(folder: Path) -> dict[str, frozenset[tuple[str, str]]]:
     return usual
 
 
-def run(letter: str, count: int, folder: Path) -> Tally:
-    """Judge the mutants of one class."""
-    usual, tally = usual_flags(folder), Tally()
+#: A mutant's kind, suffix and bytes, and the judge of what was read.
+Case = tuple[str, str, bytes, Callable[[Trial | InputError], Outcome]]
+
+
+def texts(letter: str, count: int, folder: Path) -> Iterator[Case]:
+    usual = usual_flags(folder)
     for index in range(count):
         mutant = make(letter, index)
-        path = put(folder / f"mutant{mutant.seed.suffix}", mutant.data)
-        try:
-            (item,) = read_each(path)
-            outcome = judge(mutant, item, usual[mutant.seed.name])
-        except Exception as error:  # noqa: BLE001 - a traceback is looked for as well
-            what = f"{letter}-{index} {mutant.kind} of {mutant.seed.name!r}"
-            tally.bugs.append(f"{what}: {type(error).__name__}: {error}")
-        else:
-            tally.outcomes[mutant.kind, outcome] += 1
-    return tally
+        kind = f"{mutant.kind} of {mutant.seed.name!r}"
+        judged = partial(judge, mutant, usual=usual[mutant.seed.name])
+        yield kind, mutant.seed.suffix, mutant.data, judged
 
 
-def run_workbooks(letter: str, count: int, folder: Path) -> Tally:
-    """Judge workbook mutants of one class."""
-    tally, path = Tally(), folder / "mutant.xlsx"
+def workbooks(letter: str, count: int, _folder: Path) -> Iterator[Case]:
     for index in range(count):
         rng = Random(f"workbook-{letter}-{index}")
         mutant = rng.choice(WORKBOOK_MUTATIONS[letter])(rng)
-        path.write_bytes(mutant.data)
-        try:
-            outcome = judge_workbook(mutant, list(read_each(path)))
-        except Exception as error:  # noqa: BLE001 - a traceback is what is looked for
-            tally.bugs.append(f"{letter}-{index} {mutant.kind}: {type(error).__name__}: {error}")
-        else:
-            tally.outcomes[mutant.kind, outcome] += 1
-    return tally
+        yield mutant.kind, ".xlsx", mutant.data, partial(judge_workbook, mutant)
 
 
 @pytest.mark.parametrize("letter", CLASSES)
 @pytest.mark.parametrize(
-    ("judged", "counts"),
+    ("cases", "counts"),
     [
-        pytest.param(run, SHORT, id="texts"),
-        pytest.param(run_workbooks, SHORT_WORKBOOKS, id="workbooks"),
-        pytest.param(run, LONG, id="many texts", marks=pytest.mark.slow),
-        pytest.param(run_workbooks, LONG_WORKBOOKS, id="many workbooks", marks=pytest.mark.slow),
+        pytest.param(texts, SHORT, id="texts"),
+        pytest.param(workbooks, SHORT_WORKBOOKS, id="workbooks"),
+        pytest.param(texts, LONG, id="many texts", marks=pytest.mark.slow),
+        pytest.param(workbooks, LONG_WORKBOOKS, id="many workbooks", marks=pytest.mark.slow),
     ],
 )
 def test_mutants_are_read_right_or_refused(
-    judged: Callable[[str, int, Path], Tally], counts: dict[str, int], letter: str, tmp_path: Path
+    cases: Callable[[str, int, Path], Iterator[Case]], counts: dict[str, int], letter: str, tmp_path: Path
 ) -> None:
-    count = counts[letter]
-    tally = judged(letter, count, tmp_path)
-    read, flagged, refused = (tally.count(o) for o in ("read", "flagged", "refused"))
-    told = f"{count} mutants, {read} read, {flagged} flagged, {refused} refused"
-    print(f"\nclass ({letter}) {NAMES[letter]}: {told}\n{tally.table()}")  # noqa: T201
-    assert not tally.bugs, "\n".join(tally.bugs[:40])
-    assert read + flagged >= LEAST_READ * count
-    assert refused >= LEAST_REFUSED[letter] * count
+    count, bugs, outcomes = counts[letter], [], Counter()
+    for index, (kind, suffix, data, judged) in enumerate(cases(letter, count, tmp_path)):
+        path = put(tmp_path / f"mutant{suffix}", data)
+        try:
+            (item,) = read_each(path)
+            outcomes[judged(item)] += 1
+        except Exception as error:  # noqa: BLE001 - a traceback is looked for as well
+            bugs.append(f"{letter}-{index} {kind}: {type(error).__name__}: {error}")
+    assert not bugs, "\n".join(bugs[:40])
+    assert outcomes["read"] + outcomes["flagged"] >= LEAST_READ * count
+    assert outcomes["refused"] >= LEAST_REFUSED[letter] * count

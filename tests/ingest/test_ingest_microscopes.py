@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_files import put, read, refusal
-from jpk_archives import SHARED, STIFFNESS_N_PER_M, Curve, zipped
+from ingest_files import put, read, refusal, zipped
+from jpk_archives import SHARED, STIFFNESS_N_PER_M, Curve
 
 from tissueid.ingest import find_inputs, read_trials
 from tissueid.segment import segment

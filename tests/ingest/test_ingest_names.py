@@ -42,36 +42,26 @@ def written(path: Path, head: str, rows: str = ROWS) -> Path:
         ("Temps (s),Course_Traverse (mm),Effort (N)", (1, 1)),
         ("Temps (s),Déplacement de la traverse (mm),Force (N)", (1, 1)),
         ("Temps (s),Position traverse (mm),Charge (N)", (1, 1)),
+        ("Čas (s),Posunutí (mm),Síla (N)", (1, 1)),
+        ("Tijd (s),Verplaatsing (mm),Kracht (N)", (1, 1)),
+        ("Tid (s),Förskjutning (mm),Kraft (N)", (1, 1)),
+        ("Tid (s),Forskydning (mm),Belastning (N)", (1, 1)),
+        ("Zaman (s),Uzama (mm),Kuvvet (N)", (1, 1)),
+        ("시간(초),변위(mm),하중(N)", (1, 1)),
+        ("Время (с),Перемещение (мм),Нагрузка (Н)", (1, 1)),
+        ("Time_S,Displacement_mm,Force_N", (1, 1)),
+        ("Time (s),Deformation (mm),Loadcell (N)", (1, 1)),
+        ("time_s,pos_z_mm,fz_N", (1, 1)),
     ],
 )
-def test_units_glued_to_a_name_and_french_crossheads_are_read(
+def test_names_with_glued_units_of_french_crossheads_eight_more_languages_and_loggers_are_read(
     tmp_path: Path, head: str, factors: tuple[float, float]
 ) -> None:
     trial = read(written(tmp_path / "a.csv", head))
     assert trial.flags == ()
-    assert trial.displacement_mm[2] == pytest.approx(0.1 * factors[0])
-    assert trial.force_N[2] == pytest.approx(1.5 * factors[1])
-
-
-@pytest.mark.parametrize(
-    "head",
-    [
-        "Čas (s),Posunutí (mm),Síla (N)",
-        "Tijd (s),Verplaatsing (mm),Kracht (N)",
-        "Tid (s),Förskjutning (mm),Kraft (N)",
-        "Tid (s),Forskydning (mm),Belastning (N)",
-        "Zaman (s),Uzama (mm),Kuvvet (N)",
-        "시간(초),변위(mm),하중(N)",
-        "Время (с),Перемещение (мм),Нагрузка (Н)",
-        "Time_S,Displacement_mm,Force_N",
-        "Time (s),Deformation (mm),Loadcell (N)",
-        "time_s,pos_z_mm,fz_N",
-    ],
-)
-def test_names_of_eight_more_languages_and_of_loggers_are_read(tmp_path: Path, head: str) -> None:
-    trial = read(written(tmp_path / "a.csv", head))
-    assert trial.flags == ()
-    assert (trial.displacement_mm[2], trial.force_N[2]) == (0.1, 1.5)
+    # parse, factor, product: a rounding each
+    found = (trial.displacement_mm[2], trial.force_N[2])
+    assert found == pytest.approx((0.1 * factors[0], 1.5 * factors[1]), rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -243,22 +233,15 @@ def test_a_stated_load_limit_is_read(tmp_path: Path, line: str, limit_N: float |
         ("Statistik", "summary"), ("Statistiques", "summary"), ("Estadísticas", "summary"),
         ("Riepilogo", "summary"),
         ("Results 1", "summary"), ("1: Find Contact", "search"), ("archive/a.txt::2: Find Contact", "search"),
+        ("230403-FF1A", None), ("2: Stress Relaxation", None), ("Mean cow 3", None), ("Typ A", None),
+        ("Probe 1", None), ("Resultant", None), (None, None),
     ],
 )  # fmt: skip
-def test_names_of_no_specimens_in_the_exporters_language(sheet: str, kind: str) -> None:
+def test_names_of_no_specimens_in_the_exporters_language(sheet: str | None, kind: str | None) -> None:
     flag = no_specimen("lab/meat.xlsx", sheet)
-    assert flag.values["kind"] == kind
-
-
-@pytest.mark.parametrize(
-    "sheet", ["230403-FF1A", "2: Stress Relaxation", "Mean cow 3", "Typ A", "Probe 1", "Resultant", None]
-)
-def test_other_names_are_specimens(sheet: str | None) -> None:
-    assert no_specimen("lab/meat.xlsx", sheet) is None
-
-
-def test_files_are_named_so_too_but_not_by_words_of_anything() -> None:
-    assert no_specimen("lab/Mean.csv", None) is not None
+    assert (None if flag is None else flag.values["kind"]) == kind
+    # files are named so too, but not by words of anything
+    assert no_specimen("lab/Mean.csv", sheet) is not None
     assert no_specimen("lab/media.csv", None) is None
 
 

@@ -26,6 +26,13 @@ def flags_of(recording: Recording) -> dict[str, Flag]:
     return {flag.code: flag for flag in quality_flags(*recording.channels())}
 
 
+def pushed(time: np.ndarray, seed: int, *, speed: float = 1.0) -> Recording:
+    """Into 4 mm of a tissue of 10 N/mm, with noise of 0.1 N and 0.1 um."""
+    rng = np.random.default_rng(seed)
+    x = np.minimum(speed * time, 4.0) + rng.normal(0.0, 1e-4, time.size)
+    return Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), 0.0)
+
+
 def only(recording: Recording, code: str) -> Flag:
     """The flag of that code; no other may be there."""
     found = flags_of(recording)
@@ -83,11 +90,7 @@ def test_gaps_of_19_to_26_seconds_are_told_though_intervals_run_from_1_ms_to_26_
         parts.append(parts[-1][-1] + pause + np.arange(0.0, 30.0, 0.5))
     time = np.concatenate(parts)
     time = np.sort(np.append(time, time[199] + 0.001))
-    rng = np.random.default_rng(1)
-    x = np.minimum(time * 0.2, 4.0) + rng.normal(0.0, 1e-4, time.size)
-    found = flags_of(
-        Recording(time, x, 10.0 * x + 5.0 * np.exp(-time / 30.0) + rng.normal(0, 0.05, time.size), 10)
-    )
+    found = flags_of(pushed(time, 1, speed=0.2))
     assert found["gap"].values["count"] == 3
     assert found["gap"].values["longest_s"] == pytest.approx(26.0)
     assert found["event_rows"].values["least_interval_s"] == pytest.approx(0.001)
@@ -97,26 +100,19 @@ def test_gaps_of_19_to_26_seconds_are_told_though_intervals_run_from_1_ms_to_26_
 def test_another_sampling_in_the_hold_is_neither_gap_nor_event(rates: tuple[float, float]) -> None:
     ramp = np.arange(int(4.0 * rates[0])) / rates[0]
     hold = ramp[-1] + 1.0 / rates[0] + np.arange(int(60.0 * rates[1])) / rates[1]
-    time = np.concatenate([ramp, hold])
-    rng = np.random.default_rng(2)
-    x = np.minimum(time, 4.0) + rng.normal(0.0, 1e-4, time.size)
-    assert flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), rates[0])) == {}
+    assert flags_of(pushed(np.concatenate([ramp, hold]), 2)) == {}
 
 
 def test_a_gap_in_a_slow_hold_after_a_fast_ramp_is_seen() -> None:
     time = np.concatenate([np.arange(0.0, 2.0, 0.001), 2.0 + np.arange(60.0), 81.0 + np.arange(40.0)])
-    rng = np.random.default_rng(3)
-    x = np.minimum(2.0 * time, 4.0) + rng.normal(0.0, 1e-4, time.size)
-    gap = flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), 1000.0))["gap"]
+    gap = flags_of(pushed(time, 3, speed=2.0))["gap"]
     assert gap.values["longest_s"] == pytest.approx(20.0)
     assert gap.values["usual_interval_s"] == pytest.approx(1.0)
 
 
 def test_bursts_with_pauses_are_a_way_of_sampling() -> None:
     time = (np.arange(200)[:, None] + np.arange(8) * 0.001).ravel()
-    rng = np.random.default_rng(4)
-    x = np.minimum(time * 0.05, 4.0) + rng.normal(0.0, 1e-4, time.size)
-    assert "gap" not in flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), 1000.0))
+    assert "gap" not in flags_of(pushed(time, 4, speed=0.05))
 
 
 def test_repeated_times_and_event_rows_are_counted() -> None:
@@ -293,11 +289,7 @@ def test_a_commanded_displacement_tells_its_corners(repeat: int) -> None:
     # 250 mm/min
     assert values["speed_change_mm_s"] == pytest.approx(8.0 / 1.92, rel=1e-3)
     assert values["last_digit_mm"] == 1e-5
-
-
-def test_a_computed_force_without_noise_is_no_measurement_to_doubt() -> None:
-    time = np.arange(1500) * 0.01
-    x = np.interp(time, [0.0, 4.0, 15.0], [0.0, 8.0, 8.0])
+    # a computed force without noise is no measurement to doubt
     assert "commanded_displacement" not in flags_of(Recording(time, x, 10.0 * x, 100.0))
 
 

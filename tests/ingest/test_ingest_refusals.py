@@ -88,15 +88,8 @@ def test_missing_paths_and_empty_directories(tmp_path):
 
 
 def test_directories_in_natural_order_without_hidden_files_and_own_output(tmp_path):
-    for name in (
-        "log_10.csv",
-        "log_2.CSV",
-        ".hidden.csv",
-        "~$log.xlsx",
-        "sub/log_1.txt",
-        "out/log_3.csv",
-        "x.md",
-    ):
+    hidden = (".hidden.csv", "~$log.xlsx", "out/log_3.csv")
+    for name in ("log_10.csv", "log_2.CSV", *hidden, "sub/log_1.txt", "x.md"):
         file = tmp_path / name
         file.parent.mkdir(exist_ok=True)
         file.write_text(GOOD)

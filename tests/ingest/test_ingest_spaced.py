@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_files import refusal, workbook
+from ingest_files import put, refusal, workbook, zipped
 
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_trials
@@ -173,9 +172,8 @@ def test_a_labview_measurement_is_read_with_its_names(tmp_path: Path) -> None:
     assert trial.time_s == pytest.approx(TIME, abs=1e-9)
     assert trial.source.columns["force"] == "Force (N)"
     # an archive holds what a folder may hold
-    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
-        archive.write(tmp_path / "a.lvm", "day one/a.lvm")
-    (packed,) = read_trials(tmp_path / "b.zip")
+    packed = {"day one/a.lvm": (tmp_path / "a.lvm").read_bytes()}
+    (packed,) = read_trials(put(tmp_path / "b.zip", zipped(packed)))
     np.testing.assert_array_equal(packed.force_N, trial.force_N)
 
 

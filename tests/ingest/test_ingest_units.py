@@ -47,7 +47,8 @@ def test_units_are_read_however_they_are_spelled(
     trial = read(put(tmp_path / "a.csv", f"{head}\n{ROWS}"))
     assert trial.flags == ()
     found = (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2])
-    assert found == pytest.approx((0.2 * factors[0], 0.1 * factors[1], 1.5 * factors[2]))
+    # parse, factor, product: a rounding each
+    assert found == pytest.approx((0.2 * factors[0], 0.1 * factors[1], 1.5 * factors[2]), rel=1e-15)
 
 
 @pytest.mark.parametrize("unit", ["G", "MN", "Mn", "NM"])

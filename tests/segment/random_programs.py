@@ -24,7 +24,7 @@ class Segment:
     kind: str
     duration_s: float
     travel_mm: float
-    peak: bool = False  # the loading half of a cycle
+    peak: bool = False  # whether it is the loading half of a cycle
 
 
 @dataclass
@@ -93,9 +93,9 @@ class Program:
         self.depth = -setting.air_mm
         self.segments: list[Segment] = []
 
-    def move(self, to_mm: float, kind: str, speed: float | None = None, *, peak: bool = False) -> None:
+    def move(self, to_mm: float, kind: str, speed: float | None = None) -> None:
         travel = to_mm - self.depth
-        self.segments.append(Segment(kind, abs(travel) / (speed or self.setting.speed_mm_s), travel, peak))
+        self.segments.append(Segment(kind, abs(travel) / (speed or self.setting.speed_mm_s), travel))
         self.depth = to_mm
 
     def stand(self, duration_s: float, kind: str) -> None:
@@ -145,27 +145,31 @@ class Program:
             dwell = 0.03 * (peak - max(bottom, 0.0)) / self.setting.speed_mm_s
             self.truth.features.add("dwell at the turns")
         for _ in range(count):
-            if self.depth < 0.0 and not any(segment.kind == "cycle" for segment in self.segments):
-                self.load(peak, kind="cycle")
-                self.segments[-1].peak = True
-            else:
-                self.move(peak, "cycle", peak=True)
+            self.turn(peak)
             if dwell:
                 self.stand(dwell, "cycle")
             self.move(bottom, "cycle")
             if dwell:
                 self.stand(dwell, "cycle")
 
+    def turn(self, peak_mm: float) -> None:
+        """The loading half of a loop; what of the first one lies in air is approach."""
+        if self.depth < 0.0 and not any(segment.kind == "cycle" for segment in self.segments):
+            self.load(peak_mm, kind="cycle")
+        else:
+            self.move(peak_mm, "cycle")
+        self.segments[-1].peak = True
+
     def sinking_cycles(self) -> None:
         """Loops that turn at one force, a little deeper each time (see :func:`_equal_peaks`)."""
         peak = self.rng.uniform(0.4, 0.7) * self.setting.depth_mm
         for k in range(int(self.rng.integers(3, 6))):
-            if self.depth < 0.0 and k == 0:
-                self.load(peak, kind="cycle")
-                self.segments[-1].peak = True
-            else:
-                self.move(peak * (1.0 + 0.08 * k), "cycle", peak=True)
+            self.turn(peak * (1.0 + 0.08 * k))
             self.move(-self.setting.air_mm, "cycle")
+
+    def leave(self) -> None:
+        """Out of the tissue, not as far as the start."""
+        self.move(-0.9 * self.setting.air_mm, "retract")
 
     def preload(self) -> None:
         """A small ramp and a dwell before the test proper."""
@@ -184,16 +188,12 @@ class Program:
 
     def finish(self) -> None:
         how = self.rng.random()
-        if how < 0.4:
-            return
-        if how < 0.6:
-            self.truth.features.add("retract")
-            self.move(-0.9 * self.setting.air_mm, "retract")
-        elif how < 0.8:
-            self.truth.features.add("retract and rest")
-            self.move(-0.9 * self.setting.air_mm, "retract")
-            self.stand(self.long(), "rest")
-        else:
+        if 0.4 <= how < 0.8:
+            self.truth.features.add("retract" if how < 0.6 else "retract and rest")
+            self.leave()
+            if how >= 0.6:
+                self.stand(self.long(), "rest")
+        elif how >= 0.8:
             self.truth.features.add("partial retract and hold")
             self.move(self.rng.uniform(0.4, 0.7) * self.depth, "retract")
             self.stand(self.long(), "hold")
@@ -207,12 +207,12 @@ def draw(seed: int) -> tuple[Trial, Truth]:
     program.prelude()
     protocol = Protocol(depth_mm=None)
     ruptures: list[float] = []
-    creep = False
     what = rng.choice(
         ["relaxation", "ramp", "cyclic", "preconditioned", "abort", "rupture", "limit", "creep"],
         p=[0.32, 0.1, 0.12, 0.14, 0.1, 0.12, 0.05, 0.05],
     )
     truth.features.add(str(what))
+    truth.aborted, truth.load_limit = what == "abort", what in ("limit", "creep")
     if what == "relaxation":
         if rng.random() < 0.3:
             program.preload()
@@ -221,7 +221,7 @@ def draw(seed: int) -> tuple[Trial, Truth]:
     elif what == "ramp":
         program.load(setting.depth_mm)
         if rng.random() < 0.5:
-            program.move(-0.9 * setting.air_mm, "retract")
+            program.leave()
             truth.features.add("retract")
     elif what == "cyclic":
         program.cycles()
@@ -233,43 +233,33 @@ def draw(seed: int) -> tuple[Trial, Truth]:
         program.steps(int(rng.choice([1, 1, 2])))
         program.finish()
     elif what == "abort":
-        truth.aborted = True
         protocol = Protocol(depth_mm=setting.depth_mm + setting.air_mm, hold_s=10.0)
-        reached = rng.uniform(0.3, 0.85) * setting.depth_mm
-        program.load(reached)
+        program.load(rng.uniform(0.3, 0.85) * setting.depth_mm)
         if rng.random() < 0.5:
-            program.move(-0.9 * setting.air_mm, "retract")
+            program.leave()
             truth.features.add("abort and unload")
     elif what == "rupture":
         program.load(setting.depth_mm)
         shares = np.sort(rng.uniform(0.35, 0.9, int(rng.integers(1, 4))))
-        shares = shares[np.concatenate([[True], np.diff(shares) > 0.12])]
-        ruptures = [float(share) for share in shares]
+        ruptures = shares[np.concatenate([[True], np.diff(shares) > 0.12])].tolist()
         ending = rng.random()
         if ending < 0.4:
             program.stand(program.long(), "hold")
         elif ending < 0.7:
-            program.move(-0.9 * setting.air_mm, "retract")
+            program.leave()
     elif what == "limit":
-        truth.load_limit = True
         program.sinking_cycles()
     else:
-        truth.load_limit = True
-        creep = True
         program.load(setting.depth_mm * 0.8)
         program.stand(rng.uniform(4.0, 10.0) * setting.depth_mm / setting.speed_mm_s, "creep")
-    return _record(rng, program, ruptures, protocol, creep=creep)
+    return _record(program, ruptures, protocol)
 
 
-def _record(
-    rng: np.random.Generator, program: Program, ruptures: list[float], protocol: Protocol, *, creep: bool
-) -> tuple[Trial, Truth]:
-    setting, truth = program.setting, program.truth
-    segments = program.segments
+def _record(program: Program, ruptures: list[float], protocol: Protocol) -> tuple[Trial, Truth]:
+    rng, setting, truth, segments = program.rng, program.setting, program.truth, program.segments
     knots = np.concatenate([[0.0], np.cumsum([segment.duration_s for segment in segments])])
-    levels = np.concatenate([[0.0], np.cumsum([segment.travel_mm for segment in segments])])
     time_s = np.arange(0.0, knots[-1], 1.0 / setting.rate_Hz)
-    travel, spans = _travel(setting, segments, knots, levels, time_s, truth)
+    travel, spans = _travel(program, knots, time_s)
     depth = travel - setting.air_mm
     force = _force(rng, setting, time_s, depth)
     if "limit" in truth.features:
@@ -277,7 +267,7 @@ def _record(
             knots[k] for k in range(1, len(segments)) if segments[k].peak and segments[k - 1].kind == "cycle"
         ]
         force = _equal_peaks(time_s, force, [-1.0, *bottoms, knots[-1] + 1.0])
-    if creep:
+    if "creep" in truth.features:
         held = time_s >= knots[-2]
         since = time_s[held] - knots[-2]
         travel[held] += 0.15 * setting.depth_mm * (1.0 - np.exp(-3.0 * since / (knots[-1] - knots[-2])))
@@ -304,8 +294,8 @@ def _record(
         fallen = np.clip((time_s - time_s[at]) / fall_s, 0.0, 1.0)
         gain *= 1.0 - drop * fallen
     force = force * gain
-    _state_edges(setting, segments, knots, spans, truth)
-    return _log(rng, setting, time_s, travel, force, protocol, truth, knots)
+    _state_edges(program, knots, spans)
+    return _log(program, (time_s, travel, force), protocol, knots)
 
 
 def _equal_peaks(time_s: np.ndarray, force: np.ndarray, bottoms_s: list[float]) -> np.ndarray:
@@ -318,15 +308,10 @@ def _equal_peaks(time_s: np.ndarray, force: np.ndarray, bottoms_s: list[float]) 
     return force
 
 
-def _travel(
-    setting: Setting,
-    segments: list[Segment],
-    knots: np.ndarray,
-    levels: np.ndarray,
-    time_s: np.ndarray,
-    truth: Truth,
-) -> tuple[np.ndarray, np.ndarray]:
+def _travel(program: Program, knots: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Travel at the samples, and how long before and after each knot the corner reaches."""
+    setting, truth, segments = program.setting, program.truth, program.segments
+    levels = np.concatenate([[0.0], np.cumsum([segment.travel_mm for segment in segments])])
     travel = np.interp(time_s, knots, levels)
     speed = np.diff(levels) / np.diff(knots)
     spans = np.zeros((knots.size, 2))
@@ -372,23 +357,19 @@ def _force(rng: np.random.Generator, setting: Setting, time_s: np.ndarray, depth
     return np.maximum(static + stiffness * state, 0.0)
 
 
-def _state_edges(
-    setting: Setting, segments: list[Segment], knots: np.ndarray, spans: np.ndarray, truth: Truth
-) -> None:
+def _state_edges(program: Program, knots: np.ndarray, spans: np.ndarray) -> None:
     """Kinds and edges, cycles taken as loops, neighbouring approaches joined."""
-    slack = 3.0 / setting.rate_Hz
-    loaded = False
+    truth, segments, slack = program.truth, program.segments, 3.0 / program.setting.rate_Hz
     for k, segment in enumerate(segments):
-        starts_loop = segment.kind == "cycle" and segment.peak
         window = (knots[k] - spans[k, 0] - slack, knots[k] + spans[k, 1] + slack)
-        if segment.kind == "cycle" and segment.peak:
+        if segment.peak:
             end = k + 1
             late = knots[end]
             while end < len(segments) and segments[end].travel_mm == 0.0:
                 late = knots[end + 1]
                 end += 1
             truth.peaks.append((knots[k + 1] - spans[k + 1, 0] - slack, late + spans[k + 1, 1] + slack))
-        if segment.kind == "cycle" and not starts_loop:
+        if segment.kind == "cycle" and not segment.peak:
             continue
         if segment.kind == "approach" and truth.kinds and truth.kinds[-1] == "approach":
             continue
@@ -399,20 +380,14 @@ def _state_edges(
             first_contact = at_contact and segments[k - 1].travel_mm > 0.0
             truth.edges.append((np.nan, np.nan) if first_contact else window)
         truth.kinds.append(segment.kind)
-        loaded = loaded or segment.kind in ("ramp", "cycle")
 
 
 def _log(
-    rng: np.random.Generator,
-    setting: Setting,
-    time_s: np.ndarray,
-    travel: np.ndarray,
-    force: np.ndarray,
-    protocol: Protocol,
-    truth: Truth,
-    knots: np.ndarray,
+    program: Program, record: tuple[np.ndarray, ...], protocol: Protocol, knots: np.ndarray
 ) -> tuple[Trial, Truth]:
     """Noise, resolution, event rows, gaps, other sampling in holds, zeros and signs."""
+    rng, setting, truth = program.rng, program.setting, program.truth
+    time_s, travel, _ = record
     order = np.arange(time_s.size)
     if rng.random() < 0.2 and "hold" in truth.kinds:
         speed = np.abs(np.gradient(travel, time_s))
@@ -430,7 +405,7 @@ def _log(
         if all(not lost[0] - 0.5 < t < lost[1] + 0.5 for t in clear):
             order = np.concatenate([order[:first], order[first + size :]])
             truth.features.add("gap")
-    t, x, f = time_s[order], travel[order], force[order]
+    t, x, f = (channel[order] for channel in record)
     x = x + setting.sigma_mm * rng.standard_normal(x.size)
     f = f + setting.sigma_N * rng.standard_normal(f.size)
     if setting.sigma_mm:
@@ -454,8 +429,6 @@ def _log(
         truth.features.add("force spikes")
     sign = float(rng.choice([-1.0, 1.0]))
     force_sign = sign if rng.random() < 0.7 else -sign
-    truth.features |= {"compression negative"} if sign < 0 else set()
-    truth.features |= {"force against travel"} if force_sign != sign else set()
     x = sign * x + rng.uniform(-20.0, 20.0)
     # without air in the record a zero that is off can't be told from a preload
     zero = rng.uniform(-5.0, 5.0)

@@ -44,11 +44,15 @@ def test_preloaded_start_is_extrapolated_back(preload_mm):
     assert np.abs(scores).max() < 3.0
 
 
+def ramp_in_air(sigma_N: float = 0.3, *, seed: int = 12, **changes) -> Trial:
+    """8 mm at 250 mm/min, contact at 1 mm, 100 samples/s."""
+    ramp = (Log("ramp", (Move(8.0, 250.0),)),)
+    settings = {"rate_Hz": 100.0, "sigma_N": sigma_N, "contact_offset_mm": 1.0, **changes}
+    return as_trials(simulate(Recipe("r", ramp, **settings), rng=np.random.default_rng(seed)))[0]
+
+
 def test_contact_frame_is_zero_at_contact():
-    settings = Recipe(
-        "f", (Log("ramp", (Move(8.0, 250.0),)),), sigma_N=0.05, contact_offset_mm=1.0, compression_sign=-1
-    )
-    trial = as_trials(simulate(settings, rng=np.random.default_rng(5)))[0]
+    trial = ramp_in_air(0.05, seed=5, compression_sign=-1, rate_Hz=1000.0)
     # a load cell that is off by 5 N
     trial = replace(trial, force_N=trial.force_N + 5.0)
     found = segment(trial)
@@ -73,8 +77,7 @@ def test_force_that_never_rises_is_no_contact():
 
 
 def test_user_contact_wins():
-    settings = Recipe("u", (Log("ramp", (Move(8.0, 250.0),)),), contact_offset_mm=1.0)
-    trial = as_trials(simulate(settings, rng=np.random.default_rng(7)))[0]
+    trial = ramp_in_air(seed=7)
     options = SegmentOptions(contact_displacement_mm=1.25, contact_sd_mm=0.01)
     contact = segment(trial, options=options).contact
     assert (contact.displacement_mm, contact.sd_mm, contact.in_record) == (1.25, 0.01, True)
@@ -82,8 +85,7 @@ def test_user_contact_wins():
 
 
 def test_scaling_lengths_forces_and_times_scales_the_contact():
-    settings = Recipe("s", (Log("ramp", (Move(8.0, 250.0),)),), rate_Hz=200.0, contact_offset_mm=1.0)
-    trial = as_trials(simulate(settings, rng=np.random.default_rng(8)))[0]
+    trial = ramp_in_air(seed=8, rate_Hz=200.0)
     plain = segment(trial).contact
     small = segment(
         Trial("s", trial.time_s * 1e-3, trial.displacement_mm * 1e-4, trial.force_N * 1e-6)
@@ -111,16 +113,6 @@ def test_quantised_force_has_at_least_the_noise_of_its_step():
     assert quantum(np.random.default_rng(1).standard_normal(100)) == 0.0
     # a crosshead that brakes and then stands still is not quantised
     assert quantum(np.concatenate([-(np.linspace(-1.0, 0.0, 60) ** 2), np.zeros(60)])) == 0.0
-
-
-def ramp_in_air(sigma_N: float = 0.3, **changes) -> Trial:
-    """8 mm at 250 mm/min, contact at 1 mm, 100 samples/s."""
-    settings = Recipe(
-        "r",
-        (Log("ramp", (Move(8.0, 250.0),)),),
-        **{"rate_Hz": 100.0, "sigma_N": sigma_N, "contact_offset_mm": 1.0, **changes},
-    )
-    return as_trials(simulate(settings, rng=np.random.default_rng(12)))[0]
 
 
 @pytest.mark.parametrize("which", ["force_N", "displacement_mm"])

@@ -82,14 +82,6 @@ def coverage(found: NDArray[np.float64]) -> float:
     return float((np.abs(found[..., 0]) <= 1.959964 * found[..., 1]).mean())
 
 
-def row(condition: Condition, found: NDArray[np.float64]) -> str:
-    cells = "  ".join(f"{bias(one):+5.2f} {100.0 * coverage(one):5.1f}" for one in found)
-    return (
-        f"{condition!s:34s} n {found[..., 0].size}  all {bias(found):+5.2f} {100.0 * coverage(found):5.1f}  "
-        f"by speed {cells}  sd {np.median(found[..., 1]):.4f} mm"
-    )
-
-
 @pytest.mark.parametrize("sigma_N", [0.02, 0.3, 3.0])
 @pytest.mark.parametrize("rate_Hz", [100.0, 1000.0])
 def test_the_interval_of_a_contact_in_the_record_covers_it(rate_Hz: float, sigma_N: float) -> None:
@@ -121,12 +113,8 @@ def marked(condition: Condition) -> object:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("condition", [marked(one) for one in MAIN + OTHERS])
-def test_bias_and_coverage_are_within_the_bars(
-    condition: Condition, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bias_and_coverage_are_within_the_bars(condition: Condition) -> None:
     found = scores(condition, runs=RUNS, seed=47)
-    with capsys.disabled():
-        print("\n" + row(condition, found))  # noqa: T201
     # 12 + 8 conditions: a band of 99 % for all of them is 3.5 sd of one, 0.11 in the mean, 2.4 points here
     assert abs(bias(found)) <= BIAS + 3.5 / np.sqrt(RUNS)
     assert COVERAGE[0] - 0.024 <= coverage(found) <= COVERAGE[1] + 0.015

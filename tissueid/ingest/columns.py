@@ -16,14 +16,7 @@ from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import (
-    CHANNELS,
-    SIDEWAYS_RANK,
-    SYMBOL_RANK,
-    Channel,
-    plain_words,
-    rank_of,
-)
+from tissueid.ingest.vocabulary import CHANNELS, SIDEWAYS_RANK, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.units import INTERNAL_UNITS, OTHER_BRACKETS, Quantity, bare_unit, factor_to, quantity_of
 
 Channels = tuple[FloatArray, FloatArray, FloatArray]

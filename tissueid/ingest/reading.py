@@ -7,15 +7,17 @@ loaded, or breaks while it reads, is named in :func:`reader_faults` and never st
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError, UsageError
 from tissueid.flags import Flag
 from tissueid.ingest.archive import archive_recipe
@@ -307,76 +309,67 @@ def _unknown_sheet(path: str, sheet: str | None, seen: Sequence[str | None]) -> 
     return InputError("unknown_sheet", f"there is no trial {sheet!r}; {trials}", path=path, sheet=sheet)
 
 
-def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
-    """Refuse what no test machine travels or bears: lost decimal marks, or a wrong unit."""
-    place = Place(file.path, table.sheet)
+def _beyond_machines(table: Table, declared: Container[str]) -> Iterator[str]:
+    """Travel or force that no test machine has: lost decimal marks, or a wrong unit."""
     reaches: tuple[tuple[Channel, float, float, str], ...] = (
         ("displacement", float(np.ptp(table.displacement_mm)), TRAVEL_LIMIT_MM, "mm"),
         ("force", float(np.abs(table.force_N).max()), FORCE_LIMIT_N, "N"),
     )
     for channel, reach, limit, unit in reaches:
-        if channel in file.options.axes or channel in table.axes:
-            continue
-        if reach > limit:
-            return place.refusal(
-                "implausible_range",
+        if channel not in declared and channel not in table.axes and reach > limit:
+            yield (
                 f"the {channel} in column {table.columns[channel]!r} reaches {reach:g} {unit}, more than any "
                 f"test machine ({limit:g} {unit}): were decimal marks lost, or is the unit wrong? State it "
-                f"with --units {channel}=UNIT, or export again",
+                f"with --units {channel}=UNIT, or export again"
             )
-    return None
 
 
-def _beyond_clocks(file: InputFile, table: Table) -> InputError | None:
-    """Refuse times that are no seconds: a stamp in ms, us or ns under a name that does not say so."""
+def _beyond_clocks(table: Table) -> Iterator[str]:
+    """Times that are no seconds: a stamp in ms, us or ns under a name that does not say so."""
     first, last = float(table.time_s[0]), float(table.time_s[-1])
     if abs(first) < STAMP_LIMIT_S and last - first < DURATION_LIMIT_S:
-        return None
-    units = [
+        return
+    units = (
         unit for unit, per_s in _STAMP_UNITS if DURATION_LIMIT_S < abs(last) / per_s < STAMP_LIMIT_S / 10
-    ]
-    unit = units[0] if units and abs(first) >= STAMP_LIMIT_S else "UNIT"
-    likely = (
-        f"is it a stamp in {unit}? State its unit" if unit != "UNIT" else "is it in ms, us or ns? State it"
     )
-    return Place(file.path, table.sheet).refusal(
-        "implausible_range",
+    unit = next(units, None) if abs(first) >= STAMP_LIMIT_S else None
+    likely = f"is it a stamp in {unit}? State its unit" if unit else "is it in ms, us or ns? State it"
+    yield (
         f"the time in column {table.columns['time']!r} runs from {first:.10g} to {last:.10g} s, which is no"
-        f" recording: {likely} with --units time={unit}",
+        f" recording: {likely} with --units time={unit or 'UNIT'}"
     )
 
 
-def _stuck(file: InputFile, table: Table) -> InputError | None:
-    """Refuse a displacement or force that never changes where other columns may be it."""
-    chosen = {
-        flag.values["quantity"]: flag.values["alternatives"]
-        for flag in table.flags
-        if flag.code == "column_choice"
-    }
-    values = {"displacement": table.displacement_mm, "force": table.force_N}
-    channels: tuple[Channel, ...] = ("displacement", "force")
-    for channel in channels:
-        if channel not in chosen or np.ptp(values[channel]) > 0.0:
-            continue
+def _stuck(table: Table) -> Iterator[str]:
+    """Displacement or force that never changes where other columns may be it."""
+    channels: tuple[tuple[Channel, FloatArray], ...] = (
+        ("displacement", table.displacement_mm),
+        ("force", table.force_N),
+    )
+    choices = [flag.values for flag in table.flags if flag.code == "column_choice"]
+    for channel, values in channels:
         # a letter is no better
         others = [
-            one for one in chosen[channel] if rank_of(split_name(one)[0], channel, loose=True) != SYMBOL_RANK
+            one
+            for choice in choices
+            if choice["quantity"] == channel
+            for one in choice["alternatives"]
+            if rank_of(split_name(one)[0], channel, loose=True) != SYMBOL_RANK
         ]
-        if not others:
-            continue
-        name = table.columns[channel]
-        return Place(file.path, table.sheet).refusal(
-            "no_columns",
-            f"column {name!r} is {values[channel][0]:g} in all {table.time_s.size} rows, as of a sensor that"
-            f" was not attached; take another, as with --columns {channel}={others[0]!r}",
-        )
-    return None
+        if others and not np.ptp(values) > 0.0:
+            yield (
+                f"column {table.columns[channel]!r} is {values[0]:g} in all {table.time_s.size} rows, as of a"
+                " sensor that was not attached; take another, as with"
+                f" --columns {channel}={others[0]!r}"
+            )
 
 
 def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
-    refusal = _beyond_machines(file, table) or _beyond_clocks(file, table) or _stuck(file, table)
-    if refusal is not None:
-        return refusal
+    place = Place(file.path, table.sheet)
+    for message in chain(_beyond_machines(table, file.options.axes), _beyond_clocks(table)):
+        return place.refusal("implausible_range", message)
+    for message in _stuck(table):
+        return place.refusal("no_columns", message)
     taken = table.match or match
     source = Source(
         path=file.path,
@@ -394,19 +387,10 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
     time_s, tick_s = between_ticks(table.time_s)
     repeats = zero_dt(table.time_s, np.diff(table.time_s), tick_s) if tick_s > 0.0 else None
-    no_test = no_specimen(file.path, table.sheet)
-    flags = (
-        *table.flags,
-        *_normalised(axes),
-        *(() if no_test is None else (no_test,)),
-        *(() if repeats is None else (repeats,)),
-        *quality_flags(
-            time_s,
-            table.displacement_mm,
-            table.force_N,
-            capacity_N=capacity_in(table.metadata, decimal=table.decimal),
-        ),
-    )
+    said = (_normalised(axes), no_specimen(file.path, table.sheet), repeats)
+    capacity_N = capacity_in(table.metadata, decimal=table.decimal)
+    quality = quality_flags(time_s, table.displacement_mm, table.force_N, capacity_N=capacity_N)
+    flags = (*table.flags, *(flag for flag in said if flag is not None), *quality)
     return Trial(
         specimen=_specimen(file, table),
         time_s=time_s,
@@ -419,11 +403,11 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     )
 
 
-def _normalised(axes: Axes) -> tuple[Flag, ...]:
+def _normalised(axes: Axes) -> Flag | None:
     if not axes.normalised:
-        return ()
+        return None
     message = f"declared as normalised: for mm read {axes.length}, for N {axes.force}; can't be rendered"
-    return (Flag("normalised_axes", message, {"length": axes.length, "force": axes.force}),)
+    return Flag("normalised_axes", message, {"length": axes.length, "force": axes.force})
 
 
 def _specimen(file: InputFile, table: Table) -> str:

@@ -114,24 +114,21 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
 
 def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
     """A number in its key's unit, from text: ``("speed_mm_s", "250 mm/min")`` gives 4.1667."""
-    unit = unit_of(key)
-    key = shown or key
+    unit, key = unit_of(key), shown or key
     match = _NUMBER.match(text)
     if unit is None or match is None:
-        msg = f'{key} = "{text}" is not a number with a unit: write a decimal point, a space, the unit'
-        raise ValueError(msg)
-    written = match[2]
-    if not written:
-        msg = f'{key} = "{text}" has no unit: write {key} = {match[1]} without quotes, or add the unit'
-        raise ValueError(msg)
-    if written.startswith(","):
-        msg = f'{key} = "{text}" has a decimal comma: write a point'
-        raise ValueError(msg)
-    try:
-        return _CONVERT[unit](float(match[1]), written)
-    except ValueError as error:
-        msg = f'{key} = "{text}": {error}'
-        raise ValueError(msg) from error
+        why = " is not a number with a unit: write a decimal point, a space, the unit"
+    elif not match[2]:
+        why = f" has no unit: write {key} = {match[1]} without quotes, or add the unit"
+    elif match[2].startswith(","):
+        why = " has a decimal comma: write a point"
+    else:
+        try:
+            return _CONVERT[unit](float(match[1]), match[2])
+        except ValueError as error:
+            why = f": {error}"
+    msg = f'{key} = "{text}"{why}'
+    raise ValueError(msg)
 
 
 #: Keys of a prior that are in the unit of its parameter.

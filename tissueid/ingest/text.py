@@ -11,7 +11,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from typing import NoReturn
 
 import charset_normalizer
@@ -128,11 +127,8 @@ def _clock_in(line: bytes) -> re.Pattern[bytes]:
 
 def _first_row(lines: Sequence[bytes]) -> int | None:
     """The first of several lines on end with one clock time and two numbers."""
-    for k in range(len(lines)):
-        run = list(takewhile(_is_clocked, lines[k : k + FEWEST_ROWS]))
-        if len(run) == FEWEST_ROWS:
-            return k
-    return None
+    starts = range(len(lines) - FEWEST_ROWS + 1)
+    return next((k for k in starts if all(map(_is_clocked, lines[k : k + FEWEST_ROWS]))), None)
 
 
 def _is_clocked(line: bytes) -> bool:

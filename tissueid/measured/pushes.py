@@ -6,6 +6,7 @@ the stop to 0.1 s after it: crossheads brake, and the force may fall while they 
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +60,8 @@ def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
 def moves(phases: tuple[Phase, ...]) -> list[Move]:
     """Every loading move, in time order; cycles are loops and no moves."""
     kinds = [phase.kind for phase in phases]
-    pairs = enumerate(zip(kinds, [*kinds[1:], None], strict=False), 1)
-    ends = (k for k, (kind, after) in pairs if kind == "ramp" != after)
+    neighbours = enumerate(zip_longest(kinds, kinds[1:]), 1)
+    ends = (number for number, (kind, after) in neighbours if kind == "ramp" and after != "ramp")
     found = (move_before(phases, number) for number in ends)
     return [one for one in found if one is not None]
 

@@ -64,10 +64,12 @@ def hold_ladder(time_s: FloatArray, force_N: FloatArray, count: int) -> Ladder |
     )
 
 
-def _flags(
-    tau: float, half_tau: float | None, window: float, step: float, misfit: tuple[float, float, bool]
-) -> list[Flag]:
-    share, ratio, beyond_noise = misfit
+def _flags(found: Ladder, tau: float, time: FloatArray, range_N: float, noise_N: float) -> list[Flag]:
+    """Flags of a single relaxation time."""
+    window, steps, half_tau = float(time[-1] - time[0]), np.diff(time), found.half_s
+    step = float(np.median(steps[steps > 0.0]))
+    one, two = found.nrmsd[:2]
+    share, ratio = found.worst_N / range_N, one / two if two > 0.0 else 1.0
     flags = []
     if tau > WINDOW_SHARE * window:
         message = f"one exponential gives {tau:.3g} s, over a third of its window of {window:.3g} s"
@@ -78,7 +80,7 @@ def _flags(
     if tau < 2.0 * step:
         message = f"one exponential gives {tau:.3g} s at a sampling interval of {step:.3g} s"
         flags.append(Flag("tau_below_resolution", message, {"tau_s": tau, "step_s": step}))
-    if (share > RESIDUAL_SHARE and beyond_noise) or ratio > NRMSD_RATIO:
+    if (share > RESIDUAL_SHARE and found.worst_N > NOISE_FACTOR * noise_N) or ratio > NRMSD_RATIO:
         lost = f"one exponential leaves {100 * share:.2g} % of the hold's range"
         values = {"max_residual_fraction": share, "nrmsd_ratio": ratio}
         flags.append(Flag("one_tau_inadequate", f"{lost}; two fit {ratio:.2g} times better", values))
@@ -92,28 +94,17 @@ def _row(
     found = hold_ladder(time, window_force, MAX_EXPONENTIALS)
     if found is None:
         return None
-    one, two = found.nrmsd[:2]
-    single = found.single_s
-    flags: list[Flag] = []
-    if single is not None:
-        steps = np.diff(time)
-        misfit = (
-            found.worst_N / float(np.ptp(window_force)),
-            one / two if two > 0.0 else 1.0,
-            found.worst_N > NOISE_FACTOR * noise_N,
-        )
-        step = float(np.median(steps[steps > 0.0]))
-        flags = _flags(single, found.half_s, float(time[-1] - time[0]), step, misfit)
+    single, range_N = found.single_s, float(np.ptp(window_force))
     return RelaxationRow(
         path=trial.source.path,
         sheet=trial.source.sheet,
         window_s=(float(time[0]), float(time[-1])),
         peak_force_N=peak_N,
         tau_single_s=single,
-        nrmsd_single=one,
+        nrmsd_single=found.nrmsd[0],
         tau_double_s=found.taus_s[1],
         tau_triple_s=found.taus_s[2],
-        flags=tuple(flags),
+        flags=() if single is None else tuple(_flags(found, single, time, range_N, noise_N)),
     )
 
 

@@ -156,7 +156,6 @@ class HingeFit:
     baseline_N: float  # force in air [N]; 0 where it was held at 0
     slope_N_per_mm: float  # stiffness over the first part of the window [N/mm]
     adequate: bool  # whether the shape describes the window within its noise
-    excess: float  # chi-square of the best shape over its degrees of freedom
     at_start: float  # density of a contact at the first sample, as a share of the highest
     #: Stiffness over a larger part, and the share of it that the branch has from the first sample on.
     secant_N_per_mm: float = 0.0
@@ -279,7 +278,6 @@ def _fit(
         baseline_N=float((mass * found.static_N[:, :, -1]).sum()) if shape.baseline else 0.0,
         slope_N_per_mm=early,
         adequate=adequate,
-        excess=excess,
         at_start=begins if np.isfinite(begins) else 0.0,
         secant_N_per_mm=slope,
         relaxing_share=relaxes,

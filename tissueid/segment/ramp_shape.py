@@ -189,11 +189,8 @@ SHAPE_PRIOR = 10.0
 BASELINE_PRIOR = 100.0
 #: ... and of what a load cell drifts over the window.
 DRIFT_PRIOR = 0.003
-#: Exponents of the square roots of the information about contact and about the logarithm of the length.
-CONTACT_WEIGHT = 1.0
+#: Exponent of the square root of the information about the logarithm of the length; that about contact has 1.
 LENGTH_WEIGHT = 0.5
-#: The initial slope may be negative by so many slopes of the ramp.
-PULL = 1.0
 #: Lengths above so many resolutions of the contact count less.
 RESOLVED = 3.0
 #: Share of the way by which the first bin in contact is moved to the middle of its gap where information is
@@ -259,9 +256,9 @@ class RampShape:
         freedom = self.freedom
         known = self.noise_freedom
         log_density = -0.5 * (known + freedom) * np.log1p(misfit / known)
-        log_density += 0.5 * CONTACT_WEIGHT * np.log(judged[0])
+        log_density += 0.5 * np.log(judged[0])
         log_density += 0.5 * LENGTH_WEIGHT * np.log(judged[1])
-        first = scale * (coefficients[:, :, 0] + branch) + PULL * self.slope_N_per_mm * window
+        first = scale * (coefficients[:, :, 0] + branch) + self.slope_N_per_mm * window
         log_density += _log_normal_mass(first / (scale * np.sqrt(judged[2])))
         log_density -= np.log1p((length_mm / (RESOLVED * self.resolution_mm)) ** 2)
         static_N = coefficients * prior
