@@ -247,12 +247,6 @@ class TestStates:
 
 
 class TestGuardLimits:
-    def test_the_block_has_the_fields_in_order(self):
-        limits = GuardLimits()
-        assert limits.block().tolist() == [
-            float(getattr(limits, name)) for name in GuardLimits.__dataclass_fields__
-        ]
-
     @pytest.mark.parametrize(
         "loose",
         [
