@@ -1,6 +1,8 @@
-"""Bytes for an emulated Falcon, spelled here by hand: tests of the emulator need nothing of the driver."""
+"""Bytes to and from a Falcon, spelled here by hand: tests of the emulator need nothing of the driver."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -13,11 +15,15 @@ HOME = b"<AAAAAAAAAAAABA>"
 HOMED_AFTER = 2400
 
 
+def spelled(numbers: Iterable[int]) -> bytes:
+    """Four letters of each signed number, least significant first."""
+    digits = "".join(f"{value & 0xFFFF:04x}"[::-1] for value in numbers)
+    return "".join(LETTERS[int(digit, 16)] for digit in digits).encode()
+
+
 def command(motors: tuple[int, int, int], flags: int = 1) -> bytes:
     """A command packet of motor units; flag 1 is homing mode."""
-    digits = "".join(f"{value & 0xFFFF:04x}"[::-1] for value in motors)
-    body = "".join(LETTERS[int(digit, 16)] for digit in digits)
-    return f"<{body}{LETTERS[flags]}A>".encode()
+    return b"<" + spelled(motors) + LETTERS[flags].encode() + b"A>"
 
 
 def encoders(packet: bytes) -> list[int]:

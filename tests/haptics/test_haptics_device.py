@@ -34,13 +34,13 @@ def engaged() -> Iterator[FakeDevice]:
         yield device
 
 
-@pytest.mark.parametrize("method", ["open", "close", "sample", "read", "write_force", "engage", "disengage"])
-def test_what_is_final_can_not_be_overridden(method):
-    with pytest.raises(TypeError, match=f"{method}: final"):
-        type("Sneaky", (FakeDevice,), {method: lambda self: None})
+def test_what_is_final_can_not_be_overridden():
+    for method in ("open", "close", "sample", "read", "write_force", "engage", "disengage"):
+        with pytest.raises(TypeError, match=f"{method}: final"):
+            type("Sneaky", (FakeDevice,), {method: lambda self: None})
 
 
-def test_a_device_walks_to_armed_and_to_force(engaged):
+def test_a_device_walks_to_armed_and_to_force_and_returns_what_was_sent(engaged):
     device = FakeDevice()
     assert device.state is State.CLOSED
     with device:
@@ -50,9 +50,6 @@ def test_a_device_walks_to_armed_and_to_force(engaged):
         assert device.state is State.ARMED
     assert engaged.state is State.ENGAGED
     assert engaged.sent[-1].tolist() == [0.0, 0.0, 2.0]
-
-
-def test_write_force_returns_what_was_sent(engaged):
     returned = engaged.write_force((0.0, 30.0, 40.0), 1e-3)
     assert returned.tolist() == engaged.sent[-1].tolist()
     assert np.linalg.norm(returned) == pytest.approx(2.0 * 0.8 + 0.5, rel=1e-12)
@@ -127,12 +124,8 @@ def test_silence_and_damage_reach_the_watchdogs(engaged, answer, fault):
 def test_ending_the_interpreter_sends_zero_force():
     program = (
         "from fake_device import FakeDevice\n"
-        "class Told(FakeDevice):\n"
-        "    def _write(self, force_N):\n"
-        "        print(force_N.tolist())\n"
-        "device = Told()\n"
-        "device.open()\n"
-        "raise SystemExit(3)\n"
+        "FakeDevice._write = lambda self, force_N: print(force_N.tolist())\n"
+        "device = FakeDevice()\ndevice.open()\nraise SystemExit(3)\n"
     )
     command = [sys.executable, "-c", program]
     ended = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
@@ -165,12 +158,9 @@ TRANSPORT_CALLS = {
 
 @pytest.mark.parametrize("call", sorted(TRANSPORT_CALLS))
 def test_nothing_but_the_guard_leads_to_a_transport(call):
-    found = {}
-    for source in SOURCES.rglob("*.py"):
-        count = len(re.findall(call, source.read_text(encoding="utf-8")))
-        if count:
-            found[source.relative_to(SOURCES).as_posix()] = count
-    assert found == TRANSPORT_CALLS[call]
+    texts = {one.relative_to(SOURCES).as_posix(): one.read_text("utf-8") for one in SOURCES.rglob("*.py")}
+    counts = {name: len(re.findall(call, text)) for name, text in texts.items()}
+    assert {name: count for name, count in counts.items() if count} == TRANSPORT_CALLS[call]
 
 
 def test_a_host_that_stood_still_has_not_waited_for_the_device(monkeypatch):

@@ -45,25 +45,13 @@ def falcon() -> EmulatedFalcon:
     return EmulatedFalcon(EmulatorSettings(period_s=1e-3))
 
 
-def places(count: int) -> np.ndarray:
-    """Points in the working sphere of 40 mm about its centre, shape (count, 3) [m]."""
-    rng = np.random.default_rng(8)
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    return np.array([0.0, 0.0, 0.13]) + 0.04 * direction * rng.random((count, 1)) ** (1.0 / 3.0)
-
-
-def test_angles_found_by_search_are_those_of_the_closed_form():
-    found = np.zeros(3)
-    for place in places(50):
+def test_angles_found_by_search_and_forces_by_differences_are_those_of_the_driver():
+    rng, found, force, wanted = np.random.default_rng(8), np.zeros(3), np.zeros(3), np.array([1.0, -2.0, 3.0])
+    for direction in rng.normal(size=(30, 3)):
+        # in the working sphere of 40 mm about its centre
+        place = [0.0, 0.0, 0.13] + 0.04 * direction / np.linalg.norm(direction) * rng.random() ** (1.0 / 3.0)
         assert leg_angles(place, LENGTHS, AZIMUTHS, found)
         np.testing.assert_allclose(found, kinematics.inverse(place), atol=1e-12)
-
-
-def test_torque_of_the_driver_gives_its_force_back_by_differences():
-    force = np.zeros(3)
-    wanted = np.array([1.0, -2.0, 3.0])
-    for place in places(20):
         assert grip_force(place, kinematics.torque(place, wanted), LENGTHS, AZIMUTHS, force)
         # truncation of a central difference over 10 um
         np.testing.assert_allclose(force, wanted, atol=1e-6)

@@ -64,19 +64,11 @@ def test_plug_in_of_the_page_runs_behind_the_guard(monkeypatch: pytest.MonkeyPat
 def test_every_device_and_every_key_stands_on_the_page() -> None:
     assert set(DEVICES) <= set(re.findall(r"^\| `(\w+)` \|", PAGE, flags=re.MULTILINE))
     rows = dict(re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", PAGE, flags=re.MULTILINE))
-    for key, value in asdict(Calibration()).items():
-        assert rows[key] == (
-            str(value).lower()
-            if isinstance(value, bool)
-            else f"{value:g}"
-            if isinstance(value, float)
-            else "zeros"
-            if isinstance(value, tuple) and not any(value)
-            else value
-        )
-
-
-def test_udev_line_is_the_one_of_the_message() -> None:
+    said = {bool: lambda value: str(value).lower(), float: "{:g}".format, tuple: lambda _: "zeros", str: str}
+    calibration = asdict(Calibration())
+    assert not any(calibration["weight_N"] + calibration["weight_slope_N_per_m"])
+    for key, value in calibration.items():
+        assert rows[key] == said[type(value)](value)
     assert UDEV_RULE in PAGE
 
 

@@ -40,9 +40,7 @@ def stops(geometry: Geometry) -> tuple[float, float]:
 def reachable(geometry: Geometry, count: int, seed: int) -> FloatArray:
     """Positions from everywhere within the stops, shape (count, 3)."""
     random = np.random.default_rng(seed)
-    low, high = stops(geometry)
-    block = geometry.block()
-    angles = np.empty(3)
+    (low, high), block, angles = stops(geometry), geometry.block(), np.empty(3)
     found: list[FloatArray] = []
     while len(found) < count:
         position = random.uniform((-0.11, -0.11, 0.04), (0.11, 0.11, 0.19))
@@ -93,18 +91,14 @@ def test_legs_built_link_by_link_meet_at_the_grip_with_their_knees_outward(geome
 @pytest.mark.needs_jit
 @both
 def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry):
-    random = np.random.default_rng(2)
-    low, high = stops(geometry)
-    worst = 0.0
     none = 0
-    for angles in random.uniform(low, high, (4000, 3)):
+    for angles in np.random.default_rng(2).uniform(*stops(geometry), (4000, 3)):
         try:
             position = forward(angles, geometry=geometry)
         except WorkspaceError:
             none += 1
-            continue
-        worst = max(worst, float(np.abs(inverse(position, geometry=geometry) - angles).max()))
-    assert worst < 1e-9
+        else:
+            assert np.abs(inverse(position, geometry=geometry) - angles).max() < 1e-9
     # every triple of angles within the stops has a grip position; of the second geometry a few near +90
     # degrees are stretched
     assert none <= (0 if geometry is DEFAULT_GEOMETRY else 0.005 * 4000)
@@ -140,32 +134,27 @@ def test_tracking_takes_three_steps_and_a_cold_start_seven(geometry):
 @both
 def test_jacobian_agrees_with_central_differences(geometry):
     step = 1e-6
+    turns = step * np.vstack([np.eye(3), -np.eye(3)])
     for position in reachable(geometry, 300, seed=6):
-        expected = np.empty((3, 3))
         angles = inverse(position, geometry=geometry)
         rates = jacobian(position, geometry)
         if np.abs(rates).max() > 0.5:
             # beyond a stretched leg differences say nothing: the second geometry only, at its stops
             assert geometry is not DEFAULT_GEOMETRY
             continue
-        for leg in range(3):
-            shift = step * np.eye(3)[leg]
-            ahead = forward(angles + shift, position, geometry=geometry)
-            behind = forward(angles - shift, position, geometry=geometry)
-            expected[:, leg] = (ahead - behind) / (2.0 * step)
+        moved = np.array([forward(angles + turn, position, geometry=geometry) for turn in turns])
+        missed = rates - (moved[:3] - moved[3:]).T / (2.0 * step)
         # m/rad: entries up to 0.1; curvature times step^2 and rounding over step
-        assert np.abs(rates - expected).max() < 1e-6 * max(1.0, np.abs(rates).max() / 0.1)
+        assert np.abs(missed).max() < 1e-6 * max(1.0, np.abs(rates).max() / 0.1)
 
 
 @both
 def test_work_at_the_legs_is_work_at_the_grip(geometry):
     random = np.random.default_rng(8)
     for position in working_sphere(300, seed=9):
-        force = random.normal(size=3)
-        shift = 1e-7 * random.normal(size=3)
-        ahead = inverse(position + shift, geometry=geometry)
-        behind = inverse(position - shift, geometry=geometry)
-        at_legs = torque(position, force, geometry=geometry) @ (ahead - behind) / 2.0
+        force, shift = random.normal(size=3), 1e-7 * random.normal(size=3)
+        turned = inverse(position + shift, geometry=geometry) - inverse(position - shift, geometry=geometry)
+        at_legs = torque(position, force, geometry=geometry) @ turned / 2.0
         # work of 1e-7 J, differences to 1e-16 rad
         assert at_legs == pytest.approx(force @ shift, abs=1e-15)
 
@@ -193,7 +182,7 @@ def test_geometries_differ_by_four_millimetres():
     assert shift == pytest.approx([0.0, 0.0, 0.004], abs=2e-4)
 
 
-@pytest.mark.parametrize("position", [(0.0, 0.0, 0.30), (0.2, 0.0, 0.13), (0.0, 0.5, 0.1)])
+@pytest.mark.parametrize("position", [(0.0, 0.0, 0.30), (0.2, 0.0, 0.13), (0.0, 0.5, 0.1), (0.0,) * 3])
 def test_positions_out_of_reach_are_errors(position):
     with pytest.raises(WorkspaceError, match="outside the workspace"):
         inverse(position)
@@ -202,16 +191,11 @@ def test_positions_out_of_reach_are_errors(position):
             torque(position, (0.0, 0.0, 1.0))
 
 
-@pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.13)])
-def test_angles_of_no_grip_in_front_of_the_base_are_errors(position):
-    with pytest.raises(WorkspaceError):
-        forward(inverse(position))
-
-
-@pytest.mark.parametrize("angles", [(3.0, 0.0, 0.0), (-1.5, 1.6, 1.6), (2.5, 2.5, 2.5), (7.0, 0.6, 0.6)])
-def test_angles_that_no_position_has_are_errors(angles):
-    with pytest.raises(WorkspaceError, match="no grip position"):
-        forward(angles)
+def test_angles_that_no_position_has_in_front_of_the_base_are_errors():
+    behind = inverse((0.0, 0.0, -0.13))
+    for angles in ((3.0, 0.0, 0.0), (-1.5, 1.6, 1.6), (2.5, 2.5, 2.5), (7.0, 0.6, 0.6), behind):
+        with pytest.raises(WorkspaceError, match="no grip position"):
+            forward(angles)
 
 
 @pytest.mark.parametrize(
@@ -265,17 +249,13 @@ def test_the_mean_of_motor_values_is_the_torque_and_no_force_is_zero_at_once():
             assert out == pytest.approx(wanted, abs=1.0)
             sent.append(out.copy())
         assert np.mean(sent, axis=0) == pytest.approx(wanted, abs=1.0 / 400.0)
+        # what rounding left never exceeds the clamp
+        clamp = float(np.linalg.norm(wanted)) + 0.01
+        for _ in range(400):
+            assert not motor_units(force, position, geometry, 6600.0, clamp, out, left)
+            assert np.linalg.norm(out) <= clamp
         assert not motor_units(np.zeros(3), position, geometry, 6600.0, 4095.0, out, left)
         assert (out.tolist(), left.tolist()) == ([0, 0, 0], [0.0, 0.0, 0.0])
-
-
-def test_what_rounding_left_never_exceeds_the_clamp():
-    out, left = np.zeros(3, np.int64), np.zeros(3)
-    force = np.array([0.6, -0.4, 0.9])
-    clamp = float(np.linalg.norm(6600.0 * torque(MIDDLE, force))) + 0.01
-    for _ in range(400):
-        assert not motor_units(force, MIDDLE, DEFAULT_GEOMETRY.block(), 6600.0, clamp, out, left)
-        assert np.linalg.norm(out) <= clamp
 
 
 @pytest.mark.parametrize(

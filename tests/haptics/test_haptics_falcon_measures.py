@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from fake_device import FakeDevice
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import measure
 from tissueid.haptics.arm import Arm
-from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
+from tissueid.haptics.device import DeviceSample, HapticDevice
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.hand import Hand
@@ -28,66 +29,43 @@ pytestmark = pytest.mark.needs_jit
 #: No hand on the grip, and time for it to leave its stop.
 HANDS_OFF = replace(GuardLimits(), dead_man=False, frozen_s=5.0)
 TICK_S = 1e-3
+UP, NO_SLOPE = np.array([0.0, 1.0, 0.0]), np.zeros((3, 3))
+Vector = NDArray[np.float64]
 
 
 def no_pause(_until: float) -> None:
     """A device in virtual time is never waited for."""
 
 
-class Grip(HapticDevice):
-    """A free grip that a test computes, in virtual time."""
+class Grip(FakeDevice):
+    """A free grip in virtual time: a weight that changes with the place, friction, a stop below."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self, weight_N: Vector = 0.06 * measure.GRAVITY * UP, slope: Vector = NO_SLOPE, truth: float = 1.0
+    ) -> None:
         super().__init__(HANDS_OFF)
-        self._time = 0.0
-
-    @classmethod
-    def detect(cls) -> list[DetectedDevice]:
-        return []
-
-    @property
-    def capabilities(self) -> Capabilities:
-        raise NotImplementedError
-
-    def _open(self) -> None:
-        pass
-
-    def _close(self) -> None:
-        pass
-
-    def _seen(self, place_m: NDArray[np.float64]) -> DeviceSample:
-        """A reading a tick later, in counts of 45 um."""
-        self._time += TICK_S
-        counts = np.floor(place_m / 45e-6).astype(int)
-        return DeviceSample(self._time, 45e-6 * counts, counts, 0, homed=True, valid=True)
-
-
-class HangingGrip(Grip):
-    """A grip that falls along y until its stop, whose newton is not one; in virtual time."""
-
-    name = "hanging"
-
-    def __init__(self, *, truth: float, own_kg: float = 0.06, friction_N: float = 0.1) -> None:
-        super().__init__()
-        self.mass_hung_kg = 0.0
-        self._truth, self._own_kg, self._friction_N = truth, own_kg, friction_N
-        self._place = self._speed = self._force = 0.0
+        self.hung_kg = 0.0
+        self._truth, self._slope, self._weight_N = truth, slope, weight_N
+        self._force, self._speed, self._place = np.zeros(3), np.zeros(3), np.array(measure.MIDDLE_M)
 
     def _read(self) -> DeviceSample:
-        step, inertia = TICK_S / 4, 0.25 + self.mass_hung_kg
-        weight = (self._own_kg + self.mass_hung_kg) * measure.GRAVITY
-        for _ in range(4):
-            pushed = self._speed + step * (self._truth * self._force - weight - 0.5 * self._speed) / inertia
-            # Coulomb friction takes speed away, never turns it round
-            slowed = max(abs(pushed) - step * self._friction_N / inertia, 0.0)
-            self._speed = math.copysign(slowed, pushed)
-            self._place += step * self._speed
-            if self._place < -0.07:
-                self._place, self._speed = -0.07, 0.0
-        return self._seen(np.array([0.0, self._place, 0.13]))
+        inertia = 0.25 + self.hung_kg
+        held = self._weight_N + self._slope @ (self._place - measure.MIDDLE_M)
+        held = held + self.hung_kg * measure.GRAVITY * UP
+        push = self._speed + TICK_S * (self._truth * self._force - held - 0.5 * self._speed) / inertia
+        if self._place[1] <= -0.07:
+            push[1] = max(push[1], 0.0)
+        # Coulomb friction of 0.1 N takes speed away, never turns it round
+        size = float(np.linalg.norm(push))
+        self._speed = push * max(size - TICK_S * 0.1 / inertia, 0.0) / max(size, 1e-12)
+        self._place = self._place + TICK_S * self._speed
+        self._place[1] = max(self._place[1], -0.07)
+        self.counts = np.floor(self._place / 45e-6).astype(int)
+        self.position = 45e-6 * self.counts
+        return super()._read()
 
-    def _write(self, force_N: NDArray[np.float64]) -> None:
-        self._force = float(force_N[1])
+    def _write(self, force_N: Vector) -> None:
+        self._force = np.array(force_N)
 
 
 def homed(device: HapticDevice) -> None:
@@ -98,13 +76,13 @@ def homed(device: HapticDevice) -> None:
 
 
 @pytest.fixture
-def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGrip]]:
+def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Grip]]:
     """Makes a homed grip; two periods of weighing are enough."""
     monkeypatch.setattr(measure, "PERIODS", 2)
     made = []
 
-    def make(**options: float) -> HangingGrip:
-        made.append(HangingGrip(**options))
+    def make(*options: Any, **more: Any) -> Grip:
+        made.append(Grip(*options, **more))
         homed(made[-1])
         return made[-1]
 
@@ -116,9 +94,8 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., HangingGr
 @pytest.mark.parametrize(("truth", "grams"), [(1.9, 150.0), (0.7, 50.0)])
 def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
     device = hanging(truth=truth)
-    found = measure.weigh(
-        device, grams / 1000, lambda: setattr(device, "mass_hung_kg", grams / 1000), no_pause
-    )
+    hang = lambda: setattr(device, "hung_kg", grams / 1000)  # noqa: E731
+    found = measure.weigh(device, grams / 1000, hang, no_pause)
     # friction of 0.1 N is in every force; up and down it cancels to a tenth of a per cent
     assert found.ratio == pytest.approx(1.0 / truth, rel=2e-3)
     assert found.empty_N == pytest.approx(0.06 * measure.GRAVITY / truth, rel=5e-3)
@@ -136,7 +113,7 @@ def test_weighing_finds_the_newton_of_a_device(hanging, truth, grams):
 )
 def test_a_mass_that_was_not_hung_or_is_too_heavy_for_the_clamp_is_told(hanging, own_kg, reason):
     with pytest.raises(DeviceError, match=reason):
-        measure.weigh(hanging(truth=1.0, own_kg=own_kg), 0.1, lambda: None, no_pause)
+        measure.weigh(hanging(own_kg * measure.GRAVITY * UP), 0.1, lambda: None, no_pause)
 
 
 @pytest.mark.parametrize(("arm", "delay_ticks"), [(Arm(0.25, 0.5, 0.1), 1.5), (Arm(0.20, 1.5, 0.0), 2.5)])
@@ -210,32 +187,9 @@ KNOWN = Calibration(
 )
 
 
-class HeavyGrip(Grip):
-    """A grip whose weight changes with its place, with friction; in virtual time."""
-
-    name = "heavy"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._force = np.zeros(3)
-        self._place, self._speed = np.array(measure.MIDDLE_M), np.zeros(3)
-
-    def _read(self) -> DeviceSample:
-        held = WEIGHT_N + SLOPE @ (self._place - measure.MIDDLE_M)
-        push = self._speed + TICK_S * (self._force - held - 0.5 * self._speed) / 0.25
-        # Coulomb friction takes speed away, never turns it round
-        size = float(np.linalg.norm(push))
-        self._speed = push * max(size - TICK_S * 0.1 / 0.25, 0.0) / max(size, 1e-12)
-        self._place = self._place + TICK_S * self._speed
-        return self._seen(self._place)
-
-    def _write(self, force_N: NDArray[np.float64]) -> None:
-        self._force = np.array(force_N)
-
-
 @pytest.mark.slow
 def test_the_weight_is_found_behind_friction_and_encoders():
-    device = HeavyGrip()
+    device = Grip(weight_N=WEIGHT_N, slope=SLOPE)
     homed(device)
     found = measure.weigh_poses(device, no_pause)
     device.close()
@@ -246,21 +200,16 @@ def test_the_weight_is_found_behind_friction_and_encoders():
     assert found.poses == len(measure.POSES_M) == 9
 
 
-def test_a_plane_through_exact_forces_is_the_plane():
-    places = np.array(measure.POSES_M)
-    found = measure.fitted(places, WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T)
-    np.testing.assert_allclose(found.weight_N, WEIGHT_N, atol=1e-12)
-    np.testing.assert_allclose(found.slope_N_per_m, SLOPE, atol=1e-10)
-    assert found.residual_N < 1e-12
-
-
-def test_noise_of_the_forces_is_the_standard_error():
+def test_a_plane_is_fitted_exactly_and_noise_of_the_forces_is_its_standard_error():
     places, chance = np.array(measure.POSES_M), np.random.default_rng(1)
     clean = WEIGHT_N + (places - measure.MIDDLE_M) @ SLOPE.T
+    exact = measure.fitted(places, clean)
+    np.testing.assert_allclose(exact.weight_N, WEIGHT_N, atol=1e-12)
+    np.testing.assert_allclose(exact.slope_N_per_m, SLOPE, atol=1e-10)
+    assert exact.residual_N < 1e-12
     found = [measure.fitted(places, clean + 0.05 * chance.standard_normal(clean.shape)) for _ in range(300)]
-    spread = np.std([one.weight_N[1] for one in found])
     # nine poses around the middle: a third of the noise of one; 300 draws know a spread to 4 %
-    assert spread == pytest.approx(0.05 / 3.0, rel=0.15)
+    assert np.std([one.weight_N[1] for one in found]) == pytest.approx(0.05 / 3.0, rel=0.15)
     assert np.sqrt(np.mean([one.stderr_N**2 for one in found])) == pytest.approx(0.05 / 3.0, rel=0.1)
 
 

@@ -6,33 +6,23 @@ import re
 
 import numpy as np
 import pytest
+from emulator_wire import command, encoders, spelled
 
 from tissueid.haptics.falcon.packets import PACKET_BYTES, PacketParser, Reply, encode_command, encode_into
 
-LETTERS = "ABCDEFGHIJKLMNOP"
 #: What may stand before the end bracket.
 FILLERS = [bytes([byte]) for byte in range(256) if byte not in b"<>"]
 #: A whole reply, as falcon firmware is described: the oracle of what is in a stream.
 WHOLE = re.compile(rb"<[A-P]{12}[\x41-\xc0][^<>]>", re.DOTALL)
 
 
-def by_table(value: int) -> str:
-    """Four letters of a signed number, least significant first."""
-    return "".join(LETTERS[int(digit, 16)] for digit in reversed(f"{value & 0xFFFF:04x}"))
-
-
-def reply_by_table(encoders: tuple[int, int, int], homed: int, buttons: int, filler: bytes = b"A") -> bytes:
-    letters = "".join(map(by_table, encoders)).encode("ascii")
-    return b"<" + letters + bytes([0x41 + 16 * homed + buttons]) + filler + b">"
+def reply_by_table(counts: tuple[int, int, int], homed: int, buttons: int, filler: bytes = b"A") -> bytes:
+    return b"<" + spelled(counts) + bytes([0x41 + 16 * homed + buttons]) + filler + b">"
 
 
 def read_by_table(packet: bytes) -> Reply:
-    numbers = []
-    for start in (1, 5, 9):
-        digits = "".join(f"{LETTERS.index(chr(letter)):x}" for letter in reversed(packet[start : start + 4]))
-        numbers.append(int(digits, 16) - (65536 if digits[0] in "89abcdef" else 0))
-    status = packet[13] - 0x41
-    return Reply((numbers[0], numbers[1], numbers[2]), status // 16, status % 16)
+    first, second, third = encoders(packet)
+    return Reply((first, second, third), *divmod(packet[13] - 0x41, 16))
 
 
 def drawn_reply(random: np.random.Generator) -> bytes:
@@ -50,8 +40,8 @@ def test_published_commands_are_made(leds, homing, letter):
 
 def test_every_motor_value_is_coded_as_by_the_table():
     for value in range(-4095, 4096, 7):
-        expected = f"<{by_table(value)}{by_table(-value)}{by_table(4095)}AA>".encode("ascii")
-        assert encode_command((value, -value, 4095), leds=0, homing=False) == expected
+        motors = (value, -value, 4095)
+        assert encode_command(motors, leds=0, homing=False) == command(motors, 0)
 
 
 def test_every_encoder_value_and_status_is_read_as_by_the_table():

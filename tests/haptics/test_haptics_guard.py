@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -45,6 +44,10 @@ def lengths(forces: list[np.ndarray]) -> np.ndarray:
 
 class TestLimits:
     def test_a_long_force_is_cut_to_the_clamp_and_keeps_its_direction(self, guarded):
+        for force in ((0.1, 0.2, -0.3), (0.2, 0.3, -0.4)):
+            # within every limit it is sent as it is
+            assert tuple(guarded.tick(force)) == force
+        assert guarded.lamps == Lamp.NONE
         outs = guarded.ticks(20, (30.0, 40.0, 0.0))
         assert outs[-1] == pytest.approx([3.0, 4.0, 0.0], rel=ROUNDING)
         assert guarded.lamps == Lamp.CLIPPED
@@ -67,11 +70,6 @@ class TestLimits:
     ):
         guarded.ticks(10, before)
         assert guarded.tick(wanted) == pytest.approx(sent, rel=ROUNDING)
-
-    def test_a_force_within_every_limit_is_sent_as_it_is(self, guarded):
-        for force in ((0.1, 0.2, -0.3), (0.2, 0.3, -0.4)):
-            assert tuple(guarded.tick(force)) == force
-        assert guarded.lamps == Lamp.NONE
 
     @pytest.mark.parametrize("size", [1e-200, 1e160, 1.7e308])
     def test_a_force_whose_square_no_number_holds_keeps_its_direction(self, guarded, size):
@@ -155,17 +153,12 @@ class TestFault:
         assert out == pytest.approx([0.0, 0.0, 2.0 * 19 / 20], rel=1e-12)
         assert guarded.fault == Fault.NOT_A_NUMBER
 
-    def test_the_first_fault_is_the_one_reported(self, guarded):
-        guarded.tick(homed=False)
-        guarded.tell(machine.TRANSPORT_LOST)
-        assert guarded.fault == Fault.NOT_HOMED
-
-    def test_nothing_leads_out_of_a_fault_but_shutting(self, guarded):
+    def test_the_first_fault_is_the_one_reported_and_nothing_leads_out_of_it_but_shutting(self, guarded):
         guarded.tick(homed=False)
         for event in np.arange(machine.SHUT):
             guarded.tell(event)
             guarded.tick((0.0, 0.0, 1.0))
-            assert guarded.state == State.FAULT
+            assert (guarded.state, guarded.fault) == (State.FAULT, Fault.NOT_HOMED)
         guarded.tell(machine.SHUT)
         assert guarded.state == State.CLOSED
 
@@ -202,13 +195,6 @@ class TestRelease:
         assert 0.2 < low < high
         assert held.state == State.ENGAGED
 
-    def test_disengaging_ends_in_armed_and_stays_there(self, guarded):
-        guarded.tell(machine.DISENGAGE)
-        for _ in range(200):
-            out = guarded.tick((0.0, 0.0, 2.0))
-        assert guarded.state == State.ARMED
-        assert out.tolist() == [0.0, 0.0, 0.0]
-
 
 class TestStall:
     @pytest.mark.parametrize("dt", [0.1, 0.0051, 0.0, -1.0, np.nan, np.inf])
@@ -221,11 +207,6 @@ class TestStall:
         assert np.all(sizes <= 4.0)
         assert sizes.min() == pytest.approx(0.0, abs=1e-9)
         assert sizes[-1] == pytest.approx(4.0, rel=ROUNDING)
-        assert guarded.state == State.ENGAGED
-
-    def test_a_stall_is_not_the_devices_silence(self, guarded):
-        guarded.tick(dt=0.3, reply=0)
-        guarded.tick()
         assert guarded.state == State.ENGAGED
 
 
@@ -252,18 +233,12 @@ MOVES = {
 
 class TestStates:
     @pytest.mark.parametrize("state", list(State))
-    @pytest.mark.parametrize("event", list(range(14)))
+    @pytest.mark.parametrize("event", list(range(13)))
     def test_an_event_moves_a_state_as_the_diagram_says(self, state, event):
         guarded = Guarded()
         guarded.memory[machine.STATE] = float(state)
         guarded.tell(float(event))
         assert State(int(guarded.state)) == MOVES.get((state, float(event)), state)
-
-    @pytest.mark.parametrize("state", [state for state in State if state is not State.ENGAGED])
-    def test_no_force_passes_in_any_state_but_engaged(self, state):
-        guarded = Guarded().to(machine.ARMED)
-        guarded.memory[machine.STATE] = float(state)
-        assert guarded.tick((1.0, 2.0, 3.0), moved=STILL).tolist() == [0.0, 0.0, 0.0]
 
     @pytest.mark.parametrize(("penetration", "may"), [(-1e-3, True), (0.0, True), (1e-6, False)])
     def test_parameters_may_be_exchanged_where_nothing_is_touched(self, guarded, penetration, may):
@@ -272,12 +247,6 @@ class TestStates:
 
 
 class TestGuardLimits:
-    def test_the_block_has_the_fields_in_order(self):
-        limits = GuardLimits()
-        assert limits.block().tolist() == [
-            float(getattr(limits, name)) for name in GuardLimits.__dataclass_fields__
-        ]
-
     @pytest.mark.parametrize(
         "loose",
         [
@@ -299,12 +268,6 @@ class TestGuardLimits:
         assert uncalibrated_clamp_N(1000.0) == 5.0
         with pytest.raises(ValueError, match="positive"):
             uncalibrated_clamp_N(0.0)
-
-    def test_ramps_of_a_whole_session_never_rise_by_more_than_the_slew(self):
-        guarded = Guarded(LARGEST).to(machine.ARMED)
-        guarded.tell(machine.ENGAGE)
-        outs = [guarded.tick((0.0, 0.0, 40.0 if k % 700 < 500 else 0.0)) for k in range(2100)]
-        assert max(b - a for a, b in pairwise(lengths(outs))) <= 0.5 + ROUNDING
 
 
 LEG_JUMP = np.array([0, -201, 0], np.int64)
@@ -345,16 +308,21 @@ def test_what_a_hand_can_do_is_no_fault(seen):
 
 def test_nine_damaged_packets_and_a_good_one_are_no_fault(guarded):
     for _ in range(20):
-        for _ in range(9):
-            guarded.tick(reply=REPLY_DAMAGED)
+        guarded.ticks(9, (0.0, 0.0, 0.0), reply=REPLY_DAMAGED)
         guarded.tick()
     assert guarded.state == State.ENGAGED
 
 
-def test_a_hand_that_moved_on_during_a_stall_did_not_jump(guarded):
+def test_a_hand_that_moved_on_during_a_stall_or_a_silence_did_not_jump(guarded):
     guarded.tick(moved=np.array([900, 0, 0], np.int64), dt=5e-3)
+    # neither did the device fall silent
+    guarded.tick(dt=0.3, reply=REPLY_NONE)
+    guarded.tick()
+    guarded.ticks(30, (0.0, 0.0, 0.0), reply=REPLY_NONE)
+    guarded.tick(moved=np.array([31 * 200, 0, 0], np.int64))
     assert guarded.state == State.ENGAGED
-    guarded.tick(moved=np.array([1001, 0, 0], np.int64), dt=5e-3)
+    guarded.ticks(30, (0.0, 0.0, 0.0), reply=REPLY_NONE)
+    guarded.tick(moved=np.array([31 * 200 + 1, 0, 0], np.int64))
     assert guarded.fault == Fault.ENCODER_JUMP
 
 
@@ -425,13 +393,6 @@ def test_a_hiccup_of_30_ms_takes_the_force_away_and_gives_it_back(guarded):
     # over the recovery, not at once
     assert rises.max() <= 0.03
     np.testing.assert_allclose(after[-1], before)
-
-
-def test_an_encoder_that_jumps_after_a_hiccup_is_a_fault_nevertheless(guarded):
-    for _ in range(30):
-        guarded.tick(reply=REPLY_NONE)
-    guarded.tick(moved=np.array([31 * 200 + 1, 0, 0], np.int64))
-    assert guarded.fault == Fault.ENCODER_JUMP
 
 
 @pytest.mark.parametrize(("delay_ticks", "punctual", "late"), [(1.5, 2, 3), (4.5, 5, 6), (0.5, 2, 3)])

@@ -17,14 +17,11 @@ HARDWARE = Path(__file__).resolve().parent / "hardware"
 def run_hardware(*options: str, environment: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-rs", str(HARDWARE), *options],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=HARDWARE.parents[2],
+        capture_output=True, text=True, check=False, cwd=HARDWARE.parents[2],
         # without a terminal there is nobody to ask
         start_new_session=True,
         env={"XDG_CONFIG_HOME": str(environment), "PATH": "/usr/bin:/bin", "HOME": str(environment)},
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.slow

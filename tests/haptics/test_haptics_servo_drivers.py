@@ -11,7 +11,7 @@ import pytest
 from c_library import SdkStub
 
 from tissueid.haptics import guard as machine
-from tissueid.haptics.device import HANDLES_SIZE, HOMED, PRESSED, REPLY, WORDS_SIZE, CompiledIO, compiled_io
+from tissueid.haptics.device import HOMED, PRESSED, REPLY, WORDS_SIZE, CompiledIO, compiled_io
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, GUESS_M, forward
@@ -53,9 +53,8 @@ def address(library: ctypes.CDLL, name: str) -> int:
 def force_dimension(stub: SdkStub) -> Loop:
     """A loop on the stand-in of the driver, open."""
     stub.library.dhdOpenType(60)
-    handles = np.zeros(HANDLES_SIZE, np.int64)
     names = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
-    handles[:4] = [*(address(stub.library, name) for name in names), 5]
+    handles = np.array([*(address(stub.library, name) for name in names), 5], np.int64)
     constants = np.concatenate([ROTATION.ravel(), ORIGIN])
     return Loop(CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants))
 

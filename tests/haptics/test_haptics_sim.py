@@ -9,7 +9,7 @@ import pytest
 
 from tissueid.errors import BundleError, DeviceError
 from tissueid.haptics import sim as k
-from tissueid.haptics.arm import TIME, Arm
+from tissueid.haptics.arm import Arm
 from tissueid.haptics.device import HOMED, REPLY, WORDS_SIZE
 from tissueid.haptics.guard import REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.haptics.hand import Hand, preset
@@ -56,11 +56,11 @@ def pushed(device: SimulatedDevice, force_N: list[float]) -> None:
     simulated_advance(device.memory, device.parameters, 1e-3)
 
 
-def error_m(device: SimulatedDevice) -> np.ndarray:
-    """Difference of a reading from the true position."""
+def heard(device: SimulatedDevice) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Difference of a reading from the true position, counts, and what is said of reply and homing."""
     place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
     simulated_sample(device.memory, device.parameters, place, counts, words)
-    return place - device.true_position_m
+    return place - device.true_position_m, counts, (int(words[REPLY]), int(words[HOMED]))
 
 
 def pressing() -> Hand:
@@ -75,11 +75,7 @@ def test_equal_settings_and_forces_give_equal_samples_bit_for_bit():
 
 
 def test_in_virtual_time_no_clock_is_read():
-    def forbidden() -> float:
-        msg = "a clock was read"
-        raise AssertionError(msg)
-
-    device = SimulatedDevice(hand=pressing(), clock=forbidden, period_s=5e-4)
+    device = SimulatedDevice(hand=pressing(), clock=lambda: pytest.fail("a clock was read"), period_s=5e-4)
     session(device, 100)
     # 160 written forces and the twenty zero forces of closing
     assert device.time_s == pytest.approx(180 * 5e-4, abs=1e-12)
@@ -115,7 +111,7 @@ def test_positions_are_rounded_to_counts_without_a_mean_error():
     errors = []
     for _ in range(2000):
         pushed(device, [0.01, -0.013, 0.007])
-        errors.append(error_m(device))
+        errors.append(heard(device)[0])
     assert np.abs(errors).max() <= 30e-6 * (1.0 + 1e-9)
     # evenly spread over a count of 60 um: sd of the mean of at least some 300 counts passed is 1 um
     assert np.abs(np.mean(errors, axis=0)).max() < 4e-6
@@ -125,17 +121,14 @@ def test_the_compiled_blocks_are_the_device():
     device = SimulatedDevice(hand=pressing(), seed=9)
     io = device.compiled()
     assert io.kind == "tissueid.haptics.sim:SIMULATED"
-    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
-    device.open()
-    for _ in range(50):
-        simulated_sample(io.memory, io.constants, place, counts, words)
-        assert (words[REPLY], words[HOMED]) == (REPLY_VALID, 1)
-        simulated_command(io.memory, io.constants, QUIET)
-        simulated_advance(io.memory, io.constants, 1e-3)
-    assert device.time_s == pytest.approx(0.05, abs=1e-12)
-    assert (
-        device.read().counts == np.floor(device.true_position_m / 45e-6 + io.constants[PHASE : PHASE + 3])
-    ).all()
+    with device:
+        for _ in range(50):
+            assert heard(device)[2] == (REPLY_VALID, 1)
+            simulated_command(io.memory, io.constants, QUIET)
+            simulated_advance(io.memory, io.constants, 1e-3)
+        assert device.time_s == pytest.approx(0.05, abs=1e-12)
+        there = device.true_position_m / 45e-6 + io.constants[PHASE : PHASE + 3]
+        assert (device.read().counts == np.floor(there)).all()
 
 
 def test_in_real_time_the_arm_moves_with_the_clock():
@@ -161,11 +154,10 @@ SAID = {
 def test_scripted_faults_begin_at_their_time(kind, said):
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY)
     device.parameters[[FAULT_KIND, FAULT_AT]] = kind, 0.010
-    place, counts, words = np.zeros(3), np.zeros(3, np.int64), np.zeros(WORDS_SIZE, np.int64)
     answers, seen = [], []
     for _ in range(40):
-        simulated_sample(device.memory, device.parameters, place, counts, words)
-        answers.append((int(words[REPLY]), int(words[HOMED])))
+        _, counts, answer = heard(device)
+        answers.append(answer)
         seen.append(int(counts[0]))
         pushed(device, [5.0, 0.0, 0.0])
     assert set(answers[:10]) == {(REPLY_VALID, 1)}
@@ -173,34 +165,21 @@ def test_scripted_faults_begin_at_their_time(kind, said):
     assert (len(set(seen[12:])) == 1) == (kind != k.FAULT_UNHOMED)
 
 
-def test_a_jump_is_one_encoder_off_by_its_size():
+def test_a_jump_is_one_encoder_off_by_its_size_and_a_device_that_is_gone_ends_in_fault():
     device = SimulatedDevice(hand=FREE)
-    device.parameters[[FAULT_KIND, FAULT_AT, FAULT_SIZE]] = k.FAULT_JUMP, 0.0, 300.0
-    np.testing.assert_allclose(error_m(device), [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
-
-
-def test_a_device_that_is_gone_ends_in_fault():
-    device = SimulatedDevice()
-    device.parameters[[FAULT_KIND, FAULT_AT]] = k.FAULT_GONE, 0.005
     with device:
-        for _ in range(3):
-            device.read()
-            device.write_force(QUIET, 1e-3)
-        device.memory[TIME] = 0.01
+        device.parameters[[FAULT_KIND, FAULT_SIZE]] = k.FAULT_JUMP, 300.0
+        np.testing.assert_allclose(heard(device)[0], [300 * 45e-6, 0.0, 0.0], atol=22.6e-6)
+        device.parameters[FAULT_KIND] = k.FAULT_GONE
         with pytest.raises(DeviceError, match="unplugged"):
             device.read()
         assert device.state is State.FAULT
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"quantum_m": 0.0}, {"delay_ticks": -1.0}, {"delay_ticks": 40.0}, {"period_s": 0.0}]
-)
-def test_impossible_devices_are_refused(wrong):
-    with pytest.raises(ValueError, match="needs a positive quantum"):
-        SimulatedDevice(**wrong)
-
-
-def test_it_is_always_there_and_has_no_motors():
+def test_it_is_always_there_and_has_no_motors_and_impossible_ones_are_refused():
+    for wrong in ({"quantum_m": 0.0}, {"delay_ticks": -1.0}, {"delay_ticks": 40.0}, {"period_s": 0.0}):
+        with pytest.raises(ValueError, match="needs a positive quantum"):
+            SimulatedDevice(**wrong)
     assert SimulatedDevice.detect()[0].note == ""
     capabilities = SimulatedDevice(GuardLimits.simulated()).capabilities
     assert (capabilities.hardware, capabilities.delay_ticks) == (False, 1.5)
@@ -248,21 +227,15 @@ def test_it_is_where_the_log_says_and_between_records_on_their_line(monkeypatch)
 
 def test_no_force_changes_the_motion(monkeypatch):
     records = motion()
-    paths = []
-    for force in (0.0, 3.0):
-        device = player(monkeypatch, records, real_time=False)
-        with device:
-            device.engage()
-            path = []
-            for _ in range(150):
-                path.append(device.read().position_m)
-                device.write_force([0.0, 0.0, force], 1e-3)
-            paths.append(np.array(path))
-    np.testing.assert_array_equal(paths[0], paths[1])
-    time = 1e-3 * np.arange(150)
-    own = records["time_s"] - records["time_s"][0]
+    with player(monkeypatch, records, real_time=False) as device:
+        device.engage()
+        path = []
+        for _ in range(150):
+            path.append(device.read().position_m)
+            device.write_force([0.0, 0.0, 3.0], 1e-3)
+    time, own = 1e-3 * np.arange(150), records["time_s"] - records["time_s"][0]
     expected = np.column_stack([np.interp(time, own, records["position_m"][:, axis]) for axis in range(3)])
-    np.testing.assert_allclose(paths[0], expected, atol=1e-15)
+    np.testing.assert_allclose(path, expected, atol=1e-15)
 
 
 def test_records_that_are_no_numbers_are_left_out(monkeypatch):
@@ -274,15 +247,12 @@ def test_records_that_are_no_numbers_are_left_out(monkeypatch):
     assert device._time_s[60] - device._time_s[59] == pytest.approx(gap, abs=1e-12)
 
 
-@pytest.mark.parametrize("spoil", ["short", "backward"])
-def test_a_log_without_motion_is_refused(monkeypatch, spoil):
-    records = motion()
-    if spoil == "short":
-        records = records[:1]
-    else:
-        records["time_s"][100] = 0.0
-    with pytest.raises(DeviceError, match="hold no motion"):
-        player(monkeypatch, records)
+def test_a_log_without_motion_is_refused(monkeypatch):
+    backward = motion()
+    backward["time_s"][100] = 0.0
+    for records in (motion()[:1], backward):
+        with pytest.raises(DeviceError, match="hold no motion"):
+            player(monkeypatch, records)
 
 
 def test_a_log_that_is_none_is_refused_and_a_missing_one_asked_for(tmp_path: Path):

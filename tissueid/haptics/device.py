@@ -25,9 +25,6 @@ from tissueid.haptics import guard as machine
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 
-#: Integers of :attr:`CompiledIO.handles`.
-HANDLES_SIZE = 8
-
 
 @dataclass(frozen=True, slots=True)
 class AskedDevice:
@@ -85,8 +82,8 @@ class CompiledIO:
     """Handles and constants by which the compiled servo reaches a device without Python."""
 
     kind: str  # ``module:name`` of the :class:`~tissueid.haptics.device.Access` that takes them
-    #: (HANDLES_SIZE,): descriptors, addresses and identities.
-    handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
+    #: Descriptors, addresses and identities.
+    handles: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     constants: FloatArray = field(default_factory=lambda: np.zeros(1))
     memory: FloatArray = field(default_factory=lambda: np.zeros(1))  # changed by the loop
 

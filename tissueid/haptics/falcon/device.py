@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
-    HANDLES_SIZE,
     HOMING_TIMEOUT_S,
     AskedDevice,
     Capabilities,
@@ -28,12 +27,9 @@ from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firm
 from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command, leds_of_state
 from tissueid.haptics.falcon.transport import (
-    BULK_IN,
-    BULK_OUT,
     FileTransport,
     LibUsb,
     Transport,
-    UsbTransport,
 )
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import UNSEEN_TICKS
@@ -48,8 +44,6 @@ HOMING_STEPS = (
 PULLED_OUT_M = 0.170
 #: How long a reading waits for a reply [s].
 REPLY_WAIT_S = 0.002
-#: Time-out of a transfer in the compiled loop [ms].
-TRANSFER_TIMEOUT_MS = 2
 #: Reach of the grip within the stops of the legs [m].
 WORKSPACE_M = ((-0.090, 0.090), (-0.090, 0.090), (0.066, 0.183))
 #: Sustained force the motors are trusted with, as a share of the clamp.
@@ -163,20 +157,11 @@ class FalconDevice(HapticDevice):
 
     def compiled(self) -> CompiledIO | None:
         """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
-        handles = np.zeros(HANDLES_SIZE, np.int64)
-        if isinstance(self._transport, FileTransport):
-            name = "DESCRIPTOR"
-            handles[0] = self._transport.descriptor
-        elif isinstance(self._transport, UsbTransport):
-            name = "USB"
-            handles[:5] = (
-                self._transport.bulk_transfer, self._transport.handle, BULK_OUT, BULK_IN,
-                TRANSFER_TIMEOUT_MS,
-            )  # fmt: skip
-        else:
+        if self._transport is None:
             return None
+        name, handles = self._transport.handles
         constants = np.concatenate([[self.calibration.units_per_Nm], self._geometry])
-        return CompiledIO(f"tissueid.haptics.falcon.servo_io:{name}", handles, constants)
+        return CompiledIO(f"tissueid.haptics.falcon.servo_io:{name}", np.array(handles, np.int64), constants)
 
     def _open(self) -> None:
         self._parser = PacketParser()

@@ -275,7 +275,7 @@ DESCRIPTOR = register(
 USB = register(
     Access(
         UsbIO,
-        lambda given: UsbIO._make((*given.handles[:5].tolist(), _parts(given))),
+        lambda given: UsbIO._make((*given.handles.tolist(), _parts(given))),
         _sense_usb,
         _command_usb,
     )

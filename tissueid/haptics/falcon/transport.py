@@ -83,9 +83,9 @@ class FileTransport:
             raise DeviceError(_cannot_open(path, error)) from error
 
     @property
-    def descriptor(self) -> int:
-        """The file descriptor, for the compiled loop; -1 when closed."""
-        return self._descriptor
+    def handles(self) -> tuple[str, list[int]]:
+        """Name and handles of its kind in the compiled loop: the file descriptor, -1 when closed."""
+        return "DESCRIPTOR", [self._descriptor]
 
     def write(self, data: bytes) -> None:
         """Send all bytes, waiting up to a second for room."""
@@ -208,6 +208,8 @@ INTERFACE, BULK_IN, BULK_OUT = 0, 0x81, 0x02
 #: Packets of the chip hold 64 bytes, two of them modem status.
 USB_PACKET_BYTES, STATUS_BYTES = 64, 2
 WRITE_TIMEOUT_MS = CONTROL_TIMEOUT_MS = 1000
+#: Time-out of a transfer in the compiled loop [ms].
+TRANSFER_TIMEOUT_MS = 2
 
 #: FTDI requests: bmRequestType, then bRequest with its values.
 VENDOR_OUT = 0x40
@@ -338,11 +340,12 @@ class LibUsb:
                 f"no permission for {node}, which is the Falcon. As root write this line into "
                 f"{UDEV_FILE}: {UDEV_RULE} , then run 'udevadm control --reload' and plug it in again"
             )
-        if code == ERROR_BUSY:
-            return f"the Falcon at {node} is in use by another program; end that one first"
-        if code == ERROR_NO_DEVICE:
-            return f"the Falcon at {node} went away while it was opened; plug it in again"
-        return f"the Falcon at {node} can't be opened: {self.error_name(code)}"
+        known = {
+            ERROR_BUSY: "is in use by another program; end that one first",
+            ERROR_NO_DEVICE: "went away while it was opened; plug it in again",
+        }
+        why = known.get(code, f"can't be opened: {self.error_name(code)}")
+        return f"the Falcon at {node} {why}"
 
 
 class UsbTransport:
@@ -354,15 +357,10 @@ class UsbTransport:
         self._handle = handle
 
     @property
-    def handle(self) -> int:
-        """Address of libusb's handle, for the compiled loop; 0 when closed."""
-        return self._handle.value or 0
-
-    @property
-    def bulk_transfer(self) -> int:
-        """Address of ``libusb_bulk_transfer``."""
-        function = self._usb.library.libusb_bulk_transfer
-        return ctypes.cast(function, c_void_p).value or 0
+    def handles(self) -> tuple[str, list[int]]:
+        """Name of its kind in the compiled loop; addresses of transfer and handle, its numbers."""
+        transfer = ctypes.cast(self._usb.library.libusb_bulk_transfer, c_void_p).value or 0
+        return "USB", [transfer, self._handle.value or 0, BULK_OUT, BULK_IN, TRANSFER_TIMEOUT_MS]
 
     def prepare(self) -> None:
         """The order in which a Falcon is opened: purge, latency 1 ms, 1.5 Mbaud, purge."""

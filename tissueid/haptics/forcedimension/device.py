@@ -22,7 +22,6 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
-    HANDLES_SIZE,
     HOMING_TIMEOUT_S,
     AskedDevice,
     Capabilities,
@@ -233,9 +232,8 @@ class ForceDimensionDevice(HapticDevice):
         """The addresses of three of the SDK's functions; None when closed."""
         if self._sdk is None:
             return None
-        handles = np.zeros(HANDLES_SIZE, np.int64)
         asked = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
-        handles[:4] = (*map(self._sdk.address, asked), self._sdk.identity)
+        handles = np.array([*map(self._sdk.address, asked), self._sdk.identity], np.int64)
         constants = np.concatenate([ROTATION.ravel(), ORIGIN_M])
         return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 

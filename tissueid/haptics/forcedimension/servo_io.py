@@ -43,16 +43,10 @@ class ForceDimensionIO(NamedTuple):
 
 def _made(given: CompiledIO) -> ForceDimensionIO:
     """The tuple of a device."""
-    get_position, set_force, get_buttons, identity = (int(value) for value in given.handles[:4])
-    return ForceDimensionIO(
-        get_position,
-        set_force,
-        get_buttons,
-        identity,
-        np.ascontiguousarray(given.constants[:9]).reshape(3, 3),
-        np.ascontiguousarray(given.constants[9:12]),
-        np.zeros(3),
-        np.zeros(1, np.int64),
+    rotation = np.ascontiguousarray(given.constants[:9]).reshape(3, 3)
+    origin = np.ascontiguousarray(given.constants[9:])
+    return ForceDimensionIO._make(
+        (*given.handles.tolist(), rotation, origin, np.zeros(3), np.zeros(1, np.int64))
     )
 
 

@@ -42,20 +42,6 @@ def _asked_baud(descriptor: int) -> int | None:
     return int(TERMIOS2.unpack(answer)[-1])
 
 
-def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> None:
-    """Exchange bytes until the host leaves, the device is unplugged or ``stop`` is set."""
-    virtual = falcon.settings.period_s is not None
-    last = time.monotonic()
-    while not stop.is_set() and not falcon.gone:
-        readable = select.select([descriptor], [], [], LOOK_S)[0]
-        now = time.monotonic()
-        if not virtual:
-            falcon.advance(now - last)
-        last = now
-        if readable and not serve_once(descriptor, falcon):
-            return
-
-
 def serve_once(descriptor: int, falcon: EmulatedFalcon) -> bool:
     """Answer the bytes that have arrived; False where the host closed its end."""
     try:
@@ -95,8 +81,18 @@ class EmulatedLink:
         return os.dup(self._host)
 
     def _run(self) -> None:
+        """Exchange bytes until the host leaves, the device is unplugged or the link is closed."""
+        virtual = self.falcon.settings.period_s is not None
+        last = time.monotonic()
         try:
-            serve(self._device, self.falcon, self._stop)
+            while not self._stop.is_set() and not self.falcon.gone:
+                readable = select.select([self._device], [], [], LOOK_S)[0]
+                now = time.monotonic()
+                if not virtual:
+                    self.falcon.advance(now - last)
+                last = now
+                if readable and not serve_once(self._device, self.falcon):
+                    return
         finally:
             if self.falcon.gone:
                 # both ends: a terminal hangs up only when its last holder lets go
