@@ -21,6 +21,7 @@ from tissueid.cli.output import (
     tell,
 )
 from tissueid.cli.reading import read_all, recorded_options
+from tissueid.cli.synth_command import check_rate
 from tissueid.documents.selfcheck import SelfCheck
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
 
@@ -167,8 +168,6 @@ def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -
 
 _Progress = Callable[[str, int, int], None]
 _BUNDLE_SUFFIXES = (".h5", ".hdf5")
-#: No test machine logs faster.
-HIGHEST_RATE_HZ = 1e5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,11 +219,10 @@ def _recipe(named: str, flags: _CalibrateFlags) -> Found:
     from tissueid.selfcheck.protocol import of_recipe
     from tissueid.synth import RECIPES, load_recipe, recipe
 
-    rate = flags.rate
-    if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
-        refuse(f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
+    if flags.rate is not None:
+        check_rate(flags.rate)
     plan = recipe(named) if named in RECIPES else load_recipe(named)
-    protocol, centre = of_recipe(plan, rate_Hz=rate)
+    protocol, centre = of_recipe(plan, rate_Hz=flags.rate)
     return Found("recipe", plan.specimen, protocol, centre)
 
 
