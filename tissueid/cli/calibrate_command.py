@@ -33,14 +33,6 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.verdicts import Verdict
     from tissueid.store.bundle import Bundle
 
-EXAMPLES = """
-tissueid calibrate paper-a-30-k1 --rate 100
-tissueid calibrate lab_data/study.toml -o calibration --simulations 500
-tissueid calibrate out/bundle.h5 --interval total --workers 4
-tissueid calibrate lab_data/ --model "power * fung"
-tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
-"""
-
 #: Below so many simulations even gross errors stay within the bands.
 FEWEST = 20
 _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
@@ -76,7 +68,14 @@ class _CalibrateFlags(OutputFlags):
     # fmt: on
 
 
-@subcommand("calibrate", EXAMPLES)
+@subcommand(
+    "calibrate",
+    "paper-a-30-k1 --rate 100",
+    "lab_data/study.toml -o calibration --simulations 500",
+    "out/bundle.h5 --interval total --workers 4",
+    'lab_data/ --model "power * fung"',
+    "my_recipe.toml --noise ar1 --phi 0.95",
+)
 def command(flags: _CalibrateFlags) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
 

@@ -11,11 +11,6 @@ from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, refuse, refusing
 
-EXAMPLES = """
-tissueid synth paper-a-30 -o synthetic --rate 100
-tissueid synth my_recipe.toml -o synthetic --seed 7 --dialect semicolon
-tissueid synth --dialects
-"""
 #: No test machine logs faster; a slip of the keyboard must not fill the memory.
 HIGHEST_RATE_HZ = 1e5
 
@@ -54,7 +49,12 @@ class _SynthFlags(OutputFlags):
     )
 
 
-@subcommand("synth", EXAMPLES)
+@subcommand(
+    "synth",
+    "paper-a-30 -o synthetic --rate 100",
+    "my_recipe.toml -o synthetic --seed 7 --dialect semicolon",
+    "--dialects",
+)
 def command(flags: _SynthFlags) -> int:
     """Write synthetic exports with a known truth.
 
