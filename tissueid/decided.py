@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from tissueid.errors import UsageError
@@ -13,17 +13,9 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Trial
 
-#: Keys of [[override]] that the segmenter takes as they are, by the name of its option.
-_SEGMENT_KEYS = {
-    "contact_mm": "contact_displacement_mm",
-    "contact_sd_mm": "contact_sd_mm",
-    "minimum_hold_s": "minimum_hold_s",
-    "start_s": "start_s",
-    "end_s": "end_s",
-    "rupture": "rupture",
-    "hold_from_s": "hold_from_s",
-}
-_SIGN_KEYS = {"compression": "compression_sign", "force": "force_sign"}
+#: Options of the segmenter, and keys of [[override]] that stand for one of another name.
+_OPTIONS = frozenset(one.name for one in fields(SegmentOptions))
+_NAMES = {"contact_mm": "contact_displacement_mm", "compression": "compression_sign", "force": "force_sign"}
 _SIGNS = {"positive": 1, "negative": -1}
 
 
@@ -41,12 +33,11 @@ def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptio
 
     Raises UsageError: both together leave no window of time.
     """
-    said: dict[str, Any] = {
-        name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
-    }
-    for key, name in _SIGN_KEYS.items():
-        if key in decision.override:
-            said[name] = _SIGNS[decision.override[key]]
+    said: dict[str, Any] = {}
+    for key, value in decision.override.items():
+        name = _NAMES.get(key, key)
+        if name in _OPTIONS:
+            said[name] = _SIGNS[value] if name.endswith("_sign") else value
     try:
         return replace(options, **said)
     except ValueError as error:

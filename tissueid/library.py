@@ -47,7 +47,7 @@ from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.files import TEMPORARY_PREFIX, plain_json, replace_file
 from tissueid.trial import Trial
-from tissueid.uncertainty import ParameterUncertainty
+from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 if TYPE_CHECKING:
     from tissueid.rendering.session import Outcome
@@ -439,17 +439,21 @@ class Sampled(_Reported):
     def __repr__(self) -> str:
         return f"<Sampled {self.result.specimen}: {len(self._draws)} draws kept>"
 
-    @cached_property
-    def _draws(self) -> FloatArray:
+    @property
+    def _posterior(self) -> Posterior:
         posterior = self.result.posterior
         assert posterior is not None  # noqa: S101 -- it was checked when this was made
-        return posterior.draws if posterior.draws_total is None else posterior.draws_total
+        return posterior
+
+    @cached_property
+    def _draws(self) -> FloatArray:
+        total = self._posterior.draws_total
+        return self._posterior.draws if total is None else total
 
     def __getitem__(self, name: str) -> Marginal:
-        one, posterior = self.parameter(name), self.result.posterior
-        assert posterior is not None  # noqa: S101 -- it was checked when this was made
+        one = self.parameter(name)
         values = reported_draws(self.fit.fitted.tissue.model, self._draws)[one.name]
-        return Marginal(one.name, one.unit, values, posterior.parameters[one.name])
+        return Marginal(one.name, one.unit, values, self._posterior.parameters[one.name])
 
     def band(self, trial: Trial, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Band that holds the whole force of a push at another site with this probability, (n,) [N] each.
@@ -477,9 +481,7 @@ class Sampled(_Reported):
         UsageError
             arviz, of the extra ``tissueid[arviz]``, is not installed.
         """
-        posterior = self.result.posterior
-        assert posterior is not None  # noqa: S101 -- it was checked when this was made
-        return posterior.to_arviz()
+        return self._posterior.to_arviz()
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,8 @@ class QuantityWords:
 
 
 _BOTH = (
-    "With 95 % the value lies in it, if model and noise hold: the statistical one knows noise, "
-    "contact and the "
-    "scatter between logs, the total one frame, filter, skew and gains as well."
+    "With 95 % the value lies in it, if model and noise hold: the statistical one knows noise, contact and "
+    "the scatter between logs, the total one frame, filter, skew and gains as well."
 )
 _POLYNOMIAL = (
     "Its terms are strongly correlated: one alone may be wide, or of odd sign, while the force they make "
@@ -36,9 +35,8 @@ _POLYNOMIAL = (
 )
 _DEEP = "on the depth that was reached, and on the contact point: a shift of contact moves all terms together"
 _SHARED = (
-    "on tau (b0 tau is better known than b0), on the speed of the ramp, and on the contact point; at "
-    "one speed "
-    "and one depth only the form of the polynomials parts it from a1"
+    "on tau (b0 tau is better known than b0), on the speed of the ramp, and on the contact point; at one "
+    "speed and one depth only the form of the polynomials parts it from a1"
 )
 
 #: Name in identification.json, or symbol where it has none -> words.
@@ -48,9 +46,9 @@ QUANTITIES: Mapping[str, QuantityWords] = {
         "s",
         "Relaxation time",
         "the time after which a held force of this branch has fallen to 37 % of its start",
-        "on the number of branches, on the window of the hold (no more than a third of it is sure) and "
-        "on the "
-        "sampling (two intervals at least); a soft frame, a force filter or a skew makes short ones longer",
+        "on the number of branches, on the window of the hold (no more than a third of it is sure) and on "
+        "the sampling (two intervals at least); a soft frame, a force filter or a skew makes short ones "
+        "longer",
         f"{_BOTH} It is lopsided: the long end goes far where the hold is short. `interval_open` says where "
         "it has no end.",
     ),
@@ -60,8 +58,7 @@ QUANTITIES: Mapping[str, QuantityWords] = {
         "Viscosity (stiffness times relaxation time)",
         "eta = K tau (at half the depth where K varies): force per speed in long ramps",
         "on little: a ramp shows the product K tau even where K and tau can't be told apart; on the "
-        "branches, "
-        "which share the sum of all viscosities between them",
+        "branches, which share the sum of all viscosities between them",
         f"{_BOTH} Where the total one is much wider, the machine decides: state it in [calibration].",
     ),
     "static_1_N_per_mm": QuantityWords(
@@ -118,9 +115,8 @@ QUANTITIES: Mapping[str, QuantityWords] = {
         "Normalised root-mean-square deviation",
         "root mean square of force minus model over all fitted samples, as a share of the force's range",
         "on the noise and on what the model lacks; by the mean force it is about twice as large on a ramp",
-        "It has none: it is a sum over the samples that were fitted. Beside the noise of the recordings "
-        "it says "
-        "how much the model misses.",
+        "It has none: it is a sum over the samples that were fitted. Beside the noise of the recordings it "
+        "says how much the model misses.",
     ),
     "modulus_equilibrium": QuantityWords(
         "E_inf",

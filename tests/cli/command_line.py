@@ -98,6 +98,17 @@ def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
     )
 
 
+def python(*args: str | Path, check: bool = True, **environment: str) -> subprocess.CompletedProcess[str]:
+    """An interpreter of its own that finds this package."""
+    return subprocess.run(
+        [sys.executable, *map(str, args)],
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
+        capture_output=True,
+        text=True,
+        check=check,
+    )
+
+
 def log_text(*, label: str | None = "tissue", stride: int = 4, force_times: float = 1.0) -> str:
     """The 100 Hz ramp and hold, every ``stride``-th row of it, under another specimen label (or none)."""
     lines = LOG.read_text(encoding="ascii").splitlines()

@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import pytest
-from command_line import REPOSITORY, run
+from command_line import REPOSITORY, python, run
 
 from tissueid.cli.main import COMMANDS, cli
 
@@ -39,13 +39,7 @@ def offered(words: str, *, shell: str = "bash") -> list[str]:
 
 def test_a_process_offers_the_same_and_says_nothing_else():
     words = "tissueid fit --sampler e"
-    done = subprocess.run(
-        [sys.executable, "-m", "tissueid"],
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | asked(words, "bash"),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-m", "tissueid", **asked(words, "bash"))
     assert (done.stdout.splitlines(), done.stderr) == (offered(words), "")
 
 

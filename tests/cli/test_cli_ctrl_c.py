@@ -7,11 +7,8 @@ and ``watch``, which wait for something, are interrupted from outside in the tes
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -20,7 +17,7 @@ from typing import Any
 
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import QUICK, REPOSITORY, read_json, run, write_bundles, write_log
+from command_line import QUICK, REPOSITORY, python, read_json, run, write_bundles, write_log
 from identify_stand_ins import of_prior
 from test_cli_calibrate import RECIPE
 
@@ -177,12 +174,7 @@ def test_while_it_is_still_being_loaded(tmp_path):
         encoding="ascii",
     )
     begun = "import signal; signal.signal(2, signal.default_int_handler)"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{begun}; from tissueid.__main__ import start; start()"],
-        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )  # fmt: skip
+    code = f"{begun}; from tissueid.__main__ import start; start()"
+    done = python("-c", code, check=False, PYTHONPATH=f"{tmp_path}:{REPOSITORY}")
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "\ntissueid: interrupted; nothing was begun\n"

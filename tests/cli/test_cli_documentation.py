@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run, write_log, write_study
+from command_line import REPOSITORY, run, write_log, write_study
 from identify_stand_ins import of_prior
 from test_cli_examples import any_path, unfit
 from test_cli_impact import WHOLE, recordings
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 #: Written from the program, whose examples are tested as such.
 GENERATED = {"options.md", "flags.md", "api.md"}
 PROGRAMS = ("tissueid", "mkdir", "cp", "pip", "pytest", "python", "dask", "scripts/demo", "scripts/test")
@@ -249,7 +248,7 @@ def test_the_index_names_every_page():
 
 @pytest.mark.parametrize(
     "page",
-    [*pages(), *(REPOSITORY / "docs" / name for name in ("options.md", "flags.md", "api.md"))],
+    [*pages(), *(REPOSITORY / "docs" / name for name in sorted(GENERATED))],
     ids=lambda page: page.name,
 )
 def test_a_link_leads_somewhere(page):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import read_json, run
+from command_line import REPOSITORY, read_json, run
 from fit_factory import STATIC, THETA_NAMES, identification, specimen_fit, write_results
 from posterior_factory import posterior, sampled
 from rendered_tissues import PAPER_A, bundle_of
@@ -272,7 +272,7 @@ def test_a_file_is_written_where_it_is_asked_for(out, tmp_path):
 
 
 def test_the_documentation_names_every_column():
-    page = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "export.md").read_text(encoding="utf-8")
     for name in TABLES:
         section = page.split(f"## {name}\n")[1].split("\n## ")[0]
         for column in tidy_table(document(), name).columns:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
-from command_line import REPOSITORY, run
+from command_line import REPOSITORY, python, run
 from test_cli_documentation import commands_of
 
 from tissueid import __version__
@@ -21,10 +19,7 @@ LISTING = "import sys, json; print(json.dumps(sorted({name.split('.')[0] for nam
 
 def modules_after(code: str) -> set[str]:
     """Top-level modules loaded in a new process after some code."""
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}\n{LISTING}"], capture_output=True, text=True, check=True
-    )
-    return set(json.loads(done.stdout.splitlines()[-1]))
+    return set(json.loads(python("-c", f"{code}\n{LISTING}").stdout.splitlines()[-1]))
 
 
 def test_nothing_heavy_is_loaded_before_it_is_used():

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, REPOSITORY, Ended, log_text, read_json, run, start, write_log
+from command_line import QUICK, Ended, log_text, python, read_json, run, start, write_log
 
 from tissueid.synth import DIALECTS, Hold, Log, Move, SyntheticLog, bluehill_csv, recipe, simulate
 
@@ -166,13 +166,7 @@ def test_a_locale_with_a_decimal_comma_changes_no_number(tmp_path, comma_locale)
     commas = (head + "(N)\n").replace(",", ";") + body.replace(",", ";").replace(".", ",")
     (tmp_path / "lab" / "commas.csv").write_text(commas, encoding="ascii")
     args = ["fit", str(tmp_path / "lab"), *QUICK, "--json", "-o"]
-    ended = subprocess.run(
-        [sys.executable, "-c", WITH_LOCALE, ",", *args, str(tmp_path / "commas")],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | comma_locale,
-    )
+    ended = python("-c", WITH_LOCALE, ",", *args, tmp_path / "commas", check=False, **comma_locale)
     assert ended.returncode in (0, 4), ended.stderr
     assert run("validate", tmp_path / "commas").code == 0
     there, here = json.loads(ended.stdout), run(*args, tmp_path / "points").json()

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import tomllib
 import urllib.request
 from html import unescape
@@ -19,7 +16,7 @@ from typing import Any
 import numpy as np
 import openpyxl
 import pytest
-from command_line import LOG, REPOSITORY, run, write_csv, write_log, write_study
+from command_line import LOG, python, run, start, write_csv, write_log, write_study
 
 from tissueid.store.schema import first_problem
 
@@ -133,11 +130,7 @@ def test_a_look_at_a_file_loads_no_compiler(tmp_path):
         f"code = main([{str(log)!r}, '-q']); "
         "print(code, sorted({'numba', 'scipy.optimize', 'lmfit', 'emcee'} & set(sys.modules)))"
     )
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
-    )
-    assert ended.stdout.strip() == "0 []"
+    assert python("-c", code).stdout.strip() == "0 []"
 
 
 def test_every_recording_has_a_line_and_all_a_summary(tmp_path):
@@ -208,12 +201,7 @@ def test_a_served_page_takes_no_other_output(tmp_path, other):
 
 def test_the_served_page_is_told_and_ends_by_ctrl_c(tmp_path):
     shutil.copy(LOG, tmp_path / "one.csv")
-    serving = subprocess.Popen(
-        [sys.executable, "-m", "tissueid", "inspect", str(tmp_path / "one.csv"), "--serve", "--no-browser"],
-        cwd=REPOSITORY,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    serving = start("inspect", tmp_path / "one.csv", "--serve", "--no-browser")
     try:
         assert serving.stderr is not None
         url = serving.stderr.readline().split()[-1]

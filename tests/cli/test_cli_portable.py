@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from command_line import REPOSITORY, python
 
 from tissueid.extras import EXTRA_OF
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 HOLD = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz"
 #: What Python on Windows lacks.
 POSIX = ("fcntl", "termios", "resource", "pwd", "grp", "tty", "pty", "posix_ipc", "readline")
@@ -38,17 +35,10 @@ def hide(tmp_path_factory):
     place = tmp_path_factory.mktemp("hiding")
     (place / "sitecustomize.py").write_text(HIDING)
 
-    def run(modules, *arguments, timeout=240):
-        ours = {
-            "HIDDEN_MODULES": ",".join(modules),
-            "PYTHONPATH": os.pathsep.join([str(place), str(REPOSITORY)]),
-        }
-        return subprocess.run(
-            [sys.executable, *map(str, arguments)],
-            env=os.environ | ours, capture_output=True, text=True, timeout=timeout, check=False,
-        )  # fmt: skip
-
-    return run
+    path = os.pathsep.join([str(place), str(REPOSITORY)])
+    return lambda modules, *arguments: python(
+        *arguments, check=False, HIDDEN_MODULES=",".join(modules), PYTHONPATH=path
+    )
 
 
 @pytest.fixture(scope="module", params=[POSIX, EXTRAS], ids=["posix", "extras"])

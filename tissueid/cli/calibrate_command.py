@@ -21,6 +21,7 @@ from tissueid.cli.output import (
     tell,
 )
 from tissueid.cli.reading import read_all, recorded_options
+from tissueid.cli.synth_command import check_rate
 from tissueid.documents.selfcheck import SelfCheck
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
 
@@ -31,14 +32,6 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.tissue import TissueCheck
     from tissueid.selfcheck.verdicts import Verdict
     from tissueid.store.bundle import Bundle
-
-EXAMPLES = """
-tissueid calibrate paper-a-30-k1 --rate 100
-tissueid calibrate lab_data/study.toml -o calibration --simulations 500
-tissueid calibrate out/bundle.h5 --interval total --workers 4
-tissueid calibrate lab_data/ --model "power * fung"
-tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
-"""
 
 #: Below so many simulations even gross errors stay within the bands.
 FEWEST = 20
@@ -75,7 +68,14 @@ class _CalibrateFlags(OutputFlags):
     # fmt: on
 
 
-@subcommand("calibrate", EXAMPLES)
+@subcommand(
+    "calibrate",
+    "paper-a-30-k1 --rate 100",
+    "lab_data/study.toml -o calibration --simulations 500",
+    "out/bundle.h5 --interval total --workers 4",
+    'lab_data/ --model "power * fung"',
+    "my_recipe.toml --noise ar1 --phi 0.95",
+)
 def command(flags: _CalibrateFlags) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
 
@@ -167,8 +167,6 @@ def _lines(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -
 
 _Progress = Callable[[str, int, int], None]
 _BUNDLE_SUFFIXES = (".h5", ".hdf5")
-#: No test machine logs faster.
-HIGHEST_RATE_HZ = 1e5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,11 +218,10 @@ def _recipe(named: str, flags: _CalibrateFlags) -> Found:
     from tissueid.selfcheck.protocol import of_recipe
     from tissueid.synth import RECIPES, load_recipe, recipe
 
-    rate = flags.rate
-    if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
-        refuse(f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
+    if flags.rate is not None:
+        check_rate(flags.rate)
     plan = recipe(named) if named in RECIPES else load_recipe(named)
-    protocol, centre = of_recipe(plan, rate_Hz=rate)
+    protocol, centre = of_recipe(plan, rate_Hz=flags.rate)
     return Found("recipe", plan.specimen, protocol, centre)
 
 

@@ -9,18 +9,13 @@ from tissueid.cli.output import checked, note, tell, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.documents.folder import Frame
 
-EXAMPLES = """
-tissueid calibrate-frame rigid.csv
-tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
-"""
-
 
 class _CalibrateFrameFlags(ReadingFlags, OutputFlags):
     paths: tuple[str, ...] = argument(required=True, type=PATH)
     output: str = option("Frame file to write.", "-o", type=FILE, default="frame.json")
 
 
-@subcommand("calibrate-frame", EXAMPLES)
+@subcommand("calibrate-frame", "rigid.csv", "rigid-1.csv rigid-2.csv -o lab_data/frame.json")
 def command(flags: _CalibrateFrameFlags) -> int:
     """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
 

@@ -16,11 +16,6 @@ from tissueid.flags import warning_line
 if TYPE_CHECKING:
     from tissueid.study.cohort import WrittenPopulation
 
-EXAMPLES = """
-tissueid cohort out
-tissueid cohort out --group-by sex --covariate age_years
-"""
-
 
 class _CohortFlags(OutputFlags):
     out: str = argument(type=FOLDER_THERE)
@@ -34,7 +29,7 @@ class _CohortFlags(OutputFlags):
     no_held_out: bool = option("Leave out the prediction of each specimen from the others.")
 
 
-@subcommand("cohort", EXAMPLES)
+@subcommand("cohort", "out", "out --group-by sex --covariate age_years")
 def command(flags: _CohortFlags) -> int:
     """Say what specimens have in common and how they differ.
 

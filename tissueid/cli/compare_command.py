@@ -33,12 +33,6 @@ if TYPE_CHECKING:
     from tissueid.store.bundle import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EXAMPLES = """
-tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
-tissueid compare before/ after/ --interval total
-tissueid compare out -o compared
-tissueid compare slow.csv fast.csv
-"""
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
 
@@ -61,7 +55,13 @@ class _CompareFlags(ReadingFlags, OutputFlags):
     # fmt: on
 
 
-@subcommand("compare", EXAMPLES)
+@subcommand(
+    "compare",
+    "out/bundle-kidney.h5 out/bundle-liver.h5",
+    "before/ after/ --interval total",
+    "out -o compared",
+    "slow.csv fast.csv",
+)
 def command(flags: _CompareFlags) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
 

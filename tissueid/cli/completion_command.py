@@ -14,11 +14,6 @@ from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
 from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, refuse, write_output
 from tissueid.errors import UsageError
 
-EXAMPLES = """
-tissueid completion bash --install
-tissueid completion zsh > _tissueid
-tissueid completion fish --install
-"""
 #: The variable by which a shell asks; click derives the same from the name of the program.
 VARIABLE = "_TISSUEID_COMPLETE"
 #: Shell -> what has to be so for an installed file to be found.
@@ -34,7 +29,7 @@ class _CompletionFlags(OutputFlags):
     install: bool = option("Write it where the shell looks; no file of yours is edited.")
 
 
-@subcommand("completion", EXAMPLES)
+@subcommand("completion", "bash --install", "zsh > _tissueid", "fish --install")
 def command(flags: _CompletionFlags) -> int:
     """Print the script that completes tissueid in a shell, or install it.
 

@@ -20,18 +20,12 @@ from tissueid.errors import UsageError
 if TYPE_CHECKING:
     from tissueid.manifest import TomlTable
 
-EXAMPLES = """
-tissueid config
-tissueid config fit
-tissueid config study init --json
-"""
-
 
 class _ConfigFlags(OutputFlags):
     name: tuple[str, ...] = argument(metavar="[COMMAND]...", shell_complete=subcommands)
 
 
-@subcommand("config", EXAMPLES)
+@subcommand("config", "", "fit", "study init --json")
 def command(flags: _ConfigFlags) -> int:
     """Say which settings are in force, and where each comes from.
 
@@ -72,14 +66,12 @@ def _of_command(name: tuple[str, ...], rows: list[dict[str, Any]]) -> list[dict[
     if isinstance(found, click.Group):
         return [row for row in rows if row["command"].split()[: len(name)] == list(name)]
     told = {row["option"]: row for row in rows if row["command"] == " ".join(name)}
-    every = []
+    every = {}
     for key, option in settable(found).items():
         default = option.to_info_dict()["default"]
         value = default if isinstance(default, str | int | float) else None
-        every.append(
-            told.get(key) or {"command": " ".join(name), "option": key, "value": value, "source": None}
-        )
-    return every
+        every[key] = {"command": " ".join(name), "option": key, "value": value, "source": None}
+    return list((every | told).values())
 
 
 def _lines(rows: list[dict[str, Any]]) -> Iterator[str]:

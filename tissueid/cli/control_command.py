@@ -29,14 +29,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
     from tissueid.rendering.tissue_block import Tissue
 
-EXAMPLES = """
-tissueid control bundle.h5
-tissueid control --preset paper-a --variant A --stiffness-scale 100
-tissueid control bundle.h5 --task impacts --no-projection
-tissueid control bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact
-tissueid control bundle.h5 --device sim
-"""
-
 
 class _ControlFlags(OutputFlags):
     # fmt: off
@@ -91,7 +83,14 @@ class _ControlFlags(OutputFlags):
     # fmt: on
 
 
-@subcommand("control", EXAMPLES)
+@subcommand(
+    "control",
+    "bundle.h5",
+    "--preset paper-a --variant A --stiffness-scale 100",
+    "bundle.h5 --task impacts --no-projection",
+    "bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact",
+    "bundle.h5 --device sim",
+)
 def command(flags: _ControlFlags) -> int:
     """Simulate the adaptive controller for admittance-type rendering against an identified tissue.
 

@@ -33,14 +33,6 @@ if TYPE_CHECKING:
     from tissueid.design.tissues import Tissues
     from tissueid.synth import Recipe
 
-EXAMPLES = """
-tissueid design paper-a-30 --machine paper-a -o plan
-tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
-tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
---machine bench
-tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
-"""
-
 _FILES = ("design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml")
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 #: Precision that is wanted where nothing is said.
@@ -93,7 +85,13 @@ class _DesignFlags(OutputFlags):
     # fmt: on
 
 
-@subcommand("design", EXAMPLES)
+@subcommand(
+    "design",
+    "paper-a-30 --machine paper-a -o plan",
+    "out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%",
+    "--tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 --machine bench",
+    "out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h",
+)
 def command(flags: _DesignFlags) -> int:
     """Plan the protocol that reaches a wanted precision in the least machine time.
 

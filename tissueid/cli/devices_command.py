@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, part
+from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
 from tissueid.cli.output import note, refuse, tell
 from tissueid.digits import with_error
 from tissueid.documents import typed
@@ -183,7 +183,7 @@ def command() -> None:
     """
 
 
-@part(command, "list", "", "--json")
+@subcommand("list", "", "--json", group=command)
 def list_devices(flags: OutputFlags) -> int:
     """List the devices of this machine, with what stands in the way of each."""
     from tissueid.haptics.registry import detect_all, device_names
@@ -198,7 +198,7 @@ def list_devices(flags: OutputFlags) -> int:
     return 0
 
 
-@part(command, "info", "", "falcon --json")
+@subcommand("info", "", "falcon --json", group=command)
 def info(flags: DeviceFlags) -> int:
     """Say what a device can do, and how much of it was measured."""
     device = made_device(flags, stand_in=True)
@@ -225,7 +225,7 @@ class _HomeFlags(DeviceFlags):
     )
 
 
-@part(command, "home", "", "falcon --firmware firmware.bin --timeout 120")
+@subcommand("home", "", "falcon --firmware firmware.bin --timeout 120", group=command)
 def home(flags: _HomeFlags) -> int:
     """Load firmware if needed, and home the device with your hand; the motors stay without force."""
     with opened(made_device(flags)) as device:
@@ -244,7 +244,7 @@ class _TestFlags(DeviceFlags):
     save: bool = option("Keep the measured delay in the calibration.")
 
 
-@part(command, "test", "", "falcon --seconds 30 --save", "falcon --port /dev/ttyUSB0 --json")
+@subcommand("test", "", "falcon --seconds 30 --save", "falcon --port /dev/ttyUSB0 --json", group=command)
 def test(flags: _TestFlags) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""
     from tissueid.haptics.measure import measure_link
@@ -275,7 +275,7 @@ class _CalibrateForceFlags(MovedFlags):
     )
 
 
-@part(command, "calibrate-force", "--mass 100", "falcon --mass 100 --yes --json")
+@subcommand("calibrate-force", "--mass 100", "falcon --mass 100 --yes --json", group=command)
 def calibrate_force(flags: _CalibrateForceFlags) -> int:
     """Weigh a known mass with the device, and keep how many motor units make a newton.
 
@@ -300,7 +300,7 @@ def calibrate_force(flags: _CalibrateForceFlags) -> int:
     return 0
 
 
-@part(command, "calibrate-damping", "", "falcon --yes --json")
+@subcommand("calibrate-damping", "", "falcon --yes --json", group=command)
 def calibrate_damping(flags: MovedFlags) -> int:
     """Let the free grip swing on a weak spring, and keep the damping of the arm.
 
@@ -320,7 +320,7 @@ def calibrate_damping(flags: MovedFlags) -> int:
     return 0
 
 
-@part(command, "calibrate-weight", "", "falcon --yes --json")
+@subcommand("calibrate-weight", "", "falcon --yes --json", group=command)
 def calibrate_weight(flags: MovedFlags) -> int:
     """Hold the free grip at nine places, and keep the force that carries it there.
 
@@ -356,7 +356,9 @@ class _EmulateFlags(OutputFlags):
     fault: tuple[str, ...] = option("Scripted fault, e.g. unplug@6 or jump@6:300.", metavar="KIND@S")
 
 
-@part(command, "emulate", "", "--no-firmware --failing-tries 2", '--hand "slow press" --fault unplug@6')
+@subcommand(
+    "emulate", "", "--no-firmware --failing-tries 2", '--hand "slow press" --fault unplug@6', group=command
+)
 def emulate(flags: _EmulateFlags) -> int:
     """Emulate a Falcon on a pseudo-terminal, print its path, and serve it until Ctrl-C.
 

@@ -7,10 +7,6 @@ from dataclasses import asdict
 from tissueid.cli.flags import OutputFlags, option, subcommand
 from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note
 
-EXAMPLES = """
-tissueid doctor --warm
-tissueid doctor --json
-"""
 _MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
 
 
@@ -18,7 +14,7 @@ class _DoctorFlags(OutputFlags):
     warm: bool = option("Compile everything now, so that no later run has to.")
 
 
-@subcommand("doctor", EXAMPLES)
+@subcommand("doctor", "--warm", "--json")
 def command(flags: _DoctorFlags) -> int:
     """Say what this machine can do with tissueid, and what stands in its way.
 

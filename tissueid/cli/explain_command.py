@@ -15,14 +15,6 @@ from tissueid.cli.output import labelled, tell
 if TYPE_CHECKING:
     from tissueid.explanations import Explanation
 
-EXAMPLES = """
-tissueid explain not_identified
-tissueid explain tau
-tissueid explain 7
-tissueid explain viscosity_N_s_per_mm --json
-tissueid explain
-"""
-
 
 def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     from tissueid.explanations import explanations
@@ -38,7 +30,7 @@ class _ExplainFlags(OutputFlags):
     names: tuple[str, ...] = argument(metavar="[NAME]...", shell_complete=_complete)
 
 
-@subcommand("explain", EXAMPLES)
+@subcommand("explain", "not_identified", "tau", "7", "viscosity_N_s_per_mm --json", "")
 def command(flags: _ExplainFlags) -> int:
     """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
 

@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from tissueid.store.bundle import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-EXAMPLES = """
-tissueid export out
-tissueid export out --format specimens -o specimens.csv
-tissueid export out --format trials -o trials.csv
-tissueid export out --format json -o result.json
-tissueid export out --format netcdf -o chains.nc
-tissueid export out --format mat -o tissues.mat
-tissueid export out/bundle.h5 --format c-header -o tissue.h
-tissueid export out --format abaqus --specimen kidney-3 --depth 4
-"""
-
 #: The tables of :data:`tissueid.store.tidy.TABLES`, named here so that --help loads nothing.
 TABLES = ("specimens", "trials", "cycles", "quantities")
 #: What is made of one tissue.
@@ -53,7 +42,17 @@ class _ExportFlags(OutputFlags):
     output: str | None = option("File to write instead of stdout.", "-o", type=PATH)
 
 
-@subcommand("export", EXAMPLES)
+@subcommand(
+    "export",
+    "out",
+    "out --format specimens -o specimens.csv",
+    "out --format trials -o trials.csv",
+    "out --format json -o result.json",
+    "out --format netcdf -o chains.nc",
+    "out --format mat -o tissues.mat",
+    "out/bundle.h5 --format c-header -o tissue.h",
+    "out --format abaqus --specimen kidney-3 --depth 4",
+)
 def command(flags: _ExportFlags) -> int:
     """Write a finished fit in another form, from its output folder alone.
 

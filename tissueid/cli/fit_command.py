@@ -36,17 +36,6 @@ if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
     from tissueid.study.batch import Assembled
 
-EXAMPLES = """
-tissueid fit lab_data/ -o out
-tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
-tissueid fit lab_data/study.toml -o out
-tissueid fit meat.xlsx --json > meat.json
-tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
-tissueid fit lab_data/ --model auto
-tissueid fit rig/ --model "power * impact" -o wall
-tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
-"""
-
 #: A study of so many specimens is a cohort.
 COHORT_FROM = 5
 KELVIN_VOIGT = "kelvin-voigt"
@@ -129,7 +118,17 @@ class _FitFlags(ReadingFlags, OutputFlags):
     # fmt: on
 
 
-@subcommand("fit", EXAMPLES)
+@subcommand(
+    "fit",
+    "lab_data/ -o out",
+    '"session 3/"*.csv --branches 2 --stiffness-degree 1',
+    "lab_data/study.toml -o out",
+    "meat.xlsx --json > meat.json",
+    'lab_data/ --model "polynomial * tangent * prony:2"',
+    "lab_data/ --model auto",
+    'rig/ --model "power * impact" -o wall',
+    'odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"',
+)
 def command(flags: _FitFlags) -> int:
     """Identify the tissue behind recordings.
 

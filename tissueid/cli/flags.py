@@ -49,12 +49,12 @@ class Flags:
 
 
 def subcommand(
-    name: str, examples: str, group: click.Group | None = None
+    name: str, *examples: str, group: click.Group | None = None
 ) -> Callable[[Callable[[Any], int]], click.Command]:
     """Make a command of a function that takes ``flags``, with the options of their class.
 
     Options stand in ``--help`` in the order of the fields: of the class itself, then of those it is made of.
-    ``examples``: lines as one types them.
+    ``examples``: what one types behind the name of the command.
     """
 
     def decorate(function: Callable[[Any], int]) -> click.Command:
@@ -66,16 +66,12 @@ def subcommand(
 
         for declare in reversed(list(_declared(kind))):
             declare(called)
+        whole = name if group is None else f"{group.name} {name}"
+        typed = (f"tissueid {whole} {example}".rstrip() for example in examples)
         make = click.command if group is None else group.command
-        return make(name, epilog=example_lines(examples))(called)
+        return make(name, epilog=example_lines("\n".join(typed)))(called)
 
     return decorate
-
-
-def part(group: click.Group, name: str, *examples: str) -> Callable[[Callable[[Any], int]], click.Command]:
-    """Make a command of a group, as :func:`subcommand` does; ``examples``: what follows its name in each."""
-    typed = (f"tissueid {group.name} {name} {example}".rstrip() for example in examples)
-    return subcommand(name, "\n".join(typed), group)
 
 
 def example_lines(examples: str) -> str:

@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection
 
-EXAMPLES = """
-tissueid inspect Specimen_RawData_1.csv
-tissueid inspect lab_data/ --html inspection.html
-tissueid inspect lab_data/study.toml --html inspection.html
-tissueid inspect lab_data/ --serve
-tissueid inspect lab_data/ --json
-tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
-tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
-"""
-
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -64,7 +54,16 @@ class _InspectFlags(ReadingFlags, OutputFlags):
     )
 
 
-@subcommand("inspect", EXAMPLES)
+@subcommand(
+    "inspect",
+    "Specimen_RawData_1.csv",
+    "lab_data/ --html inspection.html",
+    "lab_data/study.toml --html inspection.html",
+    "lab_data/ --serve",
+    "lab_data/ --json",
+    "lab_data/ --csv measured.csv --xlsx measured.xlsx",
+    'plain.csv --columns "time=t,displacement=x,force=F"',
+)
 def command(flags: _InspectFlags) -> int:
     """Say what recordings hold, one line each: peak, depth, speed, forces in the hold, keep it or look.
 

@@ -7,17 +7,12 @@ from pathlib import Path
 from tissueid.cli.flags import THERE, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo_json, note
 
-EXAMPLES = """
-tissueid migrate out
-tissueid migrate kidney.h5
-"""
-
 
 class _MigrateFlags(OutputFlags):
     targets: tuple[str, ...] = argument(required=True, type=THERE)
 
 
-@subcommand("migrate", EXAMPLES)
+@subcommand("migrate", "out", "kidney.h5")
 def command(flags: _MigrateFlags) -> int:
     """Bring output folders or bundles that an earlier tissueid wrote to the version of this one.
 

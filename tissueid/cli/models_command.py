@@ -8,18 +8,12 @@ from typing import Any
 from tissueid.cli.flags import OutputFlags, argument, subcommand
 from tissueid.cli.output import MARGIN, labelled, refuse, tell
 
-EXAMPLES = """
-tissueid models
-tissueid models fractional
-tissueid models --json
-"""
-
 
 class _ModelsFlags(OutputFlags):
     names: tuple[str, ...] = argument(metavar="[NAME]...")
 
 
-@subcommand("models", EXAMPLES)
+@subcommand("models", "", "fractional", "--json")
 def command(flags: _ModelsFlags) -> int:
     """List the laws that contact models are made of, for fit --model.
 

@@ -20,9 +20,7 @@ from tissueid.errors import UsageError, printable
 if TYPE_CHECKING:
     from tissueid.cli.flags import OutputFlags
 
-
 _T = TypeVar("_T")
-
 
 #: Exit code of a run that finished and left something out.
 EXIT_INCOMPLETE = 7

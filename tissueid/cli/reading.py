@@ -230,22 +230,19 @@ class PatternCheck:
         """Refuse a pattern that fits nothing; name what it leaves by itself, and readers that are broken."""
         from tissueid.ingest import reader_faults
 
-        self._say()
-        for fault in reader_faults():
-            echo(f"warning: {fault}", fg="yellow", err=True)
-
-    def _say(self) -> None:
         if self._study is not None and self._stated:
             count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
             message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"
             echo(f"note: {message}", fg="yellow", err=True)
-        if not self._missed:
-            return
-        shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
-        if self._named == 0 and not self._stated:
-            refuse(f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}")
-        message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
-        echo(f"warning: {message}", fg="yellow", err=True)
+        warnings = list(reader_faults())
+        if self._missed:
+            shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
+            if self._named == 0 and not self._stated:
+                refuse(f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}")
+            unlike = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
+            warnings.insert(0, unlike)
+        for warning in warnings:
+            echo(f"warning: {warning}", fg="yellow", err=True)
 
 
 def read_all(

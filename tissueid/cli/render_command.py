@@ -29,20 +29,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.session_plan import SessionPlan
     from tissueid.viewer.serving import ServedViewer
 
-EXAMPLES = """
-tissueid render bundle.h5
-tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
-tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
-tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
-tissueid render a.h5 --against b.h5 --blind --log P17.h5
-tissueid render bundle.h5 --replay out.h5
-tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
-tissueid render out/population.h5 --draw-specimen 7
-tissueid render bundle.h5 --twin --against hold-8-1.csv
-tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
-tissueid render                                  a tissue that comes along, moved by the mouse
-"""
-
 #: Options that choose among the draws of bundles.
 _CHOICES = ("draw", "draw_specimen", "quantile", "against", "against_draw", "against_quantile")
 #: Options of a tissue, which a scene may have too, and those that go to the session under their own name.
@@ -134,7 +120,20 @@ class RenderFlags(ViewerFlags):
     # fmt: on
 
 
-@subcommand("render", EXAMPLES)
+@subcommand(
+    "render",
+    "bundle.h5",
+    'bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5',
+    '--preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual',
+    'bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"',
+    "a.h5 --against b.h5 --blind --log P17.h5",
+    "bundle.h5 --replay out.h5",
+    "--scene hip-resurfacing --plan patient.toml --device sim --viewer",
+    "out/population.h5 --draw-specimen 7",
+    "bundle.h5 --twin --against hold-8-1.csv",
+    "bundle.h5 --device falcon --viewer --host 192.0.2.7",
+    "                                 a tissue that comes along, moved by the mouse",
+)
 def command(flags: RenderFlags) -> int:
     """Feel the tissue of a BUNDLE.
 

@@ -8,18 +8,13 @@ from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subco
 from tissueid.cli.output import created_now, echo_json, note, write_output
 from tissueid.errors import BundleError
 
-EXAMPLES = """
-tissueid report out
-tissueid report out -o for-a-colleague.html
-"""
-
 
 class _ReportFlags(OutputFlags):
     out: str = argument(type=THERE)
     output: str | None = option("File to write instead of OUT/report.html.", "-o", type=PATH)
 
 
-@subcommand("report", EXAMPLES)
+@subcommand("report", "out", "out -o for-a-colleague.html")
 def command(flags: _ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
     from tissueid.store.files import CURVES, REPORT

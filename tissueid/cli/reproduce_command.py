@@ -11,12 +11,6 @@ from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, su
 from tissueid.cli.output import checked, created_now, made_folder, note, progress_bar, tell
 from tissueid.documents.reproduction import Reproduction
 
-EXAMPLES = """
-tissueid reproduce all
-tissueid reproduce sadeghnejad -o paper-a --json
-tissueid reproduce sadeghnejad --set stiffness=linear --set criterion=weighted-force
-tissueid reproduce pires --set surface=cone
-"""
 FILES = ("reproduction.json", "reproduction.html")
 
 
@@ -34,7 +28,13 @@ class _ReproduceFlags(OutputFlags):
     seed: int | None = option("Seed of everything random. [default: fixed]", type=FROM_0)
 
 
-@subcommand("reproduce", EXAMPLES)
+@subcommand(
+    "reproduce",
+    "all",
+    "sadeghnejad -o paper-a --json",
+    "sadeghnejad --set stiffness=linear --set criterion=weighted-force",
+    "pires --set surface=cone",
+)
 def command(flags: _ReproduceFlags) -> int:
     """Recompute tables and figures of the two papers this project starts from.
 

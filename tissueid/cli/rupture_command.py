@@ -23,12 +23,6 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
-EXAMPLES = """
-tissueid rupture study.toml -o rupture
-tissueid rupture lab_data/ -o rupture --criterion auto
-tissueid rupture lab_data/ -o rupture --criterion work --specimen-by "(sheep-[0-9]+)"
-tissueid rupture lab_data/ -o rupture --model "power * tangent * prony"
-"""
 #: What may be asked for, written out so that help need not load it; a test holds it against the code.
 ASKED = ("none", "auto", "work", "weighted-force", "stored-energy", "depth")
 S_PER_MIN = 60.0
@@ -48,7 +42,13 @@ class _RuptureFlags(ReadingFlags, OutputFlags):
     no_study: bool = option("Without the folder's study.toml.")
 
 
-@subcommand("rupture", EXAMPLES)
+@subcommand(
+    "rupture",
+    "study.toml -o rupture",
+    "lab_data/ -o rupture --criterion auto",
+    'lab_data/ -o rupture --criterion work --specimen-by "(sheep-[0-9]+)"',
+    'lab_data/ -o rupture --model "power * tangent * prony"',
+)
 def command(flags: _RuptureFlags) -> int:
     """Study tests to rupture: force, depth and work at failure, against speed, and what broke the tissue.
 

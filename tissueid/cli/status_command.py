@@ -10,11 +10,6 @@ from tissueid.cli.output import tell
 from tissueid.documents import typed
 from tissueid.documents.folder import Status
 
-EXAMPLES = """
-tissueid status out
-tissueid status out --watch
-tissueid status out --json
-"""
 #: Time between two looks [s].
 WATCH_S = 2.0
 STATES = {
@@ -31,7 +26,7 @@ class _StatusFlags(OutputFlags):
     watch: bool = option("Look again every two seconds until the run ends.")
 
 
-@subcommand("status", EXAMPLES)
+@subcommand("status", "out", "out --watch", "out --json")
 def command(flags: _StatusFlags) -> int:
     """Say how far the fit of a folder is: specimens done, rate, time left, failures.
 

@@ -17,7 +17,7 @@ from tissueid.cli.flags import (
     argument,
     example_lines,
     option,
-    part,
+    subcommand,
 )
 from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
@@ -54,7 +54,7 @@ class _InitFlags(ReadingFlags, OutputFlags):
     force: bool = option("Write over a study.toml that is there.")
 
 
-@part(command, "init", "lab_data/", "lab_data/ --force")
+@subcommand("init", "lab_data/", "lab_data/ --force", group=command)
 def init(flags: _InitFlags) -> int:
     """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
     from tissueid.ingest.manifest import MANIFEST
@@ -82,7 +82,7 @@ class _CheckFlags(OutputFlags):
     study: str = argument(type=THERE)
 
 
-@part(command, "check", "lab_data/", "lab_data/study.toml --json")
+@subcommand("check", "lab_data/", "lab_data/study.toml --json", group=command)
 def check(flags: _CheckFlags) -> int:
     """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
 
@@ -123,11 +123,11 @@ class _ExcludeFlags(_IncludeFlags):
     because: str = option("Why; shown wherever the trial is missed.", required=True, metavar="TEXT")
 
 
-@part(
-    command,
+@subcommand(
     "exclude",
     'lab_data/run_7.csv --because "the tool slipped"',
     '"meat.xlsx::Sheet 3" --because "thawed" --study lab_data/',
+    group=command,
 )
 def exclude(flags: _ExcludeFlags) -> int:
     """Take a recording out of the fit, with the reason; the report shows the numbers with and without it.
@@ -143,7 +143,7 @@ def exclude(flags: _ExcludeFlags) -> int:
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
 
 
-@part(command, "include", "lab_data/run_7.csv")
+@subcommand("include", "lab_data/run_7.csv", group=command)
 def include(flags: _IncludeFlags) -> int:
     """Take a recording back into the fit."""
     from tissueid.study.exclusions import find_manifest, include
@@ -174,7 +174,7 @@ class _ExportFlags(ReadingFlags, OutputFlags):
     date: str | None = option("Day of publication, YYYY-MM-DD. [default: today]")
 
 
-@part(command, "export", "lab_data/ --crate crate/", "lab_data/ --crate crate/ --anonymise")
+@subcommand("export", "lab_data/ --crate crate/", "lab_data/ --crate crate/ --anonymise", group=command)
 def export(flags: _ExportFlags) -> int:
     """Publish a study: recordings, study file and metadata in one folder."""
     from tissueid.collection import display_names

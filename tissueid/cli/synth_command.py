@@ -11,15 +11,14 @@ from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, refuse, refusing
 
-EXAMPLES = """
-tissueid synth paper-a-30 -o synthetic --rate 100
-tissueid synth my_recipe.toml -o synthetic --seed 7 --dialect semicolon
-tissueid synth --dialects
-"""
-
-
 #: No test machine logs faster; a slip of the keyboard must not fill the memory.
 HIGHEST_RATE_HZ = 1e5
+
+
+def check_rate(rate_Hz: float) -> None:
+    """Refuse a rate that no machine samples at."""
+    if not 0.0 < rate_Hz <= HIGHEST_RATE_HZ:
+        refuse(f"--rate is {rate_Hz}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
 
 
 def _list_dialects(context: click.Context, _option: click.Parameter, value: bool) -> None:
@@ -50,7 +49,12 @@ class _SynthFlags(OutputFlags):
     )
 
 
-@subcommand("synth", EXAMPLES)
+@subcommand(
+    "synth",
+    "paper-a-30 -o synthetic --rate 100",
+    "my_recipe.toml -o synthetic --seed 7 --dialect semicolon",
+    "--dialects",
+)
 def command(flags: _SynthFlags) -> int:
     """Write synthetic exports with a known truth.
 
@@ -64,8 +68,7 @@ def command(flags: _SynthFlags) -> int:
         refuse(f"{named}: no such file")
     plan = load_recipe(named) if is_file else recipe(named)
     if flags.rate is not None:
-        if not 0.0 < flags.rate <= HIGHEST_RATE_HZ:
-            refuse(f"--rate is {flags.rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz")
+        check_rate(flags.rate)
         plan = replace(plan, rate_Hz=flags.rate)
     with refusing(flags.out, "written to", "choose another folder"):
         files = write_set(plan, flags.out, seed=flags.seed, dialect=flags.dialect)

@@ -14,11 +14,6 @@ from tissueid.documents import plain
 from tissueid.documents.session import Attempt, Learning, Refused, Training
 from tissueid.errors import BundleError, exit_code
 
-EXAMPLES = """
-tissueid training hip-*.h5
-tissueid training sessions/ --json
-tissueid training P17-*.h5 --cone-entry 30 --html P17.html
-"""
 #: Measures that practice is looked for in, with their words.
 LEARNED: Mapping[Literal["end_error_mm", "angle_deg", "seconds"], str] = {
     "end_error_mm": "end error",
@@ -37,7 +32,7 @@ class _TrainingFlags(OutputFlags):
     )
 
 
-@subcommand("training", EXAMPLES)
+@subcommand("training", "hip-*.h5", "sessions/ --json", "P17-*.h5 --cone-entry 30 --html P17.html")
 def command(flags: _TrainingFlags) -> int:
     """Measure guided sessions: error, angle of the track, time, path, force, smoothness, learning.
 

@@ -8,17 +8,12 @@ from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
 from tissueid.cli.output import echo, echo_json, refuse
 from tissueid.errors import BundleError
 
-EXAMPLES = """
-tissueid validate out
-tissueid validate kidney.h5 --json
-"""
-
 
 class _ValidateFlags(OutputFlags):
     targets: tuple[str, ...] = argument(required=True, type=PATH)
 
 
-@subcommand("validate", EXAMPLES)
+@subcommand("validate", "out", "kidney.h5 --json")
 def command(flags: _ValidateFlags) -> int:
     """Check output folders or single bundles: whole, of one run, readable, passive.
 

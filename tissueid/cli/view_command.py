@@ -17,12 +17,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder
     from tissueid.viewer.serving import ServedViewer
 
-EXAMPLES = """
-tissueid view out.h5
-tissueid view out/twin/felt.h5 --beside hold-8-1.csv
-tissueid view 192.0.2.7:8765 --token ABC
-"""
-
 
 class ViewerFlags(OutputFlags):
     """Flags of a viewer's address and audience."""
@@ -48,7 +42,7 @@ class _ViewFlags(ViewerFlags):
     token: str | None = option("Of the session elsewhere, as its terminal shows it.", metavar="TEXT")
 
 
-@subcommand("view", EXAMPLES)
+@subcommand("view", "out.h5", "out/twin/felt.h5 --beside hold-8-1.csv", "192.0.2.7:8765 --token ABC")
 def command(flags: _ViewFlags) -> int:
     """Look at a recorded LOG, or at the session that HOST:PORT serves.
 

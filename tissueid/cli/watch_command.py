@@ -27,12 +27,6 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
 
-EXAMPLES = """
-tissueid watch "D:/session 3" -o verdicts
-tissueid watch lab_data/ --same-specimen --bell
-tissueid watch lab_data/ --once --json
-"""
-
 COLOURS = {"good": None, "look": "yellow", "repeat": "red", "refused": "red"}
 SHORTEST_INTERVAL_S = 0.05
 #: Looks after which a file that does not change is whole.
@@ -63,7 +57,9 @@ class _WatchFlags(ReadingFlags, OutputFlags):
     # fmt: on
 
 
-@subcommand("watch", EXAMPLES)
+@subcommand(
+    "watch", '"D:/session 3" -o verdicts', "lab_data/ --same-specimen --bell", "lab_data/ --once --json"
+)
 def command(flags: _WatchFlags) -> int:
     """Watch a folder beside the machine, and give a verdict after each test.
 
