@@ -231,7 +231,7 @@ def test_a_browser_draws_the_numbers_of_the_payload(opened, schema, render, made
     figures = payload_of(page, "payload")
     wait_for_figures(tab, len(figures))
     wanted = [
-        [{key: one[key] for key in ("name", "x", "y") if key in one} for one in figure["traces"]]
+        [{"name": one.get("name"), "x": one["x"], "y": one["y"]} for one in figure["traces"]]
         for figure in figures
     ]
     assert drawn_figures(tab) == wanted
