@@ -153,6 +153,8 @@ def test_what_could_not_be_worked_out_is_null_and_loses_nothing_else() -> None:
         ("/provenance/inputs/0/sha256", "xyz"),
         ("/exit/code", 8),
         ("/schema", "tissueid/identification/2"),
+        ("/specimens/0/surprise", 1),
+        ("/specimens/0/parameters/0/identified", False),
     ],
 )
 def test_a_wrong_value_is_refused_with_its_pointer(pointer: str, value: Any) -> None:
@@ -162,23 +164,10 @@ def test_a_wrong_value_is_refused_with_its_pointer(pointer: str, value: Any) -> 
     for part in parents:
         node = node[part]
     node[last] = value
-    with pytest.raises(BundleError, match=pointer):
+    # a member that is unknown is its owner's fault; what is not identified may carry no value
+    at = {"surprise": "/specimens/0\\b.*surprise", "identified": "/specimens/0/parameters/0/value"}
+    with pytest.raises(BundleError, match=at.get(str(last), pointer)):
         check(document, "identification", where="identification.json")
-
-
-def test_an_unknown_member_is_refused() -> None:
-    document = run_document()
-    document["specimens"][0]["surprise"] = 1
-    problem = first_problem(document, "identification")
-    assert problem.pointer == "/specimens/0"
-    assert "surprise" in problem.message
-
-
-def test_a_parameter_that_is_not_identified_may_carry_no_value() -> None:
-    document = run_document()
-    document["specimens"][0]["parameters"][0]["identified"] = False
-    problem = first_problem(document, "identification")
-    assert problem.pointer == "/specimens/0/parameters/0/value"
 
 
 def test_a_flag_carries_numbers_beside_its_message() -> None:

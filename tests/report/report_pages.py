@@ -79,12 +79,8 @@ def wide(tab: Any) -> int:
     return int(tab.evaluate("document.documentElement.scrollWidth"))
 
 
-def violations(tab: Any) -> list[tuple[str, str, list[str]]]:
-    """Issues that axe-core finds: name, impact, and elements."""
+def grave(tab: Any) -> list[tuple[str, list[str]]]:
+    """Serious and critical issues that axe-core finds: name and elements."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    found = axe.run(tab).response["violations"]
-    return [(one["id"], one["impact"], [node["html"][:160] for node in one["nodes"]][:3]) for one in found]
-
-
-def grave(tab: Any) -> list[tuple[str, str, list[str]]]:
-    return [one for one in violations(tab) if one[1] in {"serious", "critical"}]
+    found = [one for one in axe.run(tab).response["violations"] if one["impact"] in {"serious", "critical"}]
+    return [(one["id"], [node["html"][:160] for node in one["nodes"]][:3]) for one in found]

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
-from report_pages import document_of, grave, open_all, page, violations, wide
+from report_pages import document_of, grave, open_all, page, wide
 from typed_call import typed_call
 
 from tissueid.documents import typed
@@ -90,13 +90,6 @@ def test_axe_finds_no_serious_issue(opened, whole, scheme, size):
     assert draw_all(tab) == 8
     assert grave(tab) == []
     assert wide(tab) == width
-
-
-def test_axe_would_find_a_serious_issue(opened, whole):
-    tab = opened(whole)
-    tab.evaluate("document.querySelector('.verdict-line').style.color = '#ddd'")
-    tab.evaluate("document.querySelector('select').removeAttribute('id')")
-    assert {"color-contrast", "select-name"} <= {name for name, *_ in violations(tab)}
 
 
 def test_every_control_is_reached_and_seen_by_the_keyboard(opened, whole):

@@ -231,7 +231,7 @@ def test_a_browser_draws_the_numbers_of_the_payload(opened, schema, render, made
     figures = payload_of(page, "payload")
     wait_for_figures(tab, len(figures))
     wanted = [
-        [{key: one[key] for key in ("name", "x", "y") if key in one} for one in figure["traces"]]
+        [{"name": one.get("name"), "x": one["x"], "y": one["y"]} for one in figure["traces"]]
         for figure in figures
     ]
     assert drawn_figures(tab) == wanted
@@ -292,7 +292,10 @@ def test_curves_and_ratios_of_tissues_are_those_of_the_document():
 @pytest.mark.parametrize("want", [0, 1])
 def test_precision_against_time_holds_the_points_of_the_tables(want):
     document = design()
-    found = points(render_design(document), want)
+    page = render_design(document)
+    found, layout = points(page, want), payload_of(page, "payload")[want]["layout"]
+    assert [layout[axis]["type"] for axis in ("xaxis", "yaxis")] == ["log", "log"]
+    assert "What limits it" not in page
     rows = {
         "least time": sorted(document["front"], key=lambda one: one["seconds"]),
         "protocols": document["protocols"],

@@ -133,15 +133,6 @@ def test_every_entry_parses_names_the_recording_and_is_valid():
         assert first_problem(study_of(entry), "study") is None, one.toml
 
 
-def test_the_entry_of_the_contact_point_gives_that_contact_point_back():
-    trial = ramp_hold()
-    document = recording(trial).document
-    entry = entry_of(document, "contact")
-    (table,) = tomllib.loads(entry.toml)["override"]
-    assert table["contact_mm"] == pytest.approx(document.contact.displacement_mm, abs=5e-5)
-    assert table["contact_sd_mm"] > 0.0
-
-
 @pytest.mark.parametrize(
     ("sd_mm", "place", "sd"),
     [
@@ -255,18 +246,14 @@ def several() -> list[InspectedRecording]:
     ]
 
 
-def test_the_most_doubtful_recording_stands_first():
-    html = self_contained(partial(render_inspection, several()))
-    assert re.findall(r'<tr data-row="(.*?)" data-level="(\d)"', html) == [
-        ("recording-3", "3"), ("recording-2", "2"), ("recording-1", "0"),
-    ]  # fmt: skip
-
-
-def test_the_index_marks_what_is_excluded():
+def test_the_most_doubtful_recording_stands_first_and_what_is_excluded_is_marked():
     first, *others = several()
     shown = [replace(first, document=structs.replace(first.document, excluded="it slipped")), *others]
-    rows = re.findall(r'<tr data-row="(.*?)"(.*?)</tr>', render_inspection(shown), flags=re.DOTALL)
-    assert [name for name, row in rows if "excluded" in row] == ["recording-1"]
+    html = self_contained(partial(render_inspection, shown))
+    rows = re.findall(r'<tr data-row="(.*?)" data-level="(\d)"(.*?)</tr>', html, flags=re.DOTALL)
+    assert [(name, level, "excluded" in row) for name, level, row in rows] == [
+        ("recording-3", "3", False), ("recording-2", "2", False), ("recording-1", "0", True),
+    ]  # fmt: skip
 
 
 def test_names_are_escaped_and_refusals_are_told_also_where_nothing_is_readable():

@@ -70,17 +70,17 @@ def schema_of(name: str) -> dict[str, Any]:
     if any(_FLAG in repr(one) for one in definitions.values()):
         definitions["flag"] = dict(FLAG_SCHEMA)
     for kind in _kinds(roots):
-        definition = definitions[_snake(_component(kind, components))]
+        # the whole name where two records have the short one
+        whole = f"{kind.__module__}.{kind.__qualname__}"
+        definition = definitions[_snake(kind.__name__ if kind.__name__ in components else whole)]
         _describe(definition, kind)
         if name in _WRITTEN_BY_HAND:
             _without_null(definition)
-    title = (roots[0].__doc__ or "").split("\n")[0].rstrip(".")
-    head["title"] = title
+    head["title"] = (roots[0].__doc__ or "").split("\n")[0].rstrip(".")
     references = [_rewritten(one) for one in outer]
+    body: dict[str, Any] = {"oneOf": references}
     if len(roots) == 1:
         body = definitions.pop(references[0]["$ref"].rpartition("/")[2])
-    else:
-        body = {"oneOf": references}
     if named.startswith("*"):
         body = {"type": "array", "items": body}
     return {**head, **body, **({"$defs": definitions} if definitions else {})}
@@ -103,11 +103,6 @@ def _snake(name: str) -> str:
     module, _, kind = name.replace("tissueid.documents.", "").rpartition(".")
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower()
     return f"{module}_{words}" if module else words
-
-
-def _component(kind: type[msgspec.Struct], components: Mapping[str, Any]) -> str:
-    """Name of a record among the components: the whole one where two have the short one."""
-    return kind.__name__ if kind.__name__ in components else f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _rewritten(node: Any) -> Any:

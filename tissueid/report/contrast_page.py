@@ -58,14 +58,6 @@ def _probability(value: float) -> str:
     return f"below {SMALL}" if value < SMALL else f"= {number(value, 2)}"
 
 
-def _interval(values: Sequence[float] | None) -> str:
-    """A median with its 95 % interval."""
-    if values is None:
-        return "–"
-    low, middle, high = values
-    return f"{number(middle, 4)} ({number(low, 3)} to {number(high, 3)})"
-
-
 def _banded(
     x: Sequence[float], curve: Loading | Hold, start: int, name: str, look: Mapping[str, str], unit: str
 ) -> list[dict[str, Any]]:
@@ -116,7 +108,6 @@ def render_contrast(document: Contrast, *, created: str | None = None) -> str:
         run=document,
         verdict=contrast_verdict(document),
         pairs=[(pair, pair_verdict(pair, document.level)) for pair in document.pairs],
-        interval=_interval,
         probability=_probability,
         figures=[one for pair in document.pairs for one in _figures(document, pair)],
         created=created,

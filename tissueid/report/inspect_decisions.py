@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from tissueid.documents.inspect import Trial
 BECAUSE = "say why"
 #: Decimals of a displacement without a standard deviation in an entry: 0.1 um.
 _PLACES_MM = 4
-_OPPOSITE = {1: "negative", -1: "positive"}
 _SIGN = {1: "positive", -1: "negative"}
 _CHANNELS = ("time", "displacement", "force")
 #: Stands for a unit that the user must write; study.toml is refused as long as it stands there.
@@ -51,6 +50,10 @@ class Decision:
     adjust: str | None = None  # key in the entry whose number a click into the picture sets
 
 
+#: Function of key, title, words, the key that a click sets, and the values of the entry.
+_Decide = Callable[..., Decision]
+
+
 def toml_string(text: str) -> str:
     r"""A basic string of TOML.
 
@@ -83,18 +86,17 @@ def decisions(recording: Trial, *, file: str) -> tuple[Decision, ...]:
     """The decisions on a recording, in their order; ``file``: its path from the folder of study.toml."""
     sheet = recording.sheet
 
-    def override(**values: Any) -> str:
-        return _entry("override", file, sheet, values)
+    def decide(key: str, title: str, taken: str, adjust: str | None = None, **values: Any) -> Decision:
+        return Decision(key, title, taken, _entry("override", file, sheet, values), adjust)
 
     found = [
-        _columns(recording, override),
-        _units(recording, override),
-        *_signs(recording, override),
-        _contact(recording, override),
-        _hold(recording, override),
-        *_hold_from(recording, override),
-        _cut(recording, override),
-        *_rupture(recording, override),
+        _columns(recording, decide),
+        _units(recording, decide),
+        *_signs(recording, decide),
+        _contact(recording, decide),
+        *_hold(recording, decide),
+        _cut(recording, decide),
+        *_rupture(recording, decide),
         Decision(
             "specimen",
             "Specimen",
@@ -118,7 +120,7 @@ def _stated(recording: Trial) -> dict[str, str]:
     return {} if said is None else {_DECIDES[key]: said["because"] for key in said["keys"] if key in _DECIDES}
 
 
-def _columns(recording: Trial, override: Any) -> Decision:
+def _columns(recording: Trial, decide: _Decide) -> Decision:
     named = {key: getattr(recording.columns, key) for key in _CHANNELS}
     columns = {key: name for key, name in named.items() if name is not None}
     taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
@@ -128,10 +130,10 @@ def _columns(recording: Trial, override: Any) -> Decision:
         if others and quantity in columns:
             columns[quantity] = others[0]
             taken += f"; {quantity} could also be {', '.join(others)}"
-    return Decision("columns", "Columns", taken, override(columns=columns))
+    return decide("columns", "Columns", taken, columns=columns)
 
 
-def _units(recording: Trial, override: Any) -> Decision:
+def _units(recording: Trial, decide: _Decide) -> Decision:
     assumed = {
         flag.values["quantity"]: flag.values["unit"]
         for flag in recording.flags
@@ -145,41 +147,31 @@ def _units(recording: Trial, override: Any) -> Decision:
             f"as the file states them; shown here in {inside}; write the unit of each column in place of"
             f" {UNIT_TO_WRITE}, and leave out those that are right"
         )
-    entry = override(units=assumed or dict.fromkeys(_CHANNELS, UNIT_TO_WRITE))
-    return Decision("units", "Units", taken, entry)
+    return decide("units", "Units", taken, units=assumed or dict.fromkeys(_CHANNELS, UNIT_TO_WRITE))
 
 
-def _signs(recording: Trial, override: Any) -> list[Decision]:
-    sign = recording.compression_sign
-    found = [
-        Decision(
-            "compression",
-            "Direction of compression",
-            f"{_SIGN[sign]} displacement goes into the tissue: the dominant excursion",
-            override(compression=_OPPOSITE[sign]),
-        )
-    ]
-    force = recording.force_sign
+def _signs(recording: Trial, decide: _Decide) -> list[Decision]:
+    sign, force = recording.compression_sign, recording.force_sign
+    taken = f"{_SIGN[sign]} displacement goes into the tissue: the dominant excursion"
+    found = [decide("compression", "Direction of compression", taken, compression=_SIGN[-sign])]
     if force is not None:
         taken = f"{_SIGN[force]} force is compression: it changes with the travel that way"
-        found.append(Decision("force", "Sign of the force", taken, override(force=_OPPOSITE[force])))
+        found.append(decide("force", "Sign of the force", taken, force=_SIGN[-force]))
     return found
 
 
-def _contact(recording: Trial, override: Any) -> Decision:
+def _contact(recording: Trial, decide: _Decide) -> Decision:
     contact = recording.contact
     if contact is None:
         place = round(recording.first.displacement_mm, _PLACES_MM)
         taken = "none was found; click into the lower picture where the force begins to rise"
-        return Decision(
-            "contact", "Contact point", taken, override(contact_mm=place, contact_sd_mm=0.05), "contact_mm"
-        )
+        return decide("contact", "Contact point", taken, "contact_mm", contact_mm=place, contact_sd_mm=0.05)
     places = _places(contact.sd_mm)
     place, sd = round(contact.displacement_mm, places), round(contact.sd_mm, places)
     how = "seen in the record" if contact.in_record else "extrapolated: the record starts in contact"
     taken = f"{with_error(place, sd)} mm as recorded, {how}; click into the lower picture to move it"
-    entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-places))
-    return Decision("contact", "Contact point", taken, entry, "contact_mm")
+    values = {"contact_mm": place, "contact_sd_mm": max(sd, 10.0**-places)}
+    return decide("contact", "Contact point", taken, "contact_mm", **values)
 
 
 def _places(sd: float) -> int:
@@ -187,50 +179,43 @@ def _places(sd: float) -> int:
     return 1 - math.floor(math.log10(sd)) if sd > 0.0 else _PLACES_MM
 
 
-def _hold(recording: Trial, override: Any) -> Decision:
-    holds = [phase.end_s - phase.start_s for phase in recording.phases if phase.kind == "hold"]
+def _hold(recording: Trial, decide: _Decide) -> list[Decision]:
+    """Shortest hold, and start of the longest."""
+    holds = [(phase.end_s - phase.start_s, phase) for phase in recording.phases if phase.kind == "hold"]
     if not holds:
         taken = "no standstill after a ramp was long enough to be a hold"
-        return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=_ANY_HOLD_S))
-    shortest = min(holds)
+        return [decide("hold", "Shortest hold", taken, minimum_hold_s=_ANY_HOLD_S)]
+    shortest = min(length for length, _ in holds)
     places = 2 - math.floor(math.log10(shortest)) if shortest > 0.0 else 3
     longer = math.ceil(_JUST_LONGER * shortest * 10.0**places) / 10.0**places
-    taken = (
-        f"{len(holds)} found, the shortest of {number(shortest, 3)} s; this entry would leave that one out"
-    )
-    return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=longer))
+    counted = f"{len(holds)} found, the shortest of {number(shortest, 3)} s"
+    _, longest = max(holds, key=lambda hold: hold[0])
+    start = longest.start_s
+    lasts = f"the longest one lasts from {number(start)} to {number(longest.end_s)} s"
+    left_out, nearest = "this entry would leave that one out", "write where the one nearest begins"
+    return [
+        decide("hold", "Shortest hold", f"{counted}; {left_out}", minimum_hold_s=longer),
+        decide("hold_from", "Start of the hold", f"{lasts}; {nearest}", hold_from_s=start),
+    ]
 
 
-def _hold_from(recording: Trial, override: Any) -> list[Decision]:
-    holds = [phase for phase in recording.phases if phase.kind == "hold"]
-    if not holds:
-        return []
-    longest = max(holds, key=lambda phase: phase.end_s - phase.start_s)
-    start, end = longest.start_s, longest.end_s
-    taken = (
-        f"the longest one lasts from {number(start)} to {number(end)} s; write where the one nearest begins"
-    )
-    return [Decision("hold_from", "Start of the hold", taken, override(hold_from_s=start))]
-
-
-def _cut(recording: Trial, override: Any) -> Decision:
+def _cut(recording: Trial, decide: _Decide) -> Decision:
     start, end = recording.first.time_s, recording.last.time_s
     said = _stated(recording).get("cut")
     part = "all of the record counts" if said is None else "a part of the record counts"
     taken = f"{part}, which lasts from {number(start)} to {number(end)} s"
-    return Decision("cut", "Part of the record", taken, override(start_s=start, end_s=end), "start_s")
+    return decide("cut", "Part of the record", taken, "start_s", start_s=start, end_s=end)
 
 
-def _rupture(recording: Trial, override: Any) -> list[Decision]:
-    broken = [event for event in recording.events if event.kind == "rupture"]
-    if not broken and "rupture" in _stated(recording):
+def _rupture(recording: Trial, decide: _Decide) -> list[Decision]:
+    times = [f"{number(event.time_s)} s" for event in recording.events if event.kind == "rupture"]
+    if times:
+        taken = f"the force collapses at {', '.join(times)}: what follows is not fitted"
+    elif "rupture" in _stated(recording):
         taken = "no drop of the force is taken for a rupture"
-        return [Decision("rupture", "Rupture", taken, override(rupture=True))]
-    if not broken:
+    else:
         return []
-    times = ", ".join(f"{number(event.time_s)} s" for event in broken)
-    taken = f"the force collapses at {times}: what follows is not fitted"
-    return [Decision("rupture", "Rupture", taken, override(rupture=False))]
+    return [decide("rupture", "Rupture", taken, rupture=not times)]
 
 
 def _exclusion(recording: Trial, entry: str) -> Decision:

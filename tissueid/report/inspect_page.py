@@ -233,26 +233,20 @@ def render_inspection(
     ``recordings``: in the order of the command line; the page shows the gravest first; ``study``: where the
     entries belong; ``served``: a server hears what is decided on the page.
     """
-    order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
-    drawn = set(order[:MOST_DRAWN])
-    share = max(MOST_SAMPLES // max(len(drawn), 1), FEWEST_OF_ONE)
+    order = sorted(range(len(recordings)), key=lambda i: _gravity(recordings[i]), reverse=True)
+    share = max(MOST_SAMPLES // max(len(order[:MOST_DRAWN]), 1), FEWEST_OF_ONE)
     names = _names([one.document for one in recordings])
     tally = Counter(one.level for one in recordings)
     counts = [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
-    views = [_view(i, recordings[i], names[i], drawn=i in drawn) for i in order]
-    payload = {
-        view["id"]: packed_recording(recordings[view["position"]].drawn, share)
-        for view in views
-        if view["drawn"]
-    }
+    ids = [f"recording-{i + 1}" for i in range(len(recordings))]
     return render_page(
         "inspect",
         title=_title(recordings, refused),
-        views=views,
+        views=[_view(ids[i], recordings[i], names[i]) for i in order],
         refused=refused,
         counts=counts + ([("serious", "refused", len(refused))] if refused else []),
         codes=sorted({flag.code for one in recordings for flag in one.document.flags}),
-        payload=payload,
+        payload={ids[i]: packed_recording(recordings[i].drawn, share) for i in order[:MOST_DRAWN]},
         data="recordings",
         study=study,
         value_words=_value,
@@ -263,11 +257,10 @@ def render_inspection(
     )
 
 
-def _gravity(recording: InspectedRecording) -> int:
+def _gravity(recording: InspectedRecording) -> tuple[int, int]:
+    """Gravest level; among equals, the one with more to say."""
     levels = [flag_level(flag.code) for flag in recording.document.flags]
-    worst = LEVELS.index(recording.level)
-    # among equals, the one with more to say
-    return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
+    return LEVELS.index(recording.level), sum(level in {"caution", "serious"} for level in levels)
 
 
 def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal]) -> str:
@@ -287,23 +280,19 @@ def _names(documents: Sequence[TrialDocument]) -> list[str]:
     ]
 
 
-def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
+def _view(own: str, recording: InspectedRecording, name: str) -> dict[str, Any]:
     document = recording.document
     holds = [phase.end_s - phase.start_s for phase in document.phases if phase.kind == "hold"]
     return {
-        "position": position,
-        "id": f"recording-{position + 1}",
+        "id": own,
         "name": name,
+        "of": recording,
         "data": document,
-        "level": recording.level,
         "words": _WORDS[recording.level],
         "flags": sorted(document.flags, key=lambda flag: -LEVELS.index(flag_level(flag.code))),
         "program": _program(document.phases),
         "hold_s": max(holds, default=None),
-        "reader": recording.reader,
-        "decisions": recording.decisions,
         "corrections": corrections(document, recording.standing),
-        "drawn": drawn,
         "alternative": _alternative(document),
     }
 

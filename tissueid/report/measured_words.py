@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.digits import number, with_error
+from tissueid.digits import with_error
 from tissueid.documents.identification import Specimen
 from tissueid.documents.inspect import Units
 from tissueid.documents.measured import Spread
-from tissueid.report.wording import program_words, unit_words
+from tissueid.report.wording import program_words, reach, unit_words
 
 #: Names of the first screen in its order; the others stand in the workbook.
 _WORDS: Mapping[str, str] = {
@@ -66,11 +66,9 @@ def _cell(row: Spread | None) -> tuple[str, bool]:
 
 
 def _ramps(rows: Iterable[Spread]) -> str:
-    known = [row.ramp_time_s for row in rows if row.ramp_time_s is not None]
-    if not known:
-        return ""
-    short, long = (number(end, 3) for end in (min(one[0] for one in known), max(one[1] for one in known)))
-    return f"ramp {short} s" if short == long else f"ramps {short} to {long} s"
+    ends = [end for row in rows for end in row.ramp_time_s or ()]
+    said = reach((min(ends), max(ends))) if ends else ""
+    return said and f"ramp{'s' * (' to ' in said)} {said} s"
 
 
 def _columns(rows: Sequence[Spread], units: Units) -> list[_Column]:

@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from tissueid.digits import number
 from tissueid.documents.identification import Identification, Provenance, Specimen
-from tissueid.report.wording import counted, depth_words, tissue_sentence
+from tissueid.report.wording import counted, depth_words, reach, tissue_sentence
 
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"
@@ -54,14 +54,12 @@ def citation(version: str) -> dict[str, str]:
 
 def _recordings(specimen: Specimen, run: Identification) -> str:
     trials, units = specimen.trials, specimen.units
-    slow, fast = (number(speed, 3) for speed in specimen.validity.speeds_mm_s)
-    speed = slow if slow == fast else f"{slow} to {fast}"
     deep = depth_words(specimen.validity.depth_mm, units)
     held = len({(row.path, row.sheet) for row in specimen.relaxation})
     holds = f", {held} of them with a hold," if held else ""
     return (
         f"{counted(len(trials), 'indentation trial')} of specimen {specimen.specimen}{holds} loaded at "
-        f"{speed} {units.length}/s to {deep} "
+        f"{reach(specimen.validity.speeds_mm_s)} {units.length}/s to {deep} "
         f"({specimen.n_samples:,} samples) were analysed with {_programs(run)}."
     )
 

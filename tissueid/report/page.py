@@ -236,14 +236,11 @@ def _view(
 
 def _alarms(sure: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     """Alarms above every other reason: level and sentence."""
-    found = []
-    if sure is not None and sure["raised"]:
-        found.append(
-            ("serious", f"The recordings contradict this model or its noise: {'; '.join(sure['alarm'])}.")
-        )
-    if sure is not None and not sure["converged"]:
-        found.append(("caution", "The sampler did not converge: its numbers are rough."))
-    return found
+    if sure is None:
+        return []
+    contradicted = f"The recordings contradict this model or its noise: {'; '.join(sure['alarm'])}."
+    rough = "The sampler did not converge: its numbers are rough."
+    return [("serious", contradicted)] * sure["raised"] + [("caution", rough)] * (not sure["converged"])
 
 
 def _overview(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:

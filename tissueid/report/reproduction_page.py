@@ -6,12 +6,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from tissueid.digits import number
 from tissueid.documents import reproduction as document
 from tissueid.documents.reproduction import Item, Paper, Reproduction
 from tissueid.report.page import render_page
 from tissueid.report.parts import LOG_X, Figure, band, trace
-from tissueid.report.wording import Verdict, span
+from tissueid.report.wording import Verdict
 
 #: Kind -> class of its look, mark, and what it means: told apart by more than colour.
 KINDS: Mapping[str, tuple[str, str, str]] = {
@@ -28,13 +27,6 @@ KINDS: Mapping[str, tuple[str, str, str]] = {
 }
 _Placed = TypeVar("_Placed", Item, document.Figure)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8f96", "#5a4fa2")
-#: Significant digits of a recomputed number.
-DIGITS = 5
-
-
-def _value(value: float | Sequence[float] | None) -> str:
-    """A number or a range in words; a dash where there is none."""
-    return number(value, DIGITS) if isinstance(value, int | float) else span(value)
 
 
 def _verdict(items: Sequence[Item]) -> Verdict:
@@ -55,28 +47,9 @@ def _verdict(items: Sequence[Item]) -> Verdict:
     return Verdict("note", "Consistent, mostly by construction", text)
 
 
-def _printed(value: float | Sequence[float] | None) -> str:
-    """A published number as it is printed."""
-    if isinstance(value, int | float) or value is None:
-        return "not printed" if value is None else f"{value:g}"
-    return " to ".join(f"{one:g}" for one in value)
-
-
 def _at(paper: Paper, where: str, found: Sequence[_Placed]) -> list[tuple[int, _Placed]]:
     """Rows or figures that stand beside a table or figure of a paper, with their places in the document."""
     return [(at, one) for at, one in enumerate(found) if (one.paper, one.where) == (paper.name, where)]
-
-
-def _remarks(item: Item) -> list[tuple[str, str]]:
-    """Remarks under a row."""
-    said = [
-        ("Decided", item.rule),
-        ("Reading", item.reading),
-        ("Assumed", "; ".join(item.assumed) or None),
-        ("An instrument alone?", item.instrument),
-        ("Note", item.note),
-    ]
-    return [(name, words) for name, words in said if words]
 
 
 def _drawn(figure: document.Figure) -> Figure:
@@ -105,9 +78,6 @@ def render_reproduction(found: Reproduction, *, created: str | None = None) -> s
         kinds=KINDS,
         counts=Counter(item.kind for item in found.items),
         at=_at,
-        value=_value,
-        printed=_printed,
-        remarks=_remarks,
         figures=[_drawn(figure) for figure in found.figures],
         created=created,
         style="reproduction.css",

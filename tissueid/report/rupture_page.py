@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import number
-from tissueid.documents.rupture import Rupture, Speed
+from tissueid.documents.rupture import Rupture
 from tissueid.report.page import render_page
 from tissueid.report.parts import LOG_BOTH, LOG_X, Figure, trace
 from tissueid.report.wording import Verdict, flag_remarks
@@ -35,11 +35,6 @@ def _verdict(document: Rupture) -> Verdict:
         return Verdict("ok", f"Criterion: {decision.kind}", f"{reason}. {said}")
     title = "Undecided" if decision.answer == "undecided" else "None of the criteria"
     return Verdict("caution", title, f"{reason}. {said}")
-
-
-def _with_sd(row: Speed, name: str) -> str:
-    mean, sd = getattr(row.mean, name), getattr(row.sd, name)
-    return number(mean) if sd is None else f"{number(mean)} ± {number(sd, 2)}"
 
 
 def _against_speed(document: Rupture, key: str, title: str, unit: str) -> Figure:
@@ -98,7 +93,6 @@ def render_rupture(document: Rupture, *, created: str | None = None) -> str:
         verdict=_verdict(document),
         remarks=flag_remarks(document.flags),
         words=CRITERION_WORDS,
-        with_sd=_with_sd,
         per_minute=S_PER_MIN,
         figures=[
             _against_speed(document, "force_N", "Force at rupture", "N"),

@@ -56,11 +56,8 @@ def brief_measured_lines(rows: Sequence[Spread]) -> list[str]:
     """One line of a specimen among many: its first program's push, and forces in newtons."""
     first = [row for row in rows if row.program == 1 and row.hold <= 1 and row.mean is not None]
     said = [f"{_PUSH[row.name]} {_said(row)}" for row in first if row.name in _BRIEF]
-    said += [
-        f"{_FORCES['force'].format(t=row.time_s)} {_said(row)}"
-        for row in first
-        if row.name == "force" and row.time_s in _BRIEF_TIMES_S
-    ]
+    forces = (row for row in first if row.name == "force" and row.time_s in _BRIEF_TIMES_S)
+    said += [f"{_name(row)} {_said(row)}" for row in forces]
     more = len({row.program for row in rows}) - 1
     told = f", {counted(more, 'more program')}" * (more > 0)
     return [f"measured    {', '.join(said)}{told}"] if said else []
@@ -74,10 +71,9 @@ def _of_hold(rows: Sequence[Spread], number: str) -> list[str]:
     in_time = f", ramp of {' to '.join(ends)} s" if ends else ""
     spread = f", ± sd of {logs} logs" if logs > 1 else ", one log: spread between sites unknown"
     lines = [f"measured{number}, no model{spread}{in_time}: {', '.join(pushed)}"]
-    for name in ("force", "force_over_10s", "force_over_peak"):
-        own = [row for row in rows if row.name == name and row.mean is not None]
-        if own:
-            parts = [f"{_FORCES[name].format(t=row.time_s)} {_said(row)}" for row in own]
+    for name in _FORCES:
+        parts = [f"{_name(row)} {_said(row)}" for row in rows if row.name == name and row.mean is not None]
+        if parts:
             depends = "; depends on the ramp" if name == "force_over_peak" else ""
             lines.append(f"  {', '.join(parts)}{depends}")
     for reason in dict.fromkeys(row.reason for row in rows if row.reason):
@@ -175,14 +171,10 @@ def parameter_lines(document: Specimen) -> list[str]:
     lines = []
     for entry, (value, statistical, total) in zip(entries, cells, strict=True):
         line = f"{entry.symbol:<6} {value:<{wide[0]}}"
-        if statistical:
-            line += f"  95 % {statistical:<{wide[1]}}"
-        if total:
-            line += f"  total {total}"
-        bound = (
-            "  (at the passivity bound)" if entry.value is not None and entry.detail.get("at_bound") else ""
-        )
-        lines.append(line.rstrip() + bound)
+        line += f"  95 % {statistical:<{wide[1]}}" if statistical else ""
+        line += f"  total {total}" if total else ""
+        at_bound = entry.value is not None and entry.detail.get("at_bound")
+        lines.append(line.rstrip() + ("  (at the passivity bound)" if at_bound else ""))
     return lines
 
 

@@ -176,25 +176,20 @@ def _sampler_sentence(specimen: Specimen) -> str:
     sampler = specimen.sampler
     if sampler is None:
         return ""
-    detail = sampler.detail
-    size = [
-        f"{detail[key]:,} {key}"
-        for key in ("walkers", "steps")
-        if isinstance(detail.get(key), int) and sampler.name == "emcee"
-    ]
-    known = [entry for entry in specimen.parameters if entry.ess_bulk is not None]
+    detail, known = sampler.detail, [one for one in specimen.parameters if one.ess_bulk is not None]
     effective = [one for entry in known for one in (entry.ess_bulk, entry.ess_tail) if one is not None]
-    worst = max((entry.r_hat for entry in known if entry.r_hat is not None), default=None)
-    parts = [*size, f"{sampler.draws:,} draws kept"]
-    if effective:
-        parts.append(f"at least {int(min(effective)):,} effective draws of every parameter")
-    if worst is not None:
-        parts.append(f"R-hat at most {worst:.3f}")
-    parts.append(f"{100 * sampler.acceptance:.0f} % of the proposals accepted")
-    end = "converged" if sampler.converged else "not converged"
-    reason = detail.get("reason")
-    why = f": {reason}" if reason and not sampler.converged else ""
-    return f"Sampled by {sampler.name}: {', '.join(parts)}; {end}{why}."
+    r_hats = [entry.r_hat for entry in known if entry.r_hat is not None]
+    sizes = ("walkers", "steps") if sampler.name == "emcee" else ()
+    parts = [
+        *(f"{detail[key]:,} {key}" for key in sizes if isinstance(detail.get(key), int)),
+        f"{sampler.draws:,} draws kept",
+        *(f"at least {int(one):,} effective draws of every parameter" for one in sorted(effective)[:1]),
+        *(f"R-hat at most {one:.3f}" for one in sorted(r_hats)[-1:]),
+        f"{100 * sampler.acceptance:.0f} % of the proposals accepted",
+    ]
+    why = f": {detail['reason']}" if detail.get("reason") else ""
+    end = "converged" if sampler.converged else f"not converged{why}"
+    return f"Sampled by {sampler.name}: {', '.join(parts)}; {end}."
 
 
 def _no_total(specimen: Specimen) -> str:

@@ -127,6 +127,12 @@ def parameter_words(name: str) -> str:
 
 #: Residual as a share of the force range from which a verdict is no better than this.
 _LEFT = ((0.0, "ok"), (0.02, "caution"), (0.05, "serious"))
+_TITLES: Mapping[str, str] = {
+    "ok": "Identified, nothing stands out",
+    "note": "Identified, with assumptions to know of",
+    "caution": "Usable with care",
+    "serious": "Not to be relied on as it stands",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,37 +146,24 @@ class Verdict:
 
 def verdict(specimen: Specimen) -> Verdict:
     """Sum up a specimen: what is identified, how well it fits, and whether something is in the way."""
-    unknown = [entry for entry in specimen.parameters if not entry.identified]
-    found = remarks(specimen)
-    level = found[0].level if found else "ok"
-    for family in ("viscosity", "static_1"):
-        asked = [entry for entry in specimen.parameters if entry.name.startswith(family)]
-        if asked and not any(entry.identified for entry in asked):
-            level = "serious"
-    if unknown and level in {"ok", "note"}:
-        level = "caution"
-    if misfit_raised(specimen):
-        level = "serious"
+    every, left = specimen.parameters, specimen.nrmsd.range
+    known = [entry for entry in every if entry.identified]
     # a fit that leaves more reads no better than one that leaves less
-    left = specimen.nrmsd.range
-    level = max(level, *(grade for limit, grade in _LEFT if left >= limit), key=LEVELS.index)
-    total = len(specimen.parameters)
+    levels = [grade for limit, grade in _LEFT if left >= limit]
+    levels += [remark.level for remark in remarks(specimen)[:1]]
+    levels += ["caution"] * (len(known) < len(every))
+    for family in ("viscosity", "static_1"):
+        asked = [entry.identified for entry in every if entry.name.startswith(family)]
+        levels += ["serious"] * (bool(asked) and not any(asked))
+    levels += ["serious"] * misfit_raised(specimen)
+    level = max(levels, key=LEVELS.index)
+    share = "every parameter is identified"
+    if not every:
+        share = "a mark of what a law can reach, with nothing to quote"
+    elif len(known) < len(every):
+        share = f"{len(known)} of {len(every)} parameters are identified"
     fit = f"The model follows the force to {100 * left:.2f} % of its range{_beside_noise(specimen)}"
-    share = (
-        "a mark of what a law can reach, with nothing to quote"
-        if not total
-        else "every parameter is identified"
-        if not unknown
-        else f"{total - len(unknown)} of {total} parameters are"
-    )
-    text = f"{fit}; {share}." if not unknown else f"{fit}; {share} identified."
-    titles = {
-        "ok": "Identified, nothing stands out",
-        "note": "Identified, with assumptions to know of",
-        "caution": "Usable with care",
-        "serious": "Not to be relied on as it stands",
-    }
-    return Verdict(level, titles[level], text)
+    return Verdict(level, _TITLES[level], f"{fit}; {share}.")
 
 
 def _beside_noise(specimen: Specimen) -> str:

@@ -19,8 +19,6 @@ _FORCES = {
     "over_peak": "F({})/F_peak, depends on the ramp",
 }
 _TIDY = {"trials": "Logs", "cycles": "Loops", "quantities": "Quoted"}
-
-
 _Row = tuple[int | None, MeasuredHold | None, MeasuredPush | None]
 
 
@@ -96,8 +94,7 @@ def _held(measured: Measured | None) -> list[_Row]:
     if measured is None:
         return []
     holds: list[_Row] = [(number, hold, hold.push) for number, hold in enumerate(measured.holds, 1)]
-    pushed: list[_Row] = [(None, None, measured.push)]
-    return holds or (pushed if measured.push is not None else [])
+    return holds or [(None, None, measured.push)] * (measured.push is not None)
 
 
 def _push(
