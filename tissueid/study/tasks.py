@@ -193,10 +193,14 @@ class Futures(ABC):
             yield from outcomes
             if not in_hand:
                 return
-            done = wait(in_hand, _LOOK_S, FIRST_COMPLETED).done
-            ended = [(task, self.outcome(task, future)) for future in done if (task := in_hand.pop(future))]
-            outcomes = [outcome for _, outcome in ended if outcome is not None]
-            again.extend(task for task, outcome in ended if outcome is None)
+            outcomes = []
+            for future in wait(in_hand, _LOOK_S, FIRST_COMPLETED).done:
+                task = in_hand.pop(future)
+                outcome = self.outcome(task, future)
+                if outcome is None:
+                    again.append(task)
+                else:
+                    outcomes.append(outcome)
             if not outcomes and self.lost():
                 again.extend(in_hand.values())
                 in_hand.clear()
