@@ -188,10 +188,12 @@ def test_spectra_at_other_times_are_left_out() -> None:
     assert "0.0206 to 8 s" in left[0].reason
 
 
-def test_a_covariate_that_is_the_same_for_all_is_refused() -> None:
+def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused() -> None:
     same = [replace(one, covariates={**one.covariates, "sex": "f"}) for one in members(3, draws=100)]
     with pytest.raises(UsageError, match="nothing to compare"):
         design_of(same, "sex", ())
+    with pytest.raises(UsageError, match="no specimen states 'weight'; stated are age_years, donor, sex"):
+        design_of(same, None, ("weight",))
 
 
 def test_missing_numbers_get_the_mean_and_are_named() -> None:

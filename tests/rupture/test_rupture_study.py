@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rupture_cohorts import known_cohort, typical_threshold
 
+from tissueid.errors import NotIdentifiedError
 from tissueid.rupture.document import sentences
 from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import Failure
@@ -129,3 +130,8 @@ def test_the_sign_is_told_only_where_the_interval_leaves_out_one(
     ends: tuple[float, float], said: str
 ) -> None:
     assert direction(ends, below="rises", above="falls") == said
+
+
+def test_too_few_ruptures_are_refused_with_their_number(cohort: list[Failure]) -> None:
+    with pytest.raises(NotIdentifiedError, match="3 of 3 tests end in a rupture, and 4 are needed"):
+        rupture_study(cohort[:3], weight=1.5)
