@@ -92,14 +92,6 @@ def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
     assert trial.curve.model_N.shape == trial.curve.force_N.shape
 
 
-def test_two_specimens_make_no_population() -> None:
-    found = cohort(members(2, draws=100))
-    assert found.population is None
-    assert found.reason is not None
-    assert "2 specimens" in found.reason
-    assert population_bundle(found, {}) is None
-
-
 def test_specimens_of_another_model_are_left_out_and_named() -> None:
     four = members(4, draws=300)
     other = replace(four[1], model=replace(four[1].model, branches=2))
@@ -196,20 +188,12 @@ def test_spectra_at_other_times_are_left_out() -> None:
     assert "0.0206 to 8 s" in left[0].reason
 
 
-@pytest.mark.parametrize(
-    ("group_by", "covariates", "says"),
-    [
-        (None, ("weight",), "no specimen states 'weight'; stated are age_years, donor, sex"),
-        ("sex", (), "nothing to compare"),
-    ],
-    ids=["stated by nobody", "the same for all"],
-)
-def test_a_covariate_that_tells_nothing_is_refused(
-    group_by: str | None, covariates: tuple[str, ...], says: str
-) -> None:
+def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused() -> None:
     same = [replace(one, covariates={**one.covariates, "sex": "f"}) for one in members(3, draws=100)]
-    with pytest.raises(UsageError, match=says):
-        design_of(same, group_by, covariates)
+    with pytest.raises(UsageError, match="nothing to compare"):
+        design_of(same, "sex", ())
+    with pytest.raises(UsageError, match="no specimen states 'weight'; stated are age_years, donor, sex"):
+        design_of(same, None, ("weight",))
 
 
 def test_missing_numbers_get_the_mean_and_are_named() -> None:

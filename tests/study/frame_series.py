@@ -11,7 +11,7 @@ crosshead's program.  Nothing is shared with the correction, which knows neither
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,16 +66,23 @@ def _rates(frame: Frame, speed: float) -> Callable[[float, FloatArray], tuple[fl
     return rates
 
 
+def _pieces(log: Log) -> Iterator[tuple[float, float]]:
+    """Duration [s] and speed [mm/s] of every part of a program."""
+    at = 0.0
+    for move in log.moves:
+        assert isinstance(move, Move | Hold)
+        if isinstance(move, Move):
+            yield (move.to_mm - at) / move.speed_mm_s, move.speed_mm_s
+            at = move.to_mm
+        else:
+            yield move.hold_s, 0.0
+
+
 def crosshead_and_force(log: Log, frame: Frame, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Crosshead travel [mm] and force [N] of one program from contact at rest, at the given times."""
     travel, force = np.empty(time_s.size), np.empty(time_s.size)
     start, at, state = 0.0, 0.0, np.zeros(2)
-    for move in log.moves:
-        assert isinstance(move, Move | Hold)
-        if isinstance(move, Move):
-            duration, speed = (move.to_mm - at) / move.speed_mm_s, move.speed_mm_s
-        else:
-            duration, speed = move.hold_s, 0.0
+    for duration, speed in _pieces(log):
         inside = (time_s >= start - 1e-12) & (time_s <= start + duration + 1e-12)
         when = np.clip(time_s[inside] - start, 0.0, duration)
         solved = solve_ivp(
@@ -101,21 +108,10 @@ def series_trials(
             if repeat > log.repeats:
                 continue
             if log.name not in clean:
-                time_s = np.arange(0.0, _duration(log), 1.0 / plan.rate_Hz)
+                time_s = np.arange(0.0, sum(duration for duration, _ in _pieces(log)), 1.0 / plan.rate_Hz)
                 clean[log.name] = (time_s, *crosshead_and_force(log, frame, time_s))
             time_s, travel, force = clean[log.name]
             noisy = force + sigma_N * rng.standard_normal(force.size)
             source = Source(path=f"{log.name}-{repeat}.csv", recipe="synthetic")
             trials.append(Trial(specimen, time_s, travel, noisy, Protocol(), source))
     return trials
-
-
-def _duration(log: Log) -> float:
-    at, total = 0.0, 0.0
-    for move in log.moves:
-        if isinstance(move, Move):
-            total += (move.to_mm - at) / move.speed_mm_s
-            at = move.to_mm
-        else:
-            total += move.hold_s
-    return total

@@ -173,15 +173,11 @@ def test_a_scheduler_that_stays_away_ends_the_run_with_what_is_finished_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cluster, "RECONNECT_S", 0.2)
-    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
     lab = write_cohort(tmp_path / "lab", 6)
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     processes = [scheduler(port), worker(address)]
     out = tmp_path / "out"
-
-    time.sleep(3.0)
-    monkeypatch.setattr(cluster, "CONNECT_S", 10.0)
     thread = when_done(out, 2, lambda: end(*processes))
     code = main(["fit", str(lab), "-o", str(out), *QUICK, "-q", "--scheduler", address])
     thread.join()

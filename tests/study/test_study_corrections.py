@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.documents.inspect import Phase
@@ -83,6 +83,7 @@ def test_a_layout_that_takes_no_table_is_refused() -> None:
         corrected_text(inline, contact(1.0))
 
 
+@settings(deadline=None)
 @given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40), st.floats(-1e4, 1e4))
 def test_any_reason_and_number_come_back_as_they_were(because: str, value: float) -> None:
     if not because.strip():

@@ -71,22 +71,10 @@ def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch: pytest.Mon
 def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries() -> None:
     nothing = completeness_of_result(None)
     assert (nothing.grade, nothing.share, len(nothing.missing)) == ("F", 0.0, len(ITEMS))
-    tables: dict[str, dict[str, Any]] = {
-        "study": {},
-        "calibration": {},
-        "tip": {},
-        "specimen": {},
-        "trial": {},
-    }
+    tables: dict[str, dict[str, Any]] = {item.table: {} for item in ITEMS}
     frame: dict[str, Any] = dict.fromkeys(("path", "sha256", "range_N"))
     frame |= dict.fromkeys(("force_N", "compliance_mm_per_N", "covariance"), ())
-    words: dict[str, Any] = {
-        "authors": ["stated"],
-        "shape": "sphere",
-        "freeze_thaw_cycles": 1,
-        "run": 1,
-        "frame": frame,
-    }
+    words = {"authors": ["stated"], "shape": "sphere", "freeze_thaw_cycles": 1, "run": 1, "frame": frame}
     for item in ITEMS:
         key = item.keys[0]
         tables[item.table][key] = words.get(key, 1.0 if unit_of(key) or "class" in key else "stated")

@@ -22,7 +22,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import get_context
 from types import MappingProxyType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from tissueid import __version__
 from tissueid.errors import InputError, TissueidError, was_interrupted
@@ -133,14 +133,6 @@ _GRACE_S, _LOOK_S = 2.0, 1.0
 Started = Callable[[int, str], None]
 
 
-class Workforce(Protocol):
-    """Whoever computes tasks, so many at a time."""
-
-    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
-        """Outcomes as they come, in any order; tasks are taken from the iterable as they are needed."""
-        ...
-
-
 class InThisProcess:
     """No process but this one; ``one``: take one processor, and no threads on others."""
 
@@ -193,13 +185,21 @@ class Futures(ABC):
             yield from outcomes
             if not in_hand:
                 return
-            done = wait(in_hand, _LOOK_S, FIRST_COMPLETED).done
-            ended = [(task, self.outcome(task, future)) for future in done if (task := in_hand.pop(future))]
-            outcomes = [outcome for _, outcome in ended if outcome is not None]
-            again.extend(task for task, outcome in ended if outcome is None)
+            outcomes = []
+            for future in wait(in_hand, _LOOK_S, FIRST_COMPLETED).done:
+                task = in_hand.pop(future)
+                outcome = self.outcome(task, future)
+                if outcome is None:
+                    again.append(task)
+                else:
+                    outcomes.append(outcome)
             if not outcomes and self.lost():
                 again.extend(in_hand.values())
                 in_hand.clear()
+
+
+#: Whoever computes tasks, so many at a time.
+Workforce = InThisProcess | Futures
 
 
 def _serve(pipe: Any) -> None:
