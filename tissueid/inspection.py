@@ -47,14 +47,14 @@ def as_decided(
     trial: Trial, options: SegmentOptions | None, study: Study | None
 ) -> tuple[Trial, SegmentOptions, str | None]:
     """The trial, its options, and why it is excluded, after what a study says of it."""
-    options = options or SegmentOptions()
-    pattern = options.excludes(trial)
+    own, decision, decided = options or SegmentOptions(), None, trial
+    if study is not None:
+        decision = study.decision(trial.source.path, trial.source.sheet)
+        decided, own = decided_trial(trial, decision, study), decided_options(own, decision)
+    # by the name that the study gives, as a fit does
+    pattern = (options or SegmentOptions()).excludes(decided)
     by_hand = None if pattern is None else f"--exclude {pattern}"
-    if study is None:
-        return trial, options, why_excluded(trial, None, None) or by_hand
-    decision = study.decision(trial.source.path, trial.source.sheet)
-    excluded = why_excluded(trial, decision, study) or by_hand
-    return decided_trial(trial, decision, study), decided_options(options, decision), excluded
+    return decided, own, why_excluded(trial, decision, study) or by_hand
 
 
 def measured_of(trial: Trial, segmentation: Segmentation, study: Study | None = None) -> Measured:

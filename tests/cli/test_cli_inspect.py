@@ -190,6 +190,11 @@ def test_the_command_line_takes_them_and_says_so(tmp_path):
     assert [phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"] == [pytest.approx(4.5)]
     assert one["excluded"] is None
     assert two["excluded"] == "--exclude two.csv"
+    # by the name that a study gives, as a fit leaves it out
+    named = '[[trial]]\nfile = "one.csv"\nspecimen = "knee"\n'
+    (tmp_path / "study.toml").write_text(f'schema = "tissueid/study/1"\n{named}', encoding="utf-8")
+    one, two = run("inspect", str(tmp_path), "--exclude", "knee", "--json").json()
+    assert (one["excluded"], two["excluded"]) == ("--exclude knee", None)
     assert run("inspect", str(tmp_path), "--hold-from", "5", "--hold-to", "4").code == 2
 
 
