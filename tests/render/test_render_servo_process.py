@@ -91,6 +91,10 @@ class TestProcess:
             signal.SIGTERM,
             pytest.param(signal.SIGINT, marks=pytest.mark.slow),
             pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+            # Ctrl-Z would stop it, Ctrl-\ kill it, with the last force commanded
+            signal.SIGTSTP,
+            signal.SIGQUIT,
+            pytest.param(signal.SIGUSR1, marks=pytest.mark.slow),
         ],
     )
     def test_a_signal_ends_it_with_the_device_closed(self, number):
