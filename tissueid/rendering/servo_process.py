@@ -1,7 +1,7 @@
 """The servo process: nothing but the loop, spawned, with zero force on every way out.
 
-SIGKILL and SIGSTOP can't be caught: then the device keeps the last force until its own firmware or its power
-plug takes it away.
+SIGKILL and SIGSTOP can't be caught: then the device keeps the last force until the owner, its own firmware or
+its power plug takes it away.
 """
 
 from __future__ import annotations
