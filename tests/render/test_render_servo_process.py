@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ import pytest
 from test_render_servo_tick import DEEP_M, tissue
 
 from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics import registry
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP
-from tissueid.haptics.sim import CENTRE_M
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering import servo_process
 from tissueid.rendering.servo import ServoEnd, ServoPlan, ServoProcess, receive_plan, send_line, send_plan
@@ -91,6 +93,10 @@ class TestProcess:
             signal.SIGTERM,
             pytest.param(signal.SIGINT, marks=pytest.mark.slow),
             pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+            # Ctrl-Z would stop it, Ctrl-\ kill it, with the last force commanded
+            signal.SIGTSTP,
+            signal.SIGQUIT,
+            pytest.param(signal.SIGUSR1, marks=pytest.mark.slow),
         ],
     )
     def test_a_signal_ends_it_with_the_device_closed(self, number):
@@ -109,6 +115,30 @@ class TestProcess:
         with pytest.raises(DeviceError, match=r"died without a word.*-9"):
             ended(servo)
         servo.close()
+
+    def test_after_a_killed_process_its_owner_takes_the_force_away(self, monkeypatch):
+        done = []
+
+        class Motors:
+            capabilities = replace(SimulatedDevice().capabilities, hardware=True)
+
+            def __init__(self, **options):
+                assert options == PLAN.options
+
+            def open(self):
+                done.append("opened")
+
+            def close(self):
+                done.append("closed with zero force")
+
+        servo = ServoProcess(PLAN)
+        servo.start()
+        monkeypatch.setattr(registry, "device_class", lambda _name: Motors)
+        os.kill(servo._spawned.process.pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match="died without a word"):
+            ended(servo)
+        servo.close()
+        assert done == ["opened", "closed with zero force"]
 
     def test_a_device_that_refuses_says_so_through_the_process(self):
         with pytest.raises(UsageError, match="no device named 'simm'"):

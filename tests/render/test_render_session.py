@@ -228,6 +228,21 @@ def test_the_summary_counts_what_the_records_say() -> None:
     assert period_statistics(np.zeros(0))["p99"] == 0.0
 
 
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_length_that_is_none_is_refused(bundle: Path, seconds: float) -> None:
+    with pytest.raises(UsageError, match=r"--seconds is .*, must be above 0 and finite"):
+        plan_session(options(bundle, script=None, virtual=False, seconds=seconds))
+
+
+@pytest.mark.parametrize("seconds", [20.0, 600.0, 3600.0])
+def test_a_grip_that_nobody_moves_pushes_as_long_as_the_session_lasts(bundle: Path, seconds: float) -> None:
+    plan = plan_session(options(bundle, script=None, virtual=False, seconds=seconds))
+    assert plan.seconds == seconds
+    # a push more than fits at most; the text of a hold has six digits
+    push_s = sum(stroke.duration_s for stroke in plan.script.strokes[:3])
+    assert -0.1 < plan.script.duration_s - seconds < push_s
+
+
 def test_a_bundle_or_a_preset_is_needed() -> None:
     with pytest.raises(UsageError, match="not both"):
         plan_session(RenderOptions(device="sim"))

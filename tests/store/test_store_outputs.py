@@ -19,11 +19,12 @@ from fit_factory import identification, specimen_fit, write_results
 from posterior_factory import sampled
 from set_writer import commit
 
+from tissueid.cli.output import write_output
 from tissueid.errors import BundleError
 from tissueid.result import Identification
 from tissueid.store import outputs as outputs_module
 from tissueid.store.bundle import load_bundle
-from tissueid.store.files import REPORT, bundle_names, safe_name
+from tissueid.store.files import REPORT, bundle_names, replacing, safe_name, write_file
 from tissueid.store.outputs import OutputSet, complete_refresh, current_run
 from tissueid.store.results import output_problems, read_results, validate_outputs
 
@@ -308,3 +309,32 @@ def test_names_that_meet_without_case_are_kept_apart() -> None:
     assert names["spleen"] == "bundle-spleen.h5"
     assert len({name.casefold() for name in names.values()}) == 5
     assert bundle_names(["a b", "a_b"]) == bundle_names(["a_b", "a b"])
+
+
+def test_a_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_file(pipe, b"whole")
+    assert os.read(reading, 99) == b"whole"
+    os.close(reading)
+    with pytest.raises(OSError, match="it is no file"), replacing(pipe):
+        pass
+    assert pipe.is_fifo()
+
+
+def test_a_name_that_is_a_folder_is_refused_by_the_system(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in (".", ".."):
+        with pytest.raises(OSError, match=r"busy|directory"):
+            write_file(Path(name), b"")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_link_leads_to_is_written_and_the_link_stays(tmp_path: Path) -> None:
+    real, link = tmp_path / "real", tmp_path / "link"
+    real.write_bytes(b"old")
+    link.symlink_to(real)
+    write_output(link, b"new")
+    assert link.is_symlink()
+    assert real.read_bytes() == b"new"

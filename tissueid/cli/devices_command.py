@@ -100,14 +100,14 @@ def asked_device(flags: WayFlags | RenderFlags, *, hands_off: bool = False) -> A
 @contextlib.contextmanager
 def opened(device: HapticDevice) -> Iterator[HapticDevice]:
     """The device, open; it is closed with zero force on every way out, that of a signal too."""
+    from tissueid.haptics.device import WAYS_OUT
 
     def interrupt(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
 
-    signals = (signal.SIGTERM, signal.SIGHUP)
     before = {}
     if threading.current_thread() is threading.main_thread():
-        before = {number: signal.signal(number, interrupt) for number in signals}
+        before = {number: signal.signal(number, interrupt) for number in WAYS_OUT}
     try:
         with device:
             yield device

@@ -152,8 +152,10 @@ def write_output(
     """Write a file the user named, whole or not at all, and say so where not ``quiet``."""
     from tissueid.store.files import write_file
 
+    place = Path(path)
     with refusing(path, "written", way_out):
-        write_file(Path(path), content)
+        # what a link leads to is written, and the link stays: /dev/stdout is one
+        write_file(place.resolve() if place.is_symlink() and place.is_file() else place, content)
     note(f"wrote {path}", quiet=quiet)
 
 

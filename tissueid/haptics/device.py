@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import signal
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -90,6 +91,16 @@ class CompiledIO:
 
 #: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
 ZERO_COMMANDS = 20
+#: Signals that would end or stop a program that holds a device, those of Ctrl-Z and Ctrl-\ among them: its
+#: motors would keep their last command.
+WAYS_OUT = tuple(
+    getattr(signal, f"SIG{name}")
+    for name in (
+        "TERM", "INT", "HUP", "QUIT", "TSTP", "TTIN", "TTOU", "USR1", "USR2", "ALRM", "VTALRM", "PROF",
+        "XCPU", "IO", "PWR", "STKFLT",
+    )
+    if hasattr(signal, f"SIG{name}")
+)  # fmt: skip
 
 #: How long homing may take before it is given up [s].
 HOMING_TIMEOUT_S = 60.0

@@ -34,6 +34,7 @@ S_PER_MIN = 60.0
 #: What a script may ask for: outside this a typing error is likelier than a wish.
 MOST_SPEED_MM_S = 200.0
 MOST_HOLD_S = 3600.0
+MOST_STROKES = layout.MAX_KNOTS - 2
 #: Height above the tissue, in tissue units [mm], at which a script starts and to which it retracts.
 SCRIPT_CLEARANCE_MM = 0.5
 
@@ -223,8 +224,8 @@ def parse_script(text: str) -> tuple[Stroke, ...]:
             )
             raise UsageError(msg)
         depth = strokes[-1].depth_mm
-    if not 1 <= len(strokes) <= layout.MAX_KNOTS - 2:
-        msg = f"a script has 1 to {layout.MAX_KNOTS - 2} strokes, this one {len(strokes)}"
+    if not 1 <= len(strokes) <= MOST_STROKES:
+        msg = f"a script has 1 to {MOST_STROKES} strokes, this one {len(strokes)}"
         raise UsageError(msg)
     return tuple(strokes)
 

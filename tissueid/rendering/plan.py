@@ -12,7 +12,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.hand import Hand
+from tissueid.haptics.hand import MOST_HOLD_S, MOST_STROKES, Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
@@ -62,6 +62,7 @@ DEFAULT_COUNT_M = 45e-6
 S_PER_MIN = 60.0
 #: Share of the identified depth that a simulated grip shows where no script was given.
 DEMONSTRATED_DEPTH = 0.75
+DEMONSTRATED_HOLD_S = 1.0
 DEFAULT_PRESENTATIONS = 10
 #: Height above the tissue at which a hand waits for a pointer [m].
 REST_M = 0.005
@@ -79,6 +80,9 @@ class _Asked(NamedTuple):
 
 def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
+    if options.seconds is not None and not 0.0 < options.seconds < math.inf:
+        msg = f"--seconds is {options.seconds:g}, must be above 0 and finite"
+        raise UsageError(msg)
     name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
@@ -226,13 +230,23 @@ def _script(asked: _Asked, first: Picked) -> Script | None:
     if asked.choice.name != SIMULATED or options.bridge or options.led or options.program is not None:
         return None
     depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
-    push = f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
-    once = read_script(push)
+
+    def push(hold_s: float) -> str:
+        return (
+            f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold {hold_s:.6g} s; retract at {speed:.4g} mm/min"
+        )
+
+    once = read_script(push(DEMONSTRATED_HOLD_S))
     if options.seconds is None or options.seconds <= once.duration_s:
         return once
     strokes_s = sum(stroke.duration_s for stroke in once.strokes)
-    times = math.ceil((options.seconds - once.duration_s) / strokes_s)
-    return read_script("; ".join([push] * (1 + times)))
+    times = 1 + math.ceil((options.seconds - once.duration_s) / strokes_s)
+    # a hand goes through so many strokes: in a longer session each push is held for longer
+    most = MOST_STROKES // len(once.strokes)
+    if times <= most:
+        return read_script("; ".join([push(DEMONSTRATED_HOLD_S)] * times))
+    hold_s = DEMONSTRATED_HOLD_S + (options.seconds - once.duration_s) / most - strokes_s * (most - 1) / most
+    return read_script("; ".join([push(min(hold_s, MOST_HOLD_S))] * most))
 
 
 def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, float] | None]:
@@ -264,9 +278,6 @@ def _must_fit(asked: _Asked, script: Script | None) -> None:
     led_by_nobody = script is None and options.program is None
     if options.virtual and (not simulated or led_by_nobody):
         msg = "--virtual runs a script on the simulated device faster than time; add --device sim --script"
-        raise UsageError(msg)
-    if options.seconds is not None and not options.seconds > 0.0:
-        msg = f"--seconds is {options.seconds:g}, must be above 0"
         raise UsageError(msg)
 
 

@@ -27,7 +27,7 @@ class Recorder:
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
         self.path = path
-        self.part = path.with_name(path.name + PART_SUFFIX)
+        self.part = path.parent / (path.name + PART_SUFFIX)
         #: Records written.
         self.written = 0
         #: Why the recording ended before the session; None while it runs.

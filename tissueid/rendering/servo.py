@@ -284,10 +284,23 @@ class ServoProcess:
         self._closed = True
         if self._spawned is not None:
             self._spawned.close()
+            if self._spawned.planned and self._spawned.process.returncode < 0:
+                self._take_force_away()
         self.ring.close()
         self.block.close()
         if self.hand is not None:
             self.hand.close()
+
+    def _take_force_away(self) -> None:
+        """Send zero force from here: a servo that was killed leaves its last command to the motors."""
+        from tissueid.haptics.registry import device_class
+
+        # nothing but this way is left, and what was to be raised is the servo's death
+        with contextlib.suppress(errors.TissueidError, OSError):
+            device = device_class(self.plan.device)(**self.plan.options)
+            if device.capabilities.hardware:
+                device.open()
+                device.close()
 
     def __enter__(self) -> Self:
         self.start()

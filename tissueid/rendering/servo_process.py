@@ -1,7 +1,7 @@
 """The servo process: nothing but the loop, spawned, with zero force on every way out.
 
-SIGKILL can't be caught: then the device keeps the last force until its own firmware or its power plug takes
-it away.
+SIGKILL and SIGSTOP can't be caught: then the device keeps the last force until the owner, its own firmware or
+its power plug takes it away.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from tissueid.compiled import without_scipy
 from tissueid.errors import DeviceError, TissueidError
-from tissueid.haptics.device import HapticDevice, compiled_io
+from tissueid.haptics.device import WAYS_OUT, HapticDevice, compiled_io
 from tissueid.haptics.guard import SHUT, new_guard, transition
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
@@ -35,8 +35,6 @@ from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
-#: Signals that end a session with zero force.
-SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class Signalled(BaseException):
@@ -53,14 +51,14 @@ class SignalWatch:
         self.in_loop = False
 
     def __enter__(self) -> Self:
-        self._before = [signal.signal(number, self._came) for number in SIGNALS]
+        self._before = [signal.signal(number, self._came) for number in WAYS_OUT]
         # the C handler writes here at once, even while compiled code holds the only thread
         self._wakeup = signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
         return self
 
     def __exit__(self, *_: object) -> None:
         signal.set_wakeup_fd(self._wakeup)
-        for number, handler in zip(SIGNALS, self._before, strict=True):
+        for number, handler in zip(WAYS_OUT, self._before, strict=True):
             signal.signal(number, handler)
         os.close(self.descriptor)
         os.close(self._writing)

@@ -14,6 +14,7 @@ temporary file, and are copied into the document where they stand.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -63,8 +64,14 @@ def replace_file(temporary: Path, target: Path) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A name to write to beside a file, moved over it where the context ends well; else nothing stays."""
-    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+    """A name to write to beside a file, moved over it where the context ends well; else nothing stays.
+
+    Raises OSError: what has the name is a device, a pipe or a socket, which no file may take the place of.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "it is no file", str(path))
+    # not with_name(), which calls a bug what is the folder one stands in
+    temporary = path.parent / (TEMPORARY_PREFIX + path.name)
     try:
         yield temporary
         replace_file(temporary, path)
@@ -73,7 +80,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file or nothing."""
+    """Write a whole file or nothing; into a pipe or a device straight."""
+    if path.is_fifo() or path.is_char_device():
+        path.write_bytes(content)
+        return
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
