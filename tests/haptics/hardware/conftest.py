@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -73,11 +74,8 @@ def homed(falcon: FalconDevice) -> FalconDevice:
 
 def tell(sentence: str) -> None:
     """A line for the person, past pytest's capturing; nowhere without a terminal."""
-    try:
-        with TERMINAL.open("w", encoding="utf-8") as terminal:
-            terminal.write(f"\n  {sentence}\n")
-    except OSError:
-        return
+    with contextlib.suppress(OSError), TERMINAL.open("w", encoding="utf-8") as terminal:
+        terminal.write(f"\n  {sentence}\n")
 
 
 @pytest.fixture
