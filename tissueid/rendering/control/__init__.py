@@ -4,7 +4,6 @@ from tissueid.rendering.control.settings import (
     ControlSettings,
     Gains,
     Mechanics,
-    PlanarArm,
     Signal,
     VirtualTool,
 )
@@ -15,7 +14,6 @@ __all__ = [
     "ControlSettings",
     "Gains",
     "Mechanics",
-    "PlanarArm",
     "Signal",
     "VirtualTool",
     "simulate",

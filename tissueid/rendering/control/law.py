@@ -18,11 +18,6 @@ from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 #: Axes that a loop may have.
 MOST_AXES = 3
 
-#: Parameters of an arm of two links in front of theta: p1 = I1 + I2 + m1 c1^2 + m2 (l1^2 + c2^2),
-#: p2 = I2 + m2 c2^2, p3 = m2 l1 c2, c being where a link's centre of mass lies; M(x) obeys
-#: the skew symmetry of M' - 2 C (Slotine & Li, Applied Nonlinear Control, 1991, 9.1).
-ARM_PARAMETERS = 3
-
 
 class LoopBlock(NamedTuple):
     """Numbers of a controlled loop, for compiled code."""
@@ -46,7 +41,6 @@ class LoopBlock(NamedTuple):
     period_s: float
     substeps: int
     rise_s: float
-    arm: FloatArray  # lengths of two links, 0 without an arm; where the work begins, from its base
 
 
 class Controller(NamedTuple):
@@ -118,51 +112,14 @@ def record_row(
 
 
 @tick_kernel
-def _arm_columns(
-    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
-) -> None:
-    """Columns of p1, p2, p3: the joint regressor, seen from the tip; elbow to the left."""
-    l1, l2 = arm[0], arm[1]
-    px, py = x[0] + arm[2], x[1] + arm[3]
-    cosine = (px * px + py * py - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
-    q2 = math.acos(min(max(cosine, -1.0), 1.0))
-    s2, c2 = math.sin(q2), math.cos(q2)
-    q1 = math.atan2(py, px) - math.atan2(l2 * s2, l1 + l2 * c2)
-    s1, c1 = math.sin(q1), math.cos(q1)
-    s12, c12 = math.sin(q1 + q2), math.cos(q1 + q2)
-    j00, j01, j10, j11 = -l1 * s1 - l2 * s12, -l2 * s12, l1 * c1 + l2 * c12, l2 * c12
-    det = j00 * j11 - j01 * j10
-    w1, w2 = (j11 * v[0] - j01 * v[1]) / det, (-j10 * v[0] + j00 * v[1]) / det
-    r1, r2 = (j11 * vr[0] - j01 * vr[1]) / det, (-j10 * vr[0] + j00 * vr[1]) / det
-    turn = w1 + w2
-    # acceleration of the joints: J^-1 (ar - J' r)
-    d01, d11 = -l2 * c12 * turn, -l2 * s12 * turn
-    d00, d10 = d01 - l1 * c1 * w1, d11 - l1 * s1 * w1
-    g0, g1 = ar[0] - d00 * r1 - d01 * r2, ar[1] - d10 * r1 - d11 * r2
-    a1, a2 = (j11 * g0 - j01 * g1) / det, (-j10 * g0 + j00 * g1) / det
-    first = (a1, a2, c2 * (2.0 * a1 + a2) - s2 * (w2 * r1 + turn * r2))
-    second = (0.0, a1 + a2, c2 * a1 + s2 * w1 * r1)
-    for k in range(3):
-        # torques to forces at the tip: J^-T
-        Y[0, k] = (j11 * first[k] - j10 * second[k]) / det
-        Y[1, k] = (-j01 * first[k] + j00 * second[k]) / det
-
-
-@tick_kernel
-def regress(
-    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
-) -> None:
-    """Write the regressor of ``v``, ``vr`` and ``ar``, (n, 3 n (n + 1) / 2), 3 more with an arm."""
+def regress(x: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray) -> None:
+    """Write the regressor of ``x``, ``vr`` and ``ar``, shape (n, 3 n (n + 1) / 2)."""
     n, size = Y.shape
     for i in range(n):
         for k in range(size):
             Y[i, k] = 0.0
-    at = 0
-    if arm[0] > 0.0:
-        _arm_columns(arm, x, v, vr, ar, Y)
-        at = ARM_PARAMETERS
     entries = n * (n + 1) // 2
-    column = at
+    column = 0
     for i in range(n):
         for j in range(i, n):
             Y[i, column] += ar[j]
@@ -177,17 +134,10 @@ def regress(
 
 @tick_kernel
 def generalised_force(
-    arm: FloatArray,
-    theta: FloatArray,
-    x: FloatArray,
-    v: FloatArray,
-    vr: FloatArray,
-    ar: FloatArray,
-    Y: FloatArray,
-    out: FloatArray,
+    theta: FloatArray, x: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray, out: FloatArray
 ) -> None:
-    """Write Y(x, v, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
-    regress(arm, x, v, vr, ar, Y)
+    """Write Y(x, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
+    regress(x, vr, ar, Y)
     for i in range(out.size):
         total = 0.0
         for k in range(theta.size):
@@ -196,33 +146,20 @@ def generalised_force(
 
 
 @tick_kernel
-def inertia(
-    arm: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
-) -> None:
-    """Write M(x) [kg], shape (n, n), into ``M``; ``Y`` and ``spare``, shape (2, n), are room to work in."""
-    n = x.size
-    nothing, unit = spare[0], spare[1]
-    for j in range(n):
-        nothing[j] = 0.0
-        unit[j] = 0.0
-    for j in range(n):
-        unit[j] = 1.0
-        regress(arm, x, nothing, nothing, unit, Y)
-        unit[j] = 0.0
-        for i in range(n):
-            # stiffness is the only part that a plant at rest still has: its columns are the last third
-            total = 0.0
-            for k in range(theta.size - n * (n + 1) // 2):
-                total += Y[i, k] * theta[k]
-            M[i, j] = total
+def inertia(theta: FloatArray, M: FloatArray) -> None:
+    """Write the inertia M among the parameters [kg], shape (n, n), into ``M``."""
+    column = 0
+    for i in range(len(M)):
+        for j in range(i, len(M)):
+            M[i, j] = M[j, i] = theta[column]
+            column += 1
 
 
 @tick_kernel
 def damping_form(theta: FloatArray, r: FloatArray) -> float:
     """Power [W] that the damping B among the parameters takes at a velocity r: r' B r."""
     n = r.size
-    entries = n * (n + 1) // 2
-    column = theta.size - 2 * entries
+    column = n * (n + 1) // 2
     total = 0.0
     for i in range(n):
         for j in range(i, n):
@@ -415,21 +352,18 @@ def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray, out: 
 @tick_kernel
 def lyapunov(
     block: LoopBlock,
-    x: FloatArray,
     terms: tuple[FloatArray, FloatArray, FloatArray],
     truth: FloatArray,
     estimates: FloatArray,
     gains: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray],
+    M: FloatArray,
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N]; ``room`` (2, n), (n, p),
-    (n, n).
+    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N]; ``M`` is room, (n, n).
     """
     rho, robust, unknown = terms
-    spare, Y, M = room
-    inertia(block.arm, truth, x, spare, Y, M)
+    inertia(truth, M)
     V = 0.0
     rate = -damping_form(truth, rho)
     for i in range(rho.size):
@@ -457,14 +391,14 @@ def command(
     Held until the next tick, the command aims at where the tool will be then; returns the tissue's force at
     the end [N].
     """
-    x, v = device
+    x, _v = device
     if block.touched_by_device:
         touched = environment_force(block, law, c.state, x, block.period_s)
     touched = advance_tool(block, law, c, hand, touched)
     tool_acceleration(block, c.ve, hand, touched, c.ae)
     reference(block, device, (c.xe, c.ve, c.ae), (c.vr, c.ar, c.rho))
     robust_term(block, c.rho, sigma_at(block, time), c.robust)
-    regress(block.arm, x, v, c.vr, c.ar, c.Y)
+    regress(x, c.vr, c.ar, c.Y)
     control_force(block, c.Y, c.estimates, c.rho, c.robust, hand, c.u)
     saturate(block, c.u)
     return float(touched)

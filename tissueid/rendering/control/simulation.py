@@ -33,16 +33,14 @@ class Loop(NamedTuple):
     bounds: FloatArray  # of the estimates, (2, p)
 
 
-#: Room of a sampled run: vectors, two of them to work in, regressor, inertia.
-SampledRoom = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+#: Room of a sampled run: vectors, regressor, inertia.
+SampledRoom = tuple[FloatArray, FloatArray, FloatArray]
 VECTOR_ROWS = 12
 
 
 def sampled_room(axes: int, parameters: int) -> SampledRoom:
     """Room of a run."""
-    shapes = ((VECTOR_ROWS, axes), (2, axes), (axes, parameters), (axes, axes))
-    rows, spare, Y, M = (np.zeros(shape) for shape in shapes)
-    return rows, spare, Y, M
+    return np.zeros((VECTOR_ROWS, axes)), np.zeros((axes, parameters)), np.zeros((axes, axes))
 
 
 @tick_kernel
@@ -58,7 +56,7 @@ def _advance_plant(
     block = loop.block
     x, v, hand = plant
     a, push, disturbed = vectors
-    spare, Y, M = room[1], room[2], room[3]
+    _rows, Y, M = room
     steps = block.substeps
     h = block.period_s / steps
     for step in range(steps):
@@ -66,14 +64,14 @@ def _advance_plant(
         law.disturbance(loop.drive, time + step * h, disturbed)
         for i in range(x.size):
             a[i] = 0.0
-        law.generalised_force(block.arm, loop.total, x, v, v, a, Y, hand)
+        law.generalised_force(loop.total, x, v, a, Y, hand)
         for i in range(x.size):
             a[i] = push[i] + u[i] - disturbed[i] - hand[i]
-        law.inertia(block.arm, loop.total, x, spare, Y, M)
+        law.inertia(loop.total, M)
         law.solve(M, a)
         if step == steps - 1:
             # what the sensor feels: the push, less what moves and holds the hand itself
-            law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
+            law.generalised_force(loop.operator, x, v, a, Y, hand)
             for i in range(x.size):
                 hand[i] = push[i] - hand[i]
         for i in range(x.size):
@@ -88,7 +86,7 @@ def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom,
     The loop reads the force that the hand had under the last command; ``noise``: of the sensor [N].
     """
     block = loop.block
-    rows, spare, Y, M = room
+    rows, _Y, M = room
     x, v, hand, sensed, push, disturbed = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     unknown, was = rows[6], (rows[7], rows[8])
     touched = 0.0
@@ -103,7 +101,7 @@ def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom,
         touched = law.command(block, loop.law, c, time, (x, v), sensed, touched)
         law.not_covered(block, push, disturbed, unknown)
         terms = (c.rho, c.robust, unknown)
-        V, rate = law.lyapunov(block, x, terms, loop.truth, c.estimates, loop.gains, (spare, Y, M))
+        V, rate = law.lyapunov(block, terms, loop.truth, c.estimates, loop.gains, M)
         vectors = (x, v, was[0], was[1], sensed, c.u, c.rho, push, disturbed)
         law.record_row(out[tick], time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
         law.adapt(block, c.Y, c.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
@@ -114,8 +112,8 @@ def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom,
     return int(out.shape[0])
 
 
-#: Vectors, regressor and three inertias to solve in; estimates and tissue, each with its trials.
-Solving = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+#: Regressor and three inertias to solve in; estimates and tissue, each with its trials.
+Solving = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Lists = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 #: Room of a continuous run: motions, forces, and both of these.
 ContinuousRoom = tuple[FloatArray, FloatArray, Solving, Lists]
@@ -131,7 +129,7 @@ def continuous_room(axes: int, start: FloatArray) -> ContinuousRoom:
     return (
         np.zeros((4, MOTION_ROWS, axes)),
         np.zeros((FORCE_ROWS, axes)),
-        (np.zeros((2, axes)), np.zeros((axes, start.size)), squares[0], squares[1], squares[2]),
+        (np.zeros((axes, start.size)), squares[0], squares[1], squares[2]),
         (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
     )
 
@@ -152,28 +150,28 @@ def _forces(
     [+ Mh a in variant B], with M^ of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
     """
     block = loop.block
-    spare, Y, M, Mh, Mc = room
+    Y, M, Mh, Mc = room
     x, v, ve = motion[0], motion[1], motion[3]
     push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
     a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
     n = x.size
     law.hand_push(block, loop.drive, time, push)
     law.disturbance(loop.drive, time, disturbed)
-    law.inertia(block.arm, loop.operator, x, spare, Y, Mh)
-    law.inertia(block.arm, estimates, x, spare, Y, Mc)
-    law.inertia(block.arm, loop.total, x, spare, Y, M)
+    law.inertia(loop.operator, Mh)
+    law.inertia(estimates, Mc)
+    law.inertia(loop.total, M)
     for i in range(n):
         a[i] = 0.0
-    law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
+    law.generalised_force(loop.operator, x, v, a, Y, hand)
     for i in range(n):
         hand[i] = push[i] - hand[i]
     law.tool_acceleration(block, ve, hand, touched, ae)
     law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
     law.robust_term(block, rho, law.sigma_at(block, time), robust)
-    law.regress(block.arm, x, v, vr, ar, Y)
+    law.regress(x, vr, ar, Y)
     law.control_force(block, Y, estimates, rho, robust, hand, u)
     # the plant's own forces take the room of vr, which is not needed any more
-    law.generalised_force(block.arm, loop.total, x, v, v, a, Y, vr)
+    law.generalised_force(loop.total, x, v, a, Y, vr)
     for i in range(n):
         ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
         for j in range(n):
@@ -189,7 +187,7 @@ def _forces(
             hand[i] -= Mh[i, j] * a[j]
     law.tool_acceleration(block, ve, hand, touched, ae)
     law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    law.regress(block.arm, x, v, vr, ar, Y)
+    law.regress(x, vr, ar, Y)
     law.control_force(block, Y, estimates, rho, robust, hand, u)
 
 
@@ -226,8 +224,8 @@ def _step(loop: Loop, time: float, room: ContinuousRoom) -> float:
     h = block.period_s
     motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
     estimates, guess, moved, state, trial = lists
-    Y = solving[1]
-    law.regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
+    Y = solving[0]
+    law.regress(motion[0], forces[8], forces[9], Y)
     _slopes(motion, forces, slope)
     _copy(estimates, guess)
     law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, guess)
@@ -261,8 +259,8 @@ def run_continuous(loop: Loop, every: int, room: ContinuousRoom, out: FloatArray
             _forces(loop, time, motion, estimates, touched, forces, solving)
             if step == 0:
                 law.not_covered(block, forces[0], forces[1], unknown)
-                terms, work = (forces[4], forces[5], unknown), (solving[0], solving[1], solving[2])
-                V, rate = law.lyapunov(block, motion[0], terms, loop.truth, estimates, loop.gains, work)
+                terms = (forces[4], forces[5], unknown)
+                V, rate = law.lyapunov(block, terms, loop.truth, estimates, loop.gains, solving[1])
                 led = (motion[0], motion[1], motion[2], motion[3])
                 vectors = (*led, forces[2], forces[3], forces[4], forces[0], forces[1])
                 law.record_row(
@@ -299,7 +297,7 @@ class ControlRun:
     sigma: FloatArray  # (rows,)
     lyapunov: FloatArray  # (rows,)
     lyapunov_rate: FloatArray  # (rows,)
-    estimates: FloatArray  # (rows, p), masses, dampings, stiffnesses; those of an arm in front
+    estimates: FloatArray  # (rows, p), masses, dampings, stiffnesses
     diverged_s: float | None  # when the device was 10 m away, or lost; None where the loop stayed bounded
 
     @property
@@ -338,7 +336,6 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
         period_s=period_s,
         substeps=substeps,
         rise_s=settings.push_rise_s,
-        arm=settings.arm_numbers(),
     )
 
 
@@ -360,7 +357,7 @@ def _drive(settings: ControlSettings) -> FloatArray:
 def simulate(settings: ControlSettings) -> ControlRun:
     """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
-    device, operator = settings.true_parameters()
+    device, operator = settings.device.parameters(), settings.operator.parameters()
     truth = settings.estimated_truth()
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
     start = np.array(start, dtype=np.float64)
