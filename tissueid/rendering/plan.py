@@ -43,10 +43,9 @@ from tissueid.rendering.session_plan import (
 )
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import (
-    Plane,
-    Sphere,
     Surface,
     free_air_block,
+    highest_touch,
     parse_surface,
     place_surface,
     surface_from,
@@ -101,7 +100,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
     given = _given(options)
-    touch_m, inward = _touch_point(surface, radius_m), _inward(surface)
+    touch_m, inward = highest_touch(surface.numbers(radius_m))
     carried_along = script or options.program
     if carried_along is not None:
         given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
@@ -321,24 +320,6 @@ def _blocks(
         felt = tissue_block(picked[tissue].tissue, surface, **scales, tool_radius_m=radius_m, label=label)
         blocks.append(np.concatenate([felt, control]))
     return tuple(blocks)
-
-
-def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
-    """Centre of the tip when it touches the highest point of a surface."""
-    if isinstance(surface, Plane):
-        top_m, reach_m = surface.point_m, radius_m
-    else:
-        size_m = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
-        top_m, reach_m = surface.centre_m, size_m + radius_m
-    return np.asarray(np.asarray(top_m) - reach_m * _inward(surface))
-
-
-def _inward(surface: Surface) -> FloatArray:
-    """Unit vector into the tissue at its highest point."""
-    if isinstance(surface, Plane):
-        normal = np.asarray(surface.normal)
-        return np.array(-normal / np.linalg.norm(normal))
-    return np.array([0.0, 0.0, -1.0])
 
 
 def _lines(
