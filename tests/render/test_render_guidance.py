@@ -248,7 +248,7 @@ def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:
     alone, force, info = Guided(plan), np.zeros(3), np.zeros(env.INFO_SIZE)
     rng = np.random.default_rng(5)
     for point in np.array([0.004, 0.0, 0.134]) + np.cumsum(rng.normal(0.0, 2e-4, (200, 3)), axis=0):
-        env.environment_step(int(block[env.KIND]), block, memory, point, np.zeros(3), TISSUE_DT, force, info)
+        env.environment_step(block, memory, point, np.zeros(3), TISSUE_DT, force, info)
         np.testing.assert_array_equal(force, alone.step(point, TISSUE_DT))
         assert info[env.INFO_DEPTH_MM] == pytest.approx(1e3 * (0.13 - point[2]))
         assert info[env.INFO_LABEL] == 3

@@ -79,9 +79,13 @@ class TestProcess:
     def test_an_owner_that_falls_silent_is_damping_then_a_fault(self):
         with ServoProcess(PLAN) as servo:
             pressed(servo)
+            silent = time.monotonic()
             end = ended(servo)
+            took = time.monotonic() - silent
             size = forces(servo)
-        assert end.fault is Fault.HEARTBEAT
+        assert (end.reason, end.fault, end.state) == ("fault", Fault.HEARTBEAT, State.FAULT)
+        # damped after half a second, for a while
+        assert 0.4 < took < 7.0
         assert np.all(size[-20:] == 0.0)
         assert "stopped giving signs of life" in end.message
 

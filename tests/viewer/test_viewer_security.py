@@ -6,14 +6,12 @@ import socket
 import ssl
 import subprocess
 import time
-import urllib.error
-import urllib.request
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_server import Live, client, frame_of, greeted, served, until
+from live_server import Live, client, fetched, frame_of, greeted, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
@@ -118,19 +116,6 @@ def test_handshakes_of_strangers_are_refused_and_logged(capfd):
     ):
         assert why in said
     assert TOKEN not in said
-
-
-def fetched(
-    url: str, context: ssl.SSLContext | None = None, **headers: str
-) -> tuple[int, dict[str, str], bytes]:
-    """Status, headers and body of a page."""
-    asked = urllib.request.Request(url, headers=headers)
-    try:
-        with urllib.request.urlopen(asked, timeout=10, context=context) as answer:
-            return answer.status, dict(answer.headers), answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, dict(error.headers), error.read()
 
 
 def test_the_page_needs_the_token_and_forbids_everything_foreign():
@@ -302,7 +287,7 @@ def test_a_page_is_served_by_tls_where_files_are_given(tmp_path):
         while not status:
             assert time.monotonic() - begun < 20.0
             with suppress(OSError):
-                status, _, _ = fetched(viewer.url, trusting)
+                status, _, _ = fetched(viewer.url, context=trusting)
             time.sleep(0.05)
         assert status in {200, 503}
         assert viewer.runs

@@ -134,9 +134,6 @@ class ServoEnd:
     fault: Fault
     state: State  # before the device was closed
     statistics: PeriodStatistics
-    #: Of the ticks with tissue touched: outside the identified range, and at the clamp.
-    outside_share: float
-    clipped_share: float
 
     @property
     def message(self) -> str:

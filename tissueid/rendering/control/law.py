@@ -37,7 +37,6 @@ class LoopBlock(NamedTuple):
     touched_by_device: bool  # the environment is touched by the device itself and not by the virtual tool
     force_scale: float
     motion_scale: float
-    inward: FloatArray  # unit vector into the tissue, 3 numbers
     period_s: float
     substeps: int
     rise_s: float
@@ -200,32 +199,32 @@ M_TO_MM = 1000.0
 def hand_push(block: LoopBlock, drive: FloatArray, time: float) -> FloatArray:
     """Push F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
     share = min(1.0, time / block.rise_s) if block.rise_s > 0.0 else 1.0
-    return share * (drive[0] + drive[1] * np.sin(2.0 * math.pi * drive[2] * time))
+    push: FloatArray = share * (drive[0] + drive[1] * np.sin(2.0 * math.pi * drive[2] * time))
+    return push
 
 
 @kernel()
 def disturbance(drive: FloatArray, time: float) -> FloatArray:
     """Disturbance d(t) [N]."""
-    return drive[3] + drive[4] * np.sin(2.0 * math.pi * drive[5] * time)
+    disturbed: FloatArray = drive[3] + drive[4] * np.sin(2.0 * math.pi * drive[5] * time)
+    return disturbed
 
 
 @kernel()
 def environment_force(
     block: LoopBlock, law: FloatArray, state: FloatArray, place: FloatArray, h: float
 ) -> float:
-    """Step the tissue with a tool at ``place`` [m] and give its force along the outward normal [N]."""
-    depth = 0.0
-    for i in range(place.size):
-        depth += block.inward[i] * place[i]
-    force = tissue_step_in(law, 0, state, 0, depth / block.motion_scale * M_TO_MM, h)
+    """Step the tissue with a tool at ``place`` [m] and give its force against the first axis [N]."""
+    force = tissue_step_in(law, 0, state, 0, place[0] / block.motion_scale * M_TO_MM, h)
     return float(force * block.force_scale)
 
 
 @kernel()
 def tool_acceleration(block: LoopBlock, v: FloatArray, hand: FloatArray, touched: float) -> FloatArray:
     """Acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
-    pressed = block.inward[: v.size] * touched
-    return (hand - pressed - block.tool_damping_N_s_per_m * v) / block.tool_mass_kg
+    force = hand.copy()
+    force[0] -= touched
+    return (force - block.tool_damping_N_s_per_m * v) / block.tool_mass_kg
 
 
 @kernel()

@@ -240,7 +240,6 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
         touched_by_device=touched_by_device,
         force_scale=settings.force_scale,
         motion_scale=settings.motion_scale,
-        inward=np.array([1.0, 0.0, 0.0]),
         period_s=period_s,
         substeps=substeps,
         rise_s=settings.push_rise_s,
