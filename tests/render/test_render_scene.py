@@ -97,7 +97,7 @@ def test_a_bundle_lies_beside_its_scene(tmp_path: Path) -> None:
     [
         ("schema = ", "no TOML"),
         (HEAD, "guidance|tissue"),
-        (HEAD + GUIDED_BODY + '[tissue]\npreset = "meat"\n', "guidance|tissue"),
+        (HEAD + '[tissue]\npreset = "meat"\n[guidance]\n', "guidance|tissue"),
         (HEAD + '[tissue]\npreset = "meat"\nbundle = "a.h5"\n', "tissue"),
         (HEAD + GUIDED_BODY + "[guidance.funnel]\nradius_mm = -4.0\n", "radius_mm"),
         (HEAD + GUIDED_BODY + "[guidance.funnel]\nwidth_mm = 4.0\n", "width_mm"),

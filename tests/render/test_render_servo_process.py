@@ -118,12 +118,6 @@ class TestProcess:
         with pytest.raises(UsageError, match="no device named 'simm'"):
             ServoProcess(ServoPlan("simm")).start()
 
-    def test_ticks_that_were_asked_for_are_the_last(self):
-        with ServoProcess(ServoPlan("sim", {"real_time": True}, ticks=30, alive_wanted=False)) as servo:
-            end = ended(servo)
-        assert end.reason == "ticks"
-        assert end.statistics.ticks == 30
-
     def test_a_process_that_waited_for_its_plan_runs_it(self):
         spawned = spawn_servo()
         plan = ServoPlan("sim", {"real_time": True}, ticks=30, alive_wanted=False)

@@ -74,21 +74,21 @@ class _Asked(NamedTuple):
     options: RenderOptions
     choice: Choice
     device: HapticDevice
+    given: dict[str, Any]  # arguments of the device's class
 
 
 def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse with the way out: UsageError, BundleError, DeviceError."""
-    name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
         _must_be_alone(options)
-        asked = _asked(options, name)
+        asked = _asked(options)
         _must_fit(asked, None)
         return (guided_session if guided else law_session)(asked)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
-    asked = _asked(options, name)
+    asked = _asked(options)
     script = _script(asked, picked[0])
     _must_fit(asked, script)
     shape = parse_surface(options.surface)
@@ -99,7 +99,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
-    given = _given(options)
+    given = asked.given
     touch_m, inward = highest_touch(surface.numbers(radius_m))
     carried_along = script or options.program
     if carried_along is not None:
@@ -129,7 +129,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
 
 def _planned(asked: _Asked, of_log: tuple[FloatArray, tuple[str | None, ...]], **decided: Any) -> SessionPlan:
     """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
-    options, choice, device = asked
+    options, choice, device, _given = asked
     scene = None if options.scene is None else options.scene.name
     plan = SessionPlan(choice.name, choice.why, device.capabilities, scene=scene, **decided)
     return replace(plan, head=session_head(plan, *of_log))
@@ -196,16 +196,12 @@ def _digest(path: Path | None) -> str | None:
     return None if path is None else sha256_of(path)
 
 
-def _given(options: RenderOptions) -> dict[str, Any]:
-    """Arguments of the device's class."""
-    return {**options.device_options, **({} if options.replay is None else {"log": options.replay})}
-
-
-def _asked(options: RenderOptions, name: str) -> _Asked:
-    """The options with their device."""
-    found, given = choose_device(name), _given(options)
+def _asked(options: RenderOptions) -> _Asked:
+    """The options with their device; a log whose motion is rendered again is one."""
+    log = {} if options.replay is None else {"log": options.replay}
+    found, given = choose_device("replay" if log else options.device), {**options.device_options, **log}
     check_present(found.name, given.get("port"))
-    return _Asked(options, found, device_class(found.name)(**given))
+    return _Asked(options, found, device_class(found.name)(**given), given)
 
 
 def _seconds(options: RenderOptions, script: Script | None) -> float | None:
@@ -388,10 +384,9 @@ def guided_session(asked: _Asked) -> SessionPlan:
     guidance, check = check_guidance(plan, demands_of(asked.device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
-    given = _given(options)
     if options.led:
-        given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
-    return _without_tissue(asked, block, lines, device_options=given, guided=True)
+        asked.given.update(_waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis()))
+    return _without_tissue(asked, block, lines, guided=True)
 
 
 def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
@@ -402,9 +397,8 @@ def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guid
         return guidance
     slope = np.array(known.weight_slope_N_per_m).reshape(3, 3)
     there = np.array(known.weight_N) + slope @ (np.array(guidance.entry_m) - np.array(MIDDLE_M))
-    x, y, z = (float(value) for value in there)
-    rows = tuple((float(a), float(b), float(c)) for a, b, c in slope)
-    return replace(guidance, weight_N=(x, y, z), weight_slope_N_per_m=(rows[0], rows[1], rows[2]))
+    x, y, z = map(tuple, slope.tolist())
+    return replace(guidance, weight_N=tuple(there.tolist()), weight_slope_N_per_m=(x, y, z))
 
 
 def _told_of(guidance: Guidance) -> tuple[str, ...]:
@@ -431,5 +425,6 @@ def _without_tissue(asked: _Asked, block: FloatArray, lines: tuple[str, ...], **
         lines=(asked.choice.why, *lines),
         led=options.led,
         pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
-        **{"device_options": dict(options.device_options), **decided},
+        device_options=asked.given,
+        **decided,
     )
