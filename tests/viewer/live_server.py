@@ -77,9 +77,9 @@ def served(*, token: str | None = None, pointer: HandPointer | None = None, port
         ring.close()
 
 
-def until(true: Any, patience_s: float = PATIENCE_S) -> None:
+def until(true: Any) -> None:
     """Wait until something is true."""
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + PATIENCE_S
     while not true():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.005)
