@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tissueid.rendering.control import (
-    ControlRun,
-    ControlSettings,
-    Gains,
-    Mechanics,
-    Signal,
-    simulate,
-)
 from tissueid.rendering.control.law import damping_form, generalised_force, saturated, solved
-from tissueid.rendering.control.simulation import loop_block
+from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, Signal
+from tissueid.rendering.control.simulation import ControlRun, loop_block, simulate
 from tissueid.rendering.options import preset_tissue
 
 PAPER_A = preset_tissue("paper-a")

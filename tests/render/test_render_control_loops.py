@@ -10,17 +10,17 @@ from closed_forms import from_coordinates
 
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rendering.control import (
-    ControlRun,
+from tissueid.rendering.control.document import measured
+from tissueid.rendering.control.settings import (
     ControlSettings,
     Gains,
     Mechanics,
     Signal,
     VirtualTool,
-    simulate,
+    turn_multiplier,
+    virtual_mass_bound,
 )
-from tissueid.rendering.control.document import measured
-from tissueid.rendering.control.settings import turn_multiplier, virtual_mass_bound
+from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 

@@ -83,11 +83,6 @@ VECTORS = (
 )
 
 
-def row_size(axes: int, parameters: int) -> int:
-    """Numbers a row: time, vectors, scalars, estimates."""
-    return 1 + axes * len(VECTORS) + len(SCALARS) + parameters
-
-
 @kernel()
 def recorded(
     time: float,

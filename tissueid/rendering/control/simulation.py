@@ -269,7 +269,7 @@ def simulate(settings: ControlSettings) -> ControlRun:
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
     start = np.array(start, dtype=np.float64)
     rows = max(1, round(settings.seconds * settings.rate_Hz))
-    out = np.zeros((rows, law.row_size(settings.axes, truth.size)))
+    out = np.zeros((rows, 1 + settings.axes * len(law.VECTORS) + len(law.SCALARS) + truth.size))
 
     def loop(block: LoopBlock) -> Loop:
         adaptation = settings.adaptation_gains(), settings.estimate_bounds()
