@@ -50,8 +50,7 @@ def walk(block: np.ndarray, positions_m: np.ndarray, times_s: np.ndarray) -> tup
         dt = times_s[i] - times_s[i - 1] if i else 0.001
         if i:
             velocity = (positions_m[i] - positions_m[i - 1]) / dt
-        kind = int(block[env.KIND])
-        env.environment_step(kind, block, memory, positions_m[i].copy(), velocity, dt, force, info)
+        env.environment_step(block, memory, positions_m[i].copy(), velocity, dt, force, info)
         forces[i], infos[i] = force, info
     return forces, infos
 

@@ -217,14 +217,8 @@ INTERPRETED = (
         ("tests/render/test_render_control_law.py",),
         {
             "the controller without a bound": ("    if length > block.saturation_N:", "    if False:"),
-            "the controller takes the hand twice": (
-                "            total -= hand[i]",
-                "            total += hand[i]",
-            ),
-            "the reference runs away": (
-                "vr[i] = ve[i] + rate * (xe[i] - x[i])",
-                "vr[i] = ve[i] - rate * (xe[i] - x[i])",
-            ),
+            "the controller takes the hand twice": ("        total -= hand\n", "        total += hand\n"),
+            "the reference runs away": ("vr = ve + rate * (xe - x)", "vr = ve - rate * (xe - x)"),
         },
     ),
 )

@@ -172,11 +172,7 @@ class Setting:
 
     tissue: str
     hand: str
-    stiffness: float
     share_of_bound: float
-    delay_ticks: float
-    quantum_m: float
-    speed_m_per_s: float
     near: bool
 
 
@@ -229,9 +225,7 @@ def drawn_session(
     ticks = round(device.hand.duration_s / PERIOD_S) + 200
     steps = np.clip(rng.normal(PERIOD_S, 3e-5, ticks), 0.8e-3, 1.2e-3)
     figures = in_closed_loop(device, tissue, scale, steps, controller=controller)
-    share = needs[delay] * scale / damping
-    quantum = float(device.parameters[QUANTUM])
-    return Setting(name, hand, stiffness, share, delay, quantum, speed, near), figures
+    return Setting(name, hand, needs[delay] * scale / damping, near), figures
 
 
 @cache

@@ -38,7 +38,7 @@ def pressing(stiffness: float = 500.0) -> Hand:
     )
 
 
-class EmulatedSession:
+class EmulatedSession(ExitStack):
     """Driver, emulator and servo; of each tick its record, and motor units that had arrived by then."""
 
     def __init__(
@@ -50,6 +50,7 @@ class EmulatedSession:
         surface_z: float = 0.130,
         **settings: Any,
     ) -> None:
+        super().__init__()
         given = EmulatorSettings(hand=hand or pressing(), period_s=TICK_S, faults=faults, **settings)
         self.link = EmulatedLink(given)
         self.falcon = self.link.falcon
@@ -62,9 +63,8 @@ class EmulatedSession:
         self.motors: list[tuple[int, ...]] = []
 
     def __enter__(self) -> Self:
-        self.opened = ExitStack()
-        self.opened.enter_context(self.link)
-        self.io, self.servo, ring, block = self.opened.enter_context(servo_here(self.device))
+        self.enter_context(self.link)
+        self.io, self.servo, ring, block = self.enter_context(servo_here(self.device))
         self.reader = ring.reader()
         self.link.step()
         # the user homes the device while nobody asks
@@ -73,9 +73,6 @@ class EmulatedSession:
         block.order(COMMAND_ENGAGE)
         self.now_s = 0.0
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.opened.close()
 
     def tick(self, dt: float = TICK_S) -> Any:
         """One tick of the servo, then the emulator's answer."""

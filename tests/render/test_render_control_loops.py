@@ -10,18 +10,17 @@ from closed_forms import from_coordinates
 
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rendering.control import (
-    ControlRun,
+from tissueid.rendering.control.document import measured
+from tissueid.rendering.control.settings import (
     ControlSettings,
     Gains,
     Mechanics,
-    PlanarArm,
     Signal,
     VirtualTool,
-    simulate,
+    turn_multiplier,
+    virtual_mass_bound,
 )
-from tissueid.rendering.control.document import measured
-from tissueid.rendering.control.settings import turn_multiplier, virtual_mass_bound
+from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.tissue_block import Tissue
 
@@ -215,26 +214,6 @@ def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness():
     assert bouncing.environment_force_N.max() > 50.0 * steady.environment_force_N.max()
 
 
-@pytest.mark.needs_jit
-def test_an_arm_in_the_plane_presses_and_slides():
-    arm = PlanarArm((0.30, 0.25), (0.20, 0.06, 0.05), (0.35, 0.20))
-    settings = ControlSettings(
-        PAPER_A,
-        device=Mechanics(np.zeros((2, 2)), np.diag([6.0, 5.0]), np.zeros((2, 2))),
-        operator=Mechanics(np.diag([0.8, 0.8]), np.diag([3.0, 3.0]), np.diag([60.0, 60.0])),
-        arm=arm,
-        push=Signal((10.0, 0.0), (6.0, 2.0), (1.0, 0.5)),
-        seconds=6.0,
-    )
-
-    run = simulate(settings)
-
-    assert run.diverged_s is None
-    # 3 N of robust term cover what half the true estimates leave but for a tenth of a millimetre
-    assert measured(run).error_rms_mm < 0.15
-    assert np.ptp(run.position_m[3000:, 1]) > 0.02
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -244,7 +223,6 @@ def test_an_arm_in_the_plane_presses_and_slides():
         ({"seconds": float("nan")}, "length of the run is nan"),
         ({"device": Mechanics(0.0, 1.0, 1.0)}, "device needs a mass"),
         ({"device": Mechanics(np.eye(2), np.eye(2), np.eye(2))}, "device has 2 axes and the hand 1"),
-        ({"arm": PlanarArm((0.3, 0.3), (1.0, 1.0, 1.0), (0.3, 0.3))}, "two axes"),
         ({"push": Signal((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))}, "push needs 1 offsets"),
         ({"start_estimates": np.zeros(9)}, "first estimates are 3"),
         ({"continuous_step_s": 1e-5, "gains": Gains(saturation_N=5.0)}, "leave the continuous step out"),

@@ -1,4 +1,4 @@
-"""Exit codes and log of `tissueid render` when a device, a bundle or a disk fails.
+"""Exit codes and log of `tissueid render` when a device fails.
 
 Real time on a shared machine: the watchdog for silence is set to a second.
 """
@@ -7,11 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
-import os
-import resource
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -111,58 +106,3 @@ def test_homing_that_never_completes_is_exit_5_and_says_what_to_do(monkeypatch):
         assert link.falcon.last_motors == (0, 0, 0)
     assert code == 5
     assert "pull the grip all the way out, push it all the way in" in text
-
-
-@pytest.mark.parametrize("spoil", ["truncated", "edited", "no numbers"])
-def test_a_damaged_bundle_is_exit_6_before_the_device_hears_anything(monkeypatch, tmp_path, spoil):
-    from rendered_tissues import PAPER_A, bundle_of
-
-    from tissueid.store.bundle import write_bundle
-
-    path = tmp_path / "bundle.h5"
-    write_bundle(bundle_of(PAPER_A), path)
-    data = bytearray(path.read_bytes())
-    if spoil == "truncated":
-        del data[len(data) // 2 :]
-    else:
-        at = data.index(np.float64(63.62).tobytes())
-        data[at : at + 8] = np.float64(-63.62 if spoil == "edited" else np.nan).tobytes()
-    path.write_bytes(bytes(data))
-    with emulated(monkeypatch) as link:
-        code, text = run("render", path, "--device", "falcon", "--yes")
-        assert link.falcon.commands == 0
-    assert code == 6
-    assert str(path) in text
-
-
-LIMITED = """
-import resource, sys
-from tissueid.cli.main import main
-from tissueid.rendering.recorder import Recorder
-made = Recorder.append
-def append(self, records):
-    # from here on, because the shared memory of the records counts as a file too
-    resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536))
-    made(self, records)
-Recorder.append = append
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-@pytest.mark.slow
-def test_a_full_disk_is_exit_7_and_the_rendering_goes_on_to_its_end(tmp_path):
-    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
-    log = tmp_path / "out.h5"
-    script = "indent 2 mm at 250 mm/min; hold 1 s"
-    command = ["render", "--preset", "paper-a", "--device", "sim", "--script", script, "--virtual", "--json"]
-    ended = subprocess.run(
-        [sys.executable, "-c", LIMITED, *command, "--log", str(log)],
-        check=False,
-        capture_output=True,
-        text=True,
-        env=os.environ,
-    )
-    assert ended.returncode == 7, ended.stderr
-    document = json.loads(ended.stdout)
-    assert document["summary"]["recording_stopped"]
-    assert document["summary"]["seconds"] > 2.5

@@ -286,8 +286,8 @@ class LateSession(EmulatedSession):
         self.link_step, self.link.step = self.link.step, self.pump
         return self
 
-    def __exit__(self, *_: object) -> None:
-        super().__exit__()
+    def __exit__(self, *raised: object) -> None:
+        super().__exit__(*raised)
         self.ours.close()
         self.far.close()
 

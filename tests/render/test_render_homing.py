@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from emulated_session import pressing
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.calibration import Calibration
@@ -69,3 +75,32 @@ def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(
     pipes.run(ServoPlan("sim", {}, ticks=3))
     assert happened == ["loop of 0", "memory", "home", "loop of 3"]
     assert "10 to 20 s" in pipes.told()
+
+
+def soon(what: Callable[[], bool], timeout_s: float) -> bool:
+    """True where it comes in time."""
+    deadline = time.monotonic() + timeout_s
+    while not what() and time.monotonic() < deadline:
+        time.sleep(0.002)
+    return what()
+
+
+@pytest.mark.slow
+@pytest.mark.needs_jit
+def test_an_owner_that_is_killed_leaves_zero_packets_behind():
+    with EmulatedLink(EmulatorSettings(hand=pressing(), waits_for_blue=True), pty=True) as link:
+        falcon = link.falcon
+        owner = subprocess.Popen([sys.executable, Path(__file__).with_name("owner_to_kill.py"), link.path])
+        # compiling on a slow machine takes most of the wait
+        assert soon(lambda: max(map(abs, falcon.last_motors)) > 60, 60.0)
+        owner.send_signal(signal.SIGKILL)
+        owner.wait()
+        # noticed within 5 ms, ramped within 20 ms; the rest is the machine's
+        assert soon(lambda: falcon.last_motors == (0, 0, 0), 1.0)
+        commands = falcon.commands
+        time.sleep(1.0)
+        ended = falcon.commands
+        assert ended - commands >= 15
+        time.sleep(0.2)
+        assert falcon.commands == ended
+        assert falcon.last_motors == (0, 0, 0)

@@ -24,7 +24,6 @@ from tissueid.rendering.guidance_block import (
 from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.scene import load_scene, scene_names
-from tissueid.store.schema import first_problem
 
 HEAD = 'schema = "tissueid/scene/1"\nname = "a scene"\n'
 GUIDED_BODY = (
@@ -98,6 +97,7 @@ def test_a_bundle_lies_beside_its_scene(tmp_path: Path) -> None:
     [
         ("schema = ", "no TOML"),
         (HEAD, "guidance|tissue"),
+        (HEAD + '[tissue]\npreset = "meat"\n[guidance]\n', "guidance|tissue"),
         (HEAD + '[tissue]\npreset = "meat"\nbundle = "a.h5"\n', "tissue"),
         (HEAD + GUIDED_BODY + "[guidance.funnel]\nradius_mm = -4.0\n", "radius_mm"),
         (HEAD + GUIDED_BODY + "[guidance.funnel]\nwidth_mm = 4.0\n", "width_mm"),
@@ -149,12 +149,3 @@ def test_guidance_that_could_not_be_felt_is_refused() -> None:
     hard = Guidance((0.0, 0.0, 0.13), funnel=Funnel(stiffness_N_per_m_n=1e6, restitution=0.1))
     with pytest.raises(DeviceError, match="can't be rendered on this device"):
         check_guidance(hard, ASSUMED_DEVICE)
-
-
-def test_the_scenes_that_come_along_keep_their_schema() -> None:
-    assert (
-        first_problem({"schema": "tissueid/scene/1", "name": "x", "tissue": {"preset": "meat"}}, "scene")
-        is None
-    )
-    both = {"schema": "tissueid/scene/1", "name": "x", "tissue": {"preset": "meat"}, "guidance": {}}
-    assert first_problem(both, "scene") is not None

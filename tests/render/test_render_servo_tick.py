@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Self
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from tissueid.rendering.environment import LAW
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
-from tissueid.rendering.servo_tick import CLIPPED, VERSION, servo_here, tick
+from tissueid.rendering.servo_tick import VERSION, servo_here, tick
 from tissueid.rendering.tissue_block import free_air_block
 
 PERIOD = 1e-3
@@ -42,22 +41,16 @@ def tissue(label: int = 0, force_scale: float = FORCE_SCALE, above_m: float = -A
     return parameters(surface_z=CENTRE_M[2] + above_m, scales=(force_scale, MOTION_SCALE), label=label)
 
 
-class Rig:
+class Rig(ExitStack):
     """A servo on a simulated device in virtual time."""
 
     def __init__(self, hand: Hand = PRESS, **options: object) -> None:
+        super().__init__()
         self.device = SimulatedDevice(hand=hand, **options)
-        self.opened = ExitStack()
-        self.io, self.servo, self.ring, self.block = self.opened.enter_context(servo_here(self.device))
+        self.io, self.servo, self.ring, self.block = self.enter_context(servo_here(self.device))
         self.records = self.ring.reader()
         self.block.order(COMMAND_ENGAGE)
         self.now = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.opened.close()
 
     def run(self, seconds: float, period: float = PERIOD) -> tuple[int, np.ndarray]:
         steps = np.full(round(seconds / period), period)
@@ -94,29 +87,6 @@ class TestVirtualTime:
         assert held["force_N"][:, 2] == pytest.approx(FORCE_SCALE * held["tissue_force_N"], rel=1e-12)
         assert np.all(held["force_N"][:, :2] == 0.0)
         assert np.all(held["lamps"] == 0)
-
-    @pytest.mark.needs_jit
-    def test_a_session_repeats_bit_for_bit(self):
-        runs = []
-        for _ in range(2):
-            with Rig(seed=3) as rig:
-                rig.block.write(tissue())
-                runs.append(rig.run(2.0)[1].tobytes())
-        assert runs[0] == runs[1]
-
-    @pytest.mark.needs_jit
-    def test_compiled_and_uncompiled_loops_do_the_same(self):
-        records = []
-        for compiled in (True, False):
-            with Rig(seed=5) as rig:
-                rig.block.write(tissue())
-                io = rig.io if compiled else PythonIO(rig.device)
-                for k in range(400):
-                    # a device in Python moves when it is commanded, a compiled one when it is read
-                    tick(io, rig.servo, PERIOD * k, PERIOD if k or not compiled else 0.0, 0.0, 0)
-                records.append(rig.records.read_new()[0])
-        for name in ("position_m", "force_N", "state", "depth_mm"):
-            assert np.array_equal(records[0][name], records[1][name])
 
     def test_the_wish_to_end_ramps_down_then_sends_zeros(self, rig):
         rig.block.write(tissue())
@@ -165,16 +135,14 @@ class TestExchange:
         assert records["depth_mm"][changed[0]] <= 0.0
         assert rig.servo.counters[VERSION] == rig.block.taken == 2
 
-    def test_without_parameters_there_is_free_air(self, rig):
+    @pytest.mark.parametrize("asked", [False, True])
+    def test_without_parameters_or_where_it_is_asked_for_there_is_free_air(self, rig, asked):
+        if asked:
+            rig.block.write(np.concatenate([free_air_block(), QUIET]))
         _, records = rig.run(2.6)
-        assert np.all(records["version"] == 0)
-        assert np.all(records["force_N"][1200:] == 0.0)
-
-    def test_free_air_can_be_asked_for(self, rig):
-        rig.block.write(np.concatenate([free_air_block(), QUIET]))
-        _, records = rig.run(2.6)
-        assert records["version"][-1] == 1
+        assert records["version"][-1] == asked
         assert np.all(records["tissue_force_N"] == 0.0)
+        assert np.all(records["force_N"][1200:] == 0.0)
 
 
 class TestPythonDevices:
@@ -210,7 +178,7 @@ class TestPythonDevices:
 
 
 @pytest.mark.needs_jit
-def test_a_clipped_tick_says_so_and_is_counted():
+def test_a_clipped_tick_says_so():
     with Rig(limits=GuardLimits(clamp_N=0.2, rms_limit_N=0.2, dead_man=False)) as rig:
         rig.block.write(tissue())
         _, records = rig.run(2.6)
@@ -218,7 +186,6 @@ def test_a_clipped_tick_says_so_and_is_counted():
         size = np.linalg.norm(records["force_N"], axis=1)
         assert clipped[-1]
         assert size[clipped] == pytest.approx(0.2, rel=1e-12)
-        assert rig.servo.counters[CLIPPED] == clipped.sum()
 
 
 #: In contact, in the middle of the press.
@@ -231,17 +198,16 @@ def faulty_session(*, compiled: bool, fault: str) -> np.ndarray:
     with Rig(seed=11) as rig:
         rig.block.write(tissue())
         io = rig.io if compiled else PythonIO(rig.device)
-        kinds = {"gone": 1, "silent": 2, "frozen": 3, "jump": 4, "unhomed": 5}
+        kinds = {"gone": 1, "silent": 2, "jump": 4, "unhomed": 5}
         if fault in kinds:
             rig.device.parameters[[sim.FAULT_KIND, sim.FAULT_AT]] = kinds[fault], FAULT_AT_S
             rig.device.parameters[sim.FAULT_SIZE] = 300.0
+        events = {"heartbeat": machine.HEARTBEAT_LOST, "owner": machine.PARENT_DIED}
         for k in range(TICKS):
             if k == round(FAULT_AT_S / PERIOD) and fault == "not a number":
                 rig.servo.environment[LAW : LAW + 8] = np.nan
-            if k == round(FAULT_AT_S / PERIOD) and fault == "heartbeat":
-                transition(rig.servo.guard_memory, rig.servo.limits, machine.HEARTBEAT_LOST)
-            if k == round(FAULT_AT_S / PERIOD) and fault == "owner":
-                transition(rig.servo.guard_memory, rig.servo.limits, machine.PARENT_DIED)
+            elif k == round(FAULT_AT_S / PERIOD) and fault in events:
+                transition(rig.servo.guard_memory, rig.servo.limits, events[fault])
             # a device in Python moves on its period when it is commanded, a compiled one when it is read
             dt = PERIOD if k or not compiled else 0.0
             tick(io, rig.servo, PERIOD * k, dt, 0.0, 0)
@@ -271,7 +237,7 @@ def test_both_ways_to_a_device_send_the_same_forces(fault, code, state):
     assert compiled["state"][-1] == python["state"][-1] == state
     assert np.array_equal(compiled["state"], python["state"])
     # a device that is gone can't be commanded: what Python could not send counts as zero
-    compared = ("position_m",) if fault == "gone" else ("position_m", "force_N", "lamps")
+    compared = ("position_m",) if fault == "gone" else ("position_m", "force_N", "lamps", "depth_mm")
     for name in compared:
         # the first tick, which took no time in one of them, is marked as a stall
         assert np.array_equal(compiled[name][1:], python[name][1:])

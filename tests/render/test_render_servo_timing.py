@@ -11,7 +11,7 @@ import pytest
 
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import servo_loop, servo_schedule
-from tissueid.rendering.selftest import Figure, SelfTest, TickTimes, run_selftest, time_ticks
+from tissueid.rendering.selftest import Figure, run_selftest
 from tissueid.rendering.servo import PeriodStatistics, period_statistics
 from tissueid.rendering.servo_tick import MISSED, servo_here
 
@@ -151,7 +151,6 @@ class TestSelfTest:
     def test_the_selftest_measures_every_figure(self):
         told = []
         found = run_selftest(0.3, told.append)
-        assert isinstance(found, SelfTest)
         # other programs may take the processor: the number of ticks is a loose bound
         assert 30 <= found.statistics.ticks <= 1000
         assert found.start_s > 0.0
@@ -162,9 +161,5 @@ class TestSelfTest:
             ("force step", 100.0),
             ("tick, 99 %", 5.0),
         ]
-
-    @pytest.mark.needs_jit
-    def test_times_of_a_tick_are_in_order(self):
-        times = time_ticks()
-        assert isinstance(times, TickTimes)
+        times = found.times
         assert 0.0 < times.force_step_ns * 1e-3 < times.tick_median_us <= times.tick_p99_us

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Self
 
 import numpy as np
 import pytest
@@ -22,23 +21,17 @@ TICK = 1e-3
 COUNT_M = 45e-6
 
 
-class Driven:
+class Driven(ExitStack):
     """A servo on a device that is where the test says."""
 
     def __init__(self, start_m: float = 0.01) -> None:
+        super().__init__()
         self.device = FakeDevice()
         self.device.position[2], self.device.counts[:] = start_m, round(start_m / COUNT_M)
-        self.opened = ExitStack()
-        self.io, self.servo, ring, self.block = self.opened.enter_context(servo_here(self.device))
+        self.io, self.servo, ring, self.block = self.enter_context(servo_here(self.device))
         self.reader = ring.reader()
         self.block.order(COMMAND_ENGAGE)
         self.now = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.opened.close()
 
     def publish(self) -> None:
         self.block.write(parameters(surface_z=0.0, scales=(0.01, 1.0)))

@@ -5,8 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import ssl
 import threading
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,9 +77,9 @@ def served(*, token: str | None = None, pointer: HandPointer | None = None, port
         ring.close()
 
 
-def until(true: Any, patience_s: float = PATIENCE_S) -> None:
+def until(true: Any) -> None:
     """Wait until something is true."""
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + PATIENCE_S
     while not true():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.005)
@@ -102,3 +105,16 @@ def frame_of(connection: ClientConnection) -> Frame:
     data = connection.recv(PATIENCE_S)
     assert isinstance(data, bytes)
     return read_frame(data)
+
+
+def fetched(
+    url: str, body: bytes | None = None, *, context: ssl.SSLContext | None = None, **headers: str
+) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of an answer; with a body to a POST."""
+    asked = urllib.request.Request(url, body, headers)
+    try:
+        with urllib.request.urlopen(asked, timeout=20, context=context) as answer:
+            return answer.status, dict(answer.headers), answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, dict(error.headers), error.read()

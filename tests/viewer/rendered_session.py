@@ -16,11 +16,10 @@ START_S = 90.0
 class Session:
     """``tissueid render``, with what it prints."""
 
-    def __init__(self, *args: str | Path, port: int | None = None, folder: Path) -> None:
+    def __init__(self, *args: str | Path, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
         self.printed = folder / "printed.txt"
-        port_args = () if port is None else ("--viewer-port", str(port))
-        command = [sys.executable, "-m", "tissueid", "render", "--no-browser", *map(str, args), *port_args]
+        command = [sys.executable, "-m", "tissueid", "render", "--no-browser", *map(str, args)]
         with self.printed.open("w") as out:
             self.process = subprocess.Popen(command, stderr=out, stdin=subprocess.DEVNULL)
         self.url = ""
@@ -30,7 +29,6 @@ class Session:
             assert self.process.poll() is None, self.said
             self.url = next((line.split()[1] for line in self.said.splitlines() if "://" in line), "")
             time.sleep(0.02)
-        self.port = int(self.url.split(":")[2].split("/")[0])
 
     @property
     def said(self) -> str:

@@ -6,12 +6,10 @@ import json
 import shutil
 import subprocess
 import sys
-import urllib.error
-import urllib.request
 from pathlib import Path
 
 import pytest
-from live_server import served
+from live_server import fetched, served
 
 from tissueid.viewer import bundling, server
 from tissueid.viewer.bundling import BundlingError, build_bundle, is_built, sources_hash
@@ -93,11 +91,9 @@ def test_node_from_a_wheel_is_found(tmp_path, monkeypatch):
 def test_a_server_without_its_page_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
     with served() as live:
-        with pytest.raises(urllib.error.HTTPError) as error:
-            urllib.request.urlopen(f"http://127.0.0.1:{live.access.port}/", timeout=10)
-        with error.value as answer:
-            assert answer.code == 503
-            assert b"python -m tissueid.viewer.bundling" in answer.read()
+        status, _, body = fetched(f"http://127.0.0.1:{live.access.port}/")
+    assert status == 503
+    assert b"python -m tissueid.viewer.bundling" in body
 
 
 def test_locked_versions_are_those_of_the_package_and_name_no_registry():

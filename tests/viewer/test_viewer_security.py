@@ -6,20 +6,18 @@ import socket
 import ssl
 import subprocess
 import time
-import urllib.error
-import urllib.request
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_server import Live, client, frame_of, greeted, served, until
+from live_server import Live, client, fetched, frame_of, greeted, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from tissueid.errors import UsageError
 from tissueid.viewer import protocols
-from tissueid.viewer.protocols import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
+from tissueid.viewer.protocols import LARGEST_MESSAGE, Play, parse_message
 from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
 from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES, HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
@@ -118,19 +116,6 @@ def test_handshakes_of_strangers_are_refused_and_logged(capfd):
     ):
         assert why in said
     assert TOKEN not in said
-
-
-def fetched(
-    url: str, context: ssl.SSLContext | None = None, **headers: str
-) -> tuple[int, dict[str, str], bytes]:
-    """Status, headers and body of a page."""
-    asked = urllib.request.Request(url, headers=headers)
-    try:
-        with urllib.request.urlopen(asked, timeout=10, context=context) as answer:
-            return answer.status, dict(answer.headers), answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, dict(error.headers), error.read()
 
 
 def test_the_page_needs_the_token_and_forbids_everything_foreign():
@@ -246,11 +231,11 @@ def test_noise_is_never_taken_for_a_message_that_moves_anything():
         text = chance.bytes(int(chance.integers(0, 80))).decode("latin-1")
         assert parse_message(text) is None
     assert parse_message("[" * 200) is None
-    assert parse_message('{"v": 1, "answer": 3}') == Answer(3)
-    assert parse_message('{"v": 1, "pointer": [0, 0.1, -0.2]}') == Pointer((0.0, 0.1, -0.2))
+    assert parse_message('{"v": 1, "answer": 3}').answer == 3
+    assert parse_message('{"v": 1, "pointer": [0, 0.1, -0.2]}').pointer == (0.0, 0.1, -0.2)
     assert parse_message('{"v": 1, "pointer": [NaN, 0, 0]}') is None
     assert parse_message('{"v": 1, "play": {"at_s": Infinity}}') is None
-    assert parse_message('{"v": 1, "play": {"paused": true}}') == Play(None, paused=True)
+    assert parse_message('{"v": 1, "play": {"paused": true}}').play == Play(None, paused=True)
 
 
 def test_a_pointer_leads_the_hand_within_the_workspace_and_is_let_go_with_its_page(hand):
@@ -302,7 +287,7 @@ def test_a_page_is_served_by_tls_where_files_are_given(tmp_path):
         while not status:
             assert time.monotonic() - begun < 20.0
             with suppress(OSError):
-                status, _, _ = fetched(viewer.url, trusting)
+                status, _, _ = fetched(viewer.url, context=trusting)
             time.sleep(0.05)
         assert status in {200, 503}
         assert viewer.runs

@@ -44,8 +44,11 @@ class BridgeRequest:
     stop: bool = False
 
 
+_Coordinate = Annotated[float, msgspec.Meta(ge=-REACH_M, le=REACH_M)]
+
+
 class _Plane(msgspec.Struct, forbid_unknown_fields=True):
-    point_m: tuple[float, float, float]
+    point_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     normal: tuple[float, float, float]
 
 
@@ -75,26 +78,13 @@ def parse_request(data: bytes, token: str) -> BridgeRequest | None:
         return None
     try:
         found = msgspec.json.decode(data, type=_Datagram)
+        given = found.plane
+        plane = None if given is msgspec.UNSET else Plane(given.point_m, given.normal)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
     if found.v != VERSION or not hmac.compare_digest(str(found.token).encode(), token.encode()):
         return None
-    plane = None
-    if found.plane is not msgspec.UNSET:
-        plane = _plane(found.plane)
-        if plane is None:
-            return None
     return BridgeRequest(found.tissue, plane, found.engage, found.stop)
-
-
-def _plane(found: _Plane) -> Plane | None:
-    """A plane within reach, None for anything else."""
-    if not all(map(math.isfinite, (*found.point_m, *found.normal))) or max(map(abs, found.point_m)) > REACH_M:
-        return None
-    try:
-        return Plane(found.point_m, found.normal)
-    except ValueError:
-        return None
 
 
 class UdpBridge:

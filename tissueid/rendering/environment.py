@@ -81,7 +81,6 @@ def put_at_rest(memory: FloatArray) -> None:
 
 @tick_part
 def environment_step(
-    kind: int,
     parameters: FloatArray,
     memory: FloatArray,
     position: FloatArray,
@@ -92,10 +91,10 @@ def environment_step(
 ) -> None:
     """Write force [N, at the device] on the tool and ``info`` at the end of a step of ``dt`` seconds.
 
-    ``kind``: any other number than :data:`TISSUE` and :data:`GUIDANCE` is free air; ``position``,
-    ``velocity`` [m], [m/s]: of the tip's centre; the velocity only judges whether the law was identified
-    there.
+    Any other kind than :data:`TISSUE` and :data:`GUIDANCE` is free air; ``position``, ``velocity`` [m],
+    [m/s]: of the tip's centre; the velocity only judges whether the law was identified there.
     """
+    kind = int(parameters[KIND])
     for i in range(3):
         force[i] = 0.0
     for i in range(INFO_SIZE):

@@ -27,12 +27,9 @@ Vector = tuple[float, float, float]
 M_TO_MM = 1000.0
 UNIT_TOLERANCE = 1e-9
 
-#: What Pires et al. print: the form of the contact law, the form of the surface and tau = 0.05 s.  All other
-#: numbers below are assumed, forces such that a device of which nothing was measured renders them stably.
-ASSUMED = (
-    "radius_m", "offset_m", "slope", "stiffness_N_per_m_n", "exponent", "restitution", "slowest_m_s",
-    "far_N_per_m", "near_N_per_m", "reach_m", "filter_s", "bone",
-)  # fmt: skip
+
+# Pires et al. print the form of the contact law, the form of the surface and tau = 0.05 s.  All other numbers
+# below are assumed, forces such that a device of which nothing was measured renders them stably.
 
 
 @dataclass(frozen=True, slots=True)

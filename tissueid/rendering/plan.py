@@ -43,10 +43,9 @@ from tissueid.rendering.session_plan import (
 )
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import (
-    Plane,
-    Sphere,
     Surface,
     free_air_block,
+    highest_touch,
     parse_surface,
     place_surface,
     surface_from,
@@ -76,6 +75,7 @@ class _Asked(NamedTuple):
     options: RenderOptions
     choice: Choice
     device: HapticDevice
+    given: dict[str, Any]  # arguments of the device's class
 
 
 def plan_session(options: RenderOptions) -> SessionPlan:
@@ -83,17 +83,16 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     if options.seconds is not None and not 0.0 < options.seconds < math.inf:
         msg = f"--seconds is {options.seconds:g}, must be above 0 and finite"
         raise UsageError(msg)
-    name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None
     if guided or options.environment is not None:
         _must_be_alone(options)
-        asked = _asked(options, name)
+        asked = _asked(options)
         _must_fit(asked, None)
         return (guided_session if guided else law_session)(asked)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
-    asked = _asked(options, name)
+    asked = _asked(options)
     script = _script(asked, picked[0])
     _must_fit(asked, script)
     shape = parse_surface(options.surface)
@@ -104,8 +103,8 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
-    given = _given(options)
-    touch_m, inward = _touch_point(surface, radius_m), _inward(surface)
+    given = asked.given
+    touch_m, inward = highest_touch(surface.numbers(radius_m))
     carried_along = script or options.program
     if carried_along is not None:
         given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
@@ -134,7 +133,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
 
 def _planned(asked: _Asked, of_log: tuple[FloatArray, tuple[str | None, ...]], **decided: Any) -> SessionPlan:
     """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
-    options, choice, device = asked
+    options, choice, device, _given = asked
     scene = None if options.scene is None else options.scene.name
     plan = SessionPlan(choice.name, choice.why, device.capabilities, scene=scene, **decided)
     return replace(plan, head=session_head(plan, *of_log))
@@ -201,16 +200,12 @@ def _digest(path: Path | None) -> str | None:
     return None if path is None else sha256_of(path)
 
 
-def _given(options: RenderOptions) -> dict[str, Any]:
-    """Arguments of the device's class."""
-    return {**options.device_options, **({} if options.replay is None else {"log": options.replay})}
-
-
-def _asked(options: RenderOptions, name: str) -> _Asked:
-    """The options with their device."""
-    found, given = choose_device(name), _given(options)
+def _asked(options: RenderOptions) -> _Asked:
+    """The options with their device; a log whose motion is rendered again is one."""
+    log = {} if options.replay is None else {"log": options.replay}
+    found, given = choose_device("replay" if log else options.device), {**options.device_options, **log}
     check_present(found.name, given.get("port"))
-    return _Asked(options, found, device_class(found.name)(**given))
+    return _Asked(options, found, device_class(found.name)(**given), given)
 
 
 def _seconds(options: RenderOptions, script: Script | None) -> float | None:
@@ -334,24 +329,6 @@ def _blocks(
     return tuple(blocks)
 
 
-def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
-    """Centre of the tip when it touches the highest point of a surface."""
-    if isinstance(surface, Plane):
-        top_m, reach_m = surface.point_m, radius_m
-    else:
-        size_m = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
-        top_m, reach_m = surface.centre_m, size_m + radius_m
-    return np.asarray(np.asarray(top_m) - reach_m * _inward(surface))
-
-
-def _inward(surface: Surface) -> FloatArray:
-    """Unit vector into the tissue at its highest point."""
-    if isinstance(surface, Plane):
-        normal = np.asarray(surface.normal)
-        return np.array(-normal / np.linalg.norm(normal))
-    return np.array([0.0, 0.0, -1.0])
-
-
 def _lines(
     options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
 ) -> list[str]:
@@ -418,10 +395,9 @@ def guided_session(asked: _Asked) -> SessionPlan:
     guidance, check = check_guidance(plan, demands_of(asked.device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
-    given = _given(options)
     if options.led:
-        given |= _waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis())
-    return _without_tissue(asked, block, lines, device_options=given, guided=True)
+        asked.given.update(_waiting_at(np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis()))
+    return _without_tissue(asked, block, lines, guided=True)
 
 
 def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
@@ -432,9 +408,8 @@ def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guid
         return guidance
     slope = np.array(known.weight_slope_N_per_m).reshape(3, 3)
     there = np.array(known.weight_N) + slope @ (np.array(guidance.entry_m) - np.array(MIDDLE_M))
-    x, y, z = (float(value) for value in there)
-    rows = tuple((float(a), float(b), float(c)) for a, b, c in slope)
-    return replace(guidance, weight_N=(x, y, z), weight_slope_N_per_m=(rows[0], rows[1], rows[2]))
+    x, y, z = map(tuple, slope.tolist())
+    return replace(guidance, weight_N=tuple(there.tolist()), weight_slope_N_per_m=(x, y, z))
 
 
 def _told_of(guidance: Guidance) -> tuple[str, ...]:
@@ -461,5 +436,6 @@ def _without_tissue(asked: _Asked, block: FloatArray, lines: tuple[str, ...], **
         lines=(asked.choice.why, *lines),
         led=options.led,
         pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
-        **{"device_options": dict(options.device_options), **decided},
+        device_options=asked.given,
+        **decided,
     )

@@ -51,7 +51,10 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(given: str, *, plan: Path | None = None) -> Scene:
-    """A scene by name or path, with a patient's plan of axis and entry instead of its own; or UsageError."""
+    """A scene by name or path; or UsageError.
+
+    ``plan``: file of a patient's ``axis`` and ``entry_mm``, in the place of the scene's own.
+    """
     if given in scene_names():
         text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
             encoding="utf-8"
@@ -69,7 +72,7 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
         if "guidance" not in document:
             msg = f"--plan is an axis to be guided along, and scene {printable(given)!r} has no guidance"
             raise UsageError(msg)
-        document["plan"] = read_plan(plan)
+        document["plan"] = _parsed(_text_of(plan), str(plan))
     problem = first_problem(document, "scene")
     if problem is not None:
         msg = f"scene {printable(given)!r}, {problem}"
@@ -82,11 +85,6 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
         tissue=_tissue(document.get("tissue", {}), folder),
         guidance=_guidance(document, given, folder),
     )
-
-
-def read_plan(path: Path) -> dict[str, Any]:
-    """``entry_mm`` and ``axis`` of a file of their own; UsageError where it can't be read."""
-    return _parsed(_text_of(path), str(path))
 
 
 def _text_of(path: Path) -> str:

@@ -13,7 +13,7 @@ from tissueid.compiled import tick_kernel
 from tissueid.haptics.guard import guard
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, SimulatedIO
-from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
+from tissueid.rendering.environment import INFO_SIZE, MEMORY_SIZE, environment_step
 from tissueid.rendering.options import preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.servo import PeriodStatistics, ServoPlan, ServoProcess
@@ -152,13 +152,6 @@ def _force_steps(servo: Servo, memory: FloatArray, info: FloatArray, count: int)
     for _ in range(count):
         servo.position[2] -= PRESSED_M
         environment_step(
-            int(servo.environment[KIND]),
-            servo.environment,
-            memory,
-            servo.position,
-            servo.velocity,
-            PERIOD_S,
-            servo.force,
-            info,
+            servo.environment, memory, servo.position, servo.velocity, PERIOD_S, servo.force, info
         )
         guard(servo.guard_memory, servo.limits, servo.force, PERIOD_S, servo.out)

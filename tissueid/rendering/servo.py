@@ -134,9 +134,6 @@ class ServoEnd:
     fault: Fault
     state: State  # before the device was closed
     statistics: PeriodStatistics
-    #: Of the ticks with tissue touched: outside the identified range, and at the clamp.
-    outside_share: float
-    clipped_share: float
 
     @property
     def message(self) -> str:
@@ -202,7 +199,7 @@ class ServoProcess:
         plan: ServoPlan,
         *,
         start_timeout_s: float = START_TIMEOUT_S,
-        tell: Callable[[str], None] | None = None,
+        tell: Callable[[str], None] = lambda _sentence: None,
         spawned: SpawnedServo | None = None,
     ) -> None:
         self.plan = plan
@@ -238,7 +235,10 @@ class ServoProcess:
         shared = [one.descriptor for one in (self.ring, self.block, self.hand) if one is not None]
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             send_plan(self._spawned.owner, self.plan, *shared)
-        words = self._start_line()
+        deadline = time.monotonic() + self._start_timeout_s
+        # what the device tells its user meanwhile is handed on
+        while (words := self._next_line(deadline - time.monotonic())) and words["event"] == "told":
+            self._tell(words["sentence"])
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
         return ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
@@ -255,10 +255,10 @@ class ServoProcess:
         """Take the force away; the loop goes on."""
         self.block.order(COMMAND_DISENGAGE)
 
-    def poll(self) -> ServoEnd | None:
+    def poll(self, timeout_s: float = 0.0) -> ServoEnd | None:
         """End of the servo, or None while it runs; DeviceError where it died without a word."""
         if self.end is None:
-            words = self._next_line(0.0)
+            words = self._next_line(timeout_s)
             if words is not None:
                 self._ended(words)
             elif self._spawned is not None and self._spawned.process.poll() is not None:
@@ -270,9 +270,8 @@ class ServoProcess:
         """Ramp down, end the loop, close the device; DeviceError where it did not end in time."""
         self.block.order(COMMAND_STOP)
         deadline = time.monotonic() + REAP_S
-        while self.poll() is None and time.monotonic() < deadline:
+        while self.poll(0.05) is None and time.monotonic() < deadline:
             self.beat()
-            self._ended(self._next_line(0.05), patient=True)
         if self.end is None:
             raise self._failure(None, f"did not end within {REAP_S:.0f} s")
         return self.end
@@ -313,16 +312,6 @@ class ServoProcess:
         finally:
             self.close()
 
-    def _start_line(self) -> dict[str, Any] | None:
-        """The line that says how starting ended; what the device tells its user meanwhile is handed on."""
-        deadline = time.monotonic() + self._start_timeout_s
-        while True:
-            words = self._next_line(deadline - time.monotonic())
-            if words is None or words["event"] != "told":
-                return words
-            if self._tell is not None:
-                self._tell(words["sentence"])
-
     def _next_line(self, timeout_s: float) -> dict[str, Any] | None:
         """The next line of the report, or None without one in time or at its end."""
         assert self._spawned is not None  # noqa: S101 -- only a started servo reports
@@ -339,12 +328,11 @@ class ServoProcess:
         words: dict[str, Any] = json.loads(line)
         return words
 
-    def _ended(self, words: dict[str, Any] | None, *, patient: bool = False) -> None:
+    def _ended(self, words: dict[str, Any] | None) -> None:
         """Take in the last line of the report."""
         if words is None:
-            if not patient:
-                raise self._failure(None, "died without a word")
-        elif words.pop("event") == "ended":
+            raise self._failure(None, "died without a word")
+        if words.pop("event") == "ended":
             self.end = msgspec.convert(words, ServoEnd)
         else:
             raise self._failure({"event": "failed", **words}, "")

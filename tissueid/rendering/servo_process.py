@@ -32,7 +32,7 @@ from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statis
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
-from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
+from tissueid.rendering.servo_tick import MISSED, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
 
@@ -91,21 +91,6 @@ def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
     device.share(hand)
 
 
-def _end(reason: int, servo: Servo, device: HapticDevice, plan: ServoPlan, timing: Any) -> ServoEnd:
-    """The figures of a session."""
-    counters = servo.counters
-    touched = max(int(counters[TOUCHED]), 1)
-    histogram, scheduling = timing
-    return ServoEnd(
-        reason=REASONS[reason],
-        fault=device.fault,
-        state=device.state,
-        statistics=period_statistics(histogram, int(counters[MISSED]), plan.period_ns, scheduling),
-        outside_share=int(counters[OUTSIDE]) / touched,
-        clipped_share=int(counters[CLIPPED]) / touched,
-    )
-
-
 def run_plan(
     plan: ServoPlan,
     ring: Ring,
@@ -140,7 +125,9 @@ def run_plan(
             )
             signals.in_loop = True
             reason = loop(io, servo, watch, histogram, plan.period_ns, plan.ticks)
-            return _end(reason, servo, device, plan, (histogram, schedule.name))
+            missed = int(servo.counters[MISSED])
+            statistics = period_statistics(histogram, missed, plan.period_ns, schedule.name)
+            return ServoEnd(REASONS[reason], device.fault, device.state, statistics)
         finally:
             signals.in_loop = True
             device.close()

@@ -54,10 +54,9 @@ from tissueid.rendering.servo_io import PythonIO, command, sense
 #: Parameters of one version: the environment's, then the passivity controller's.
 BLOCK_SIZE = env.ENVIRONMENT_SIZE + CONTROL_SIZE
 
-#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, the tissue
-#: outside its identified range, ticks with tissue touched, ticks in which the clamp bit.
-TICKS, MISSED, VERSION, SEEN, OUTSIDE, TOUCHED, CLIPPED = range(7)
-COUNTERS_SIZE = 8
+#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen.
+TICKS, MISSED, VERSION, SEEN = range(4)
+COUNTERS_SIZE = 4
 #: Readings at the start of a loop that show no motion: each command is answered once, so that only the
 #: first can be old.
 FRESH_READINGS = 2
@@ -69,8 +68,7 @@ SHORTEST_STEP_S = 1e-5
 MISSED_LIMIT = 65_535
 COUNT_LIMIT = 32_767
 
-_PASSIVITY, _CLIPPED = int(Lamp.PASSIVITY), int(Lamp.CLIPPED)
-_OUTSIDE = int(Lamp.OUTSIDE_DEPTH) | int(Lamp.OUTSIDE_SPEED)
+_PASSIVITY = int(Lamp.PASSIVITY)
 
 
 class Servo(NamedTuple):
@@ -251,15 +249,10 @@ def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no
 
 
 @tick_part
-def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray, counters: IntArray) -> int:
-    """Lamps of guard, environment and controller, counted."""
+def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray) -> int:
+    """Lamps of guard, environment and controller."""
     lamps = int(guard_memory[LAMPS]) | int(info[env.INFO_FLAGS])
-    if control_memory[ACTIVE] != 0.0:
-        lamps |= _PASSIVITY
-    counters[OUTSIDE] += 1 if lamps & _OUTSIDE else 0
-    counters[TOUCHED] += 1 if info[env.INFO_DEPTH_MM] > 0.0 else 0
-    counters[CLIPPED] += 1 if lamps & _CLIPPED else 0
-    return lamps
+    return lamps | _PASSIVITY if control_memory[ACTIVE] != 0.0 else lamps
 
 
 @tick_kernel
@@ -323,16 +316,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
             servo.control,
         )  # fmt: skip
     step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
-    environment_step(
-        int(environment[env.KIND]),
-        environment,
-        servo.environment_memory,
-        position,
-        velocity,
-        step,
-        force,
-        info,
-    )
+    environment_step(environment, servo.environment_memory, position, velocity, step, force, info)
     if apply_law(io, position, velocity, step, force):
         # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
         info[env.INFO_PENETRATION_M] = np.nan
@@ -344,8 +328,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
     observe_wire(memory, limits, words[UNANSWERED], dt)
     send(io, memory, limits, force, dt, servo.out)
     note_sent(servo.control_memory, servo.out)
-    lamps = _lamps(memory, servo.control_memory, info, servo.counters)
-    _record(servo, now_s, dt, late_s, lamps | late_lamp)
+    _record(servo, now_s, dt, late_s, _lamps(memory, servo.control_memory, info) | late_lamp)
 
 
 #: One tick, compiled for the type of its ``io``; loops in Python call :func:`tick` itself.

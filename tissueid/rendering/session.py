@@ -70,7 +70,7 @@ class Session:
         bridge: UdpBridge | None = None,
         ask: Callable[[], Wish] = Wish,
         show: Callable[[Any, SessionSummary], None] = lambda _record, _summary: None,
-        tell: Callable[[str], None] | None = None,
+        tell: Callable[[str], None] = lambda _sentence: None,
         spawned: SpawnedServo | None = None,
         watch: Callable[[ServoProcess], None] = lambda _servo: None,
     ) -> None:
@@ -96,7 +96,7 @@ class Session:
         try:
             if self.plan.virtual:
                 return self._virtual()
-            with first_start(self.plan.device, self._tell or (lambda _sentence: None)) as uncompiled:
+            with first_start(self.plan.device, self._tell) as uncompiled:
                 return self._live(uncompiled=uncompiled)
         except BaseException:
             # what was recorded before the device was lost, or we failed, is kept whole

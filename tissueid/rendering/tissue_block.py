@@ -221,13 +221,19 @@ def place_surface(
 
 def travel_behind(surface: Surface, device: Capabilities, *, tool_radius_m: float) -> float:
     """Room of the device behind the highest point of a surface, along z [m]."""
-    if isinstance(surface, Plane):
-        top_m = surface.point_m[2]
-    elif isinstance(surface, Sphere):
-        top_m = surface.centre_m[2] + surface.radius_m
-    else:
-        top_m = surface.centre_m[2] + surface.half_widths_m[2]
-    return top_m + tool_radius_m - device.workspace_m[2][0]
+    numbers = surface.numbers(tool_radius_m)
+    return float(numbers[srf.POINT + 2] + _height_m(numbers) + tool_radius_m - device.workspace_m[2][0])
+
+
+def highest_touch(numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre of the tip on the highest point of a surface [m], and the unit vector into it, of its block."""
+    inward = -numbers[srf.NORMAL : srf.SIZE]
+    return numbers[srf.POINT : srf.NORMAL] - (_height_m(numbers) + numbers[srf.TOOL_RADIUS]) * inward, inward
+
+
+def _height_m(numbers: FloatArray) -> float:
+    """Distance from the point of a surface's block to its highest one: a radius, a half width, or none."""
+    return float(numbers[srf.SIZE + (2 if numbers[0] == srf.BOX else 0)])
 
 
 def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -> list[str]:

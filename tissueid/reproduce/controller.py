@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.rendering.control.document import Measures, measured
+from tissueid.documents.control import Measures
+from tissueid.rendering.control.document import measured
 from tissueid.rendering.control.settings import ControlSettings, Mechanics, virtual_mass_bound
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue

@@ -13,7 +13,6 @@ There is no message that changes a tissue, a scale, a force or a file.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import h11
@@ -118,20 +117,6 @@ LONGEST_LOG_S = 1e6
 MOST_FRAMES = 2**53
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """So many frames have arrived."""
-
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
-class Pointer:
-    """Goal of the hand [m], or None to let go."""
-
-    position_m: tuple[float, float, float] | None
-
-
 class Play(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Place in a log [s from its begin], or None to stay, and if it stands still."""
 
@@ -142,16 +127,14 @@ class Play(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 Coordinate = Annotated[float, msgspec.Meta(ge=-REACH_M, le=REACH_M)]
 
 
-class _Words(msgspec.Struct, forbid_unknown_fields=True):
-    """Members of a message, of which it has one beside its version."""
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Message of a page, which has one member beside its version."""
 
     v: Literal[1]
     answer: Annotated[int, msgspec.Meta(ge=0, lt=MOST_FRAMES)] | msgspec.UnsetType = msgspec.UNSET
+    #: Goal of the hand [m], or None to let go.
     pointer: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType | None = msgspec.UNSET
     play: Play | msgspec.UnsetType = msgspec.UNSET
-
-
-Message = Answer | Pointer | Play
 
 
 def parse_message(text: str) -> Message | None:
@@ -159,13 +142,7 @@ def parse_message(text: str) -> Message | None:
     if len(text) > LARGEST_MESSAGE:
         return None
     try:
-        found = msgspec.json.decode(text, type=_Words)
+        found = msgspec.json.decode(text, type=Message)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    if [found.answer, found.pointer, found.play].count(msgspec.UNSET) != 2:
-        return None
-    if found.answer is not msgspec.UNSET:
-        return Answer(found.answer)
-    if found.pointer is not msgspec.UNSET:
-        return Pointer(found.pointer)
-    return None if found.play is msgspec.UNSET else found.play
+    return found if [found.answer, found.pointer, found.play].count(msgspec.UNSET) == 2 else None

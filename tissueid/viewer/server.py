@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import uvicorn
+from msgspec import UNSET
 from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
@@ -28,15 +29,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.viewer.bundling import BUNDLE, MISSING_BUNDLE
-from tissueid.viewer.protocols import (
-    LARGEST_MESSAGE,
-    Answer,
-    Play,
-    Pointer,
-    PunctualHttp,
-    SparingWebSocket,
-    parse_message,
-)
+from tissueid.viewer.protocols import LARGEST_MESSAGE, PunctualHttp, SparingWebSocket, parse_message
 from tissueid.viewer.security import Access, RefusalLog
 
 if TYPE_CHECKING:
@@ -330,23 +323,22 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
         return BINARY, "binary message: pages send text"
     asked = parse_message(text)
     client: Client | None = getattr(websocket.state, "client", None)
-    if isinstance(asked, Answer) and client is not None and client.answer(asked.count):
-        return 0, ""
-    if isinstance(asked, Pointer):
+    if asked is not None and asked.pointer is not UNSET:
         if stage.pointer is None:
             return NOT_ALLOWED, "pointer refused: no simulated hand is led here"
         stage.leader, stage.leader_heard_s = websocket, time.monotonic()
-        stage.pointer.lead(asked.position_m)
+        stage.pointer.lead(asked.pointer)
         return 0, ""
-    if isinstance(asked, Play) and client is not None:
+    if asked is None or client is None or (asked.answer is not UNSET and not client.answer(asked.answer)):
+        return NO_MESSAGE, "malformed message"
+    if asked.play is not UNSET:
         from tissueid.viewer.feed import Playback
 
         if not isinstance(client.source, Playback):
             return NOT_ALLOWED, "play refused: this is no log"
-        client.source.play(asked)
+        client.source.play(asked.play)
         client.rewind()
-        return 0, ""
-    return NO_MESSAGE, "malformed message"
+    return 0, ""
 
 
 def config(app: ASGIApp, **more: Any) -> uvicorn.Config:

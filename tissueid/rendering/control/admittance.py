@@ -137,10 +137,10 @@ def _loop(settings: ControlSettings, device: SimulatedDevice) -> FloatArray:
         v = np.array([INWARD @ velocity])
         sensed = np.array([INWARD @ device.sensed_force_N])
         before, was = touched, controller.xe[0]
-        touched = command(block, law, controller, tick * PERIOD_S, (x, v), sensed, touched)
-        adapt(block, controller.Y, controller.rho, gains, bounds, PERIOD_S, controller.estimates)
+        told = command(block, law, controller, tick * PERIOD_S, (x, v), sensed, touched)
+        touched, wanted = told.touched, told.u[0]
+        adapt(block, told.Y, told.rho, gains, bounds, PERIOD_S, controller.estimates)
         true = INWARD @ (device.true_position_m - CENTRE_M)
-        wanted = controller.u[0]
         sent = device.write_force(wanted * INWARD, PERIOD_S)
         if device.state is State.FAULT:
             msg = f"the guard took the force away after {tick * PERIOD_S:.3f} s: {FAULT_WORDS[device.fault]}"

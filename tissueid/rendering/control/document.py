@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import astuple
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from tissueid.documents.control import Measures
 from tissueid.rendering.control.settings import (
     MARGIN,
     TABLE_3_DEVICE,
@@ -24,31 +26,11 @@ from tissueid.rendering.control.simulation import ControlRun
 LAST_S = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Measures:
-    """Measures of a run."""
-
-    diverged_s: float | None  # when it diverged; everything else is then of the time before
-    over_s: float  # length of the end of the run that the errors are taken over; half of a short run
-    #: Of the device behind the virtual tool, there.  An impedance-type controller leads by velocity alone:
-    #: its error of position means nothing.
-    error_rms_mm: float
-    error_max_mm: float
-    velocity_error_rms_mm_s: float
-    deepest_mm: float  # deepest place of what touches, in the tissue's own mm, over the whole run
-    outside_share: float  # share of ticks deeper than was identified
-    environment_force_max_N: float
-    control_force_max_N: float
-    saturated_share: float  # share of ticks at the largest control force
-    lyapunov_start: float
-    lyapunov_max: float
-    lyapunov_end: float
-    violated_share: float  # share of ticks after which V rose faster than (I-6) allows: -Kr rho^2 + sigma
-    violation_max_W: float  # by how much at most; 0 where it never did
-
-
 def measured(run: ControlRun) -> Measures:
-    """Measure a run."""
+    """Measures of a run: where it diverged, of the time before.
+
+    An impedance-type controller leads by velocity alone: its error of position means nothing.
+    """
     settings = run.settings
     over = min(LAST_S, 0.5 * settings.seconds)
     late = run.time_s >= run.time_s[-1] - over
@@ -56,7 +38,7 @@ def measured(run: ControlRun) -> Measures:
     touching = run.position_m if settings.environment == "impedance" else run.tool_position_m
     depth = 1e3 * touching[:, 0] / settings.motion_scale
     control = np.linalg.norm(run.control_force_N, axis=1)
-    excess = _excess(run)
+    limit, excess = settings.gains.saturation_N, _excess(run)
     return Measures(
         diverged_s=run.diverged_s,
         over_s=over,
@@ -67,18 +49,14 @@ def measured(run: ControlRun) -> Measures:
         outside_share=float(np.mean(depth > settings.tissue.model.depth_mm)),
         environment_force_max_N=float(run.environment_force_N.max()),
         control_force_max_N=float(control.max()),
-        saturated_share=_share_at(control, settings.gains.saturation_N),
+        # a force that was shortened to the limit is that long but for rounding
+        saturated_share=float(np.mean(control >= limit * (1.0 - 1e-9))) if math.isfinite(limit) else 0.0,
         lyapunov_start=float(run.lyapunov[0]),
         lyapunov_max=float(run.lyapunov.max()),
         lyapunov_end=float(run.lyapunov[-1]),
         violated_share=float(np.mean(excess > 0.0)) if excess.size else 0.0,
         violation_max_W=max(0.0, float(excess.max())) if excess.size else 0.0,
     )
-
-
-def _share_at(control: np.ndarray, limit: float) -> float:
-    # a force that was shortened to the limit is that long but for rounding
-    return float(np.mean(control >= limit * (1.0 - 1e-9))) if math.isfinite(limit) else 0.0
 
 
 def _excess(run: ControlRun) -> np.ndarray:
@@ -154,7 +132,7 @@ def settings_table(settings: ControlSettings) -> list[dict[str, Any]]:
 
 def _run(name: str, run: ControlRun) -> dict[str, Any]:
     settings = run.settings
-    # arms and several axes are for Python: the command's loops have one axis
+    # several axes are for Python: the command's loops have one
     low, high = settings.estimate_bounds()
     columns = np.stack([run.estimates[0], run.estimates[-1], settings.estimated_truth(), low, high], axis=1)
     names = ("mass_kg", "damping_N_s_per_m", "stiffness_N_per_m")
@@ -162,7 +140,7 @@ def _run(name: str, run: ControlRun) -> dict[str, Any]:
         "name": name,
         "adapts": settings.gains.adaptation_sign != 0,
         "stiffness_scale": settings.stiffness_scale,
-        "measures": asdict(measured(run)),
+        "measures": msgspec.structs.asdict(measured(run)),
         "estimates": [
             {"name": label, **dict(zip(("start", "end", "true", "low", "high"), row, strict=True))}
             for label, row in zip(names, columns.tolist(), strict=True)

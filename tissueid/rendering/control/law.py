@@ -12,16 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.compiled import tick_kernel
+from tissueid.compiled import kernel
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 
 #: Axes that a loop may have.
 MOST_AXES = 3
-
-#: Parameters of an arm of two links in front of theta: p1 = I1 + I2 + m1 c1^2 + m2 (l1^2 + c2^2),
-#: p2 = I2 + m2 c2^2, p3 = m2 l1 c2, c being where a link's centre of mass lies; M(x) obeys
-#: the skew symmetry of M' - 2 C (Slotine & Li, Applied Nonlinear Control, 1991, 9.1).
-ARM_PARAMETERS = 3
 
 
 class LoopBlock(NamedTuple):
@@ -42,35 +37,34 @@ class LoopBlock(NamedTuple):
     touched_by_device: bool  # the environment is touched by the device itself and not by the virtual tool
     force_scale: float
     motion_scale: float
-    inward: FloatArray  # unit vector into the tissue, 3 numbers
     period_s: float
     substeps: int
     rise_s: float
-    arm: FloatArray  # lengths of two links, 0 without an arm; where the work begins, from its base
 
 
 class Controller(NamedTuple):
-    """Arrays that a controller remembers and writes; shape (n,) where nothing else is said."""
+    """Arrays that a controller remembers; shape (n,) where nothing else is said."""
 
-    #: Position, velocity and acceleration of the virtual tool.
+    #: Position and velocity of the virtual tool.
     xe: FloatArray
     ve: FloatArray
-    ae: FloatArray
-    #: Reference velocity and acceleration, and rho.
-    vr: FloatArray
-    ar: FloatArray
-    rho: FloatArray
-    robust: FloatArray
-    u: FloatArray  # control force
-    Y: FloatArray  # (n, p), regressor
     estimates: FloatArray  # (p,)
     state: FloatArray  # of the tissue, (STATE_SIZE,)
 
 
+class Command(NamedTuple):
+    """Command of the controller, and what it follows from; shape (n,) where nothing else is said."""
+
+    u: FloatArray  # control force
+    rho: FloatArray
+    robust: FloatArray
+    Y: FloatArray  # (n, p), regressor
+    touched: float  # force of the tissue at the end of the period [N]
+
+
 def new_controller(axes: int, estimates: FloatArray) -> Controller:
     """A controller at rest at the surface of a tissue at rest, with its first estimates."""
-    vectors = [np.zeros(axes) for _ in range(8)]
-    return Controller._make([*vectors, np.zeros((axes, estimates.size)), estimates, np.zeros(STATE_SIZE)])
+    return Controller(np.zeros(axes), np.zeros(axes), estimates, np.zeros(STATE_SIZE))
 
 
 #: A number each, in this order, after the vectors.
@@ -89,140 +83,75 @@ VECTORS = (
 )
 
 
-def row_size(axes: int, parameters: int) -> int:
-    """Numbers a row: time, vectors, scalars, estimates."""
-    return 1 + axes * len(VECTORS) + len(SCALARS) + parameters
-
-
-@tick_kernel
-def record_row(
-    row: FloatArray,
+@kernel()
+def recorded(
     time: float,
     vectors: tuple[FloatArray, ...],
     scalars: tuple[float, float, float, float],
     estimates: FloatArray,
-) -> None:
-    """Write a row: the time, :data:`VECTORS`, :data:`SCALARS`, the estimates."""
+) -> FloatArray:
+    """Row: the time, :data:`VECTORS`, :data:`SCALARS`, the estimates."""
+    row = np.empty(1 + len(vectors) * vectors[0].size + len(scalars) + estimates.size)
     row[0] = time
     at = 1
     for vector in vectors:
-        for i in range(vector.size):
-            row[at] = vector[i]
-            at += 1
+        row[at : at + vector.size] = vector
+        at += vector.size
     for scalar in scalars:
         row[at] = scalar
         at += 1
-    for k in range(estimates.size):
-        row[at] = estimates[k]
-        at += 1
+    row[at:] = estimates
+    return row
 
 
-@tick_kernel
-def _arm_columns(
-    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
-) -> None:
-    """Columns of p1, p2, p3: the joint regressor, seen from the tip; elbow to the left."""
-    l1, l2 = arm[0], arm[1]
-    px, py = x[0] + arm[2], x[1] + arm[3]
-    cosine = (px * px + py * py - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
-    q2 = math.acos(min(max(cosine, -1.0), 1.0))
-    s2, c2 = math.sin(q2), math.cos(q2)
-    q1 = math.atan2(py, px) - math.atan2(l2 * s2, l1 + l2 * c2)
-    s1, c1 = math.sin(q1), math.cos(q1)
-    s12, c12 = math.sin(q1 + q2), math.cos(q1 + q2)
-    j00, j01, j10, j11 = -l1 * s1 - l2 * s12, -l2 * s12, l1 * c1 + l2 * c12, l2 * c12
-    det = j00 * j11 - j01 * j10
-    w1, w2 = (j11 * v[0] - j01 * v[1]) / det, (-j10 * v[0] + j00 * v[1]) / det
-    r1, r2 = (j11 * vr[0] - j01 * vr[1]) / det, (-j10 * vr[0] + j00 * vr[1]) / det
-    turn = w1 + w2
-    # acceleration of the joints: J^-1 (ar - J' r)
-    d01, d11 = -l2 * c12 * turn, -l2 * s12 * turn
-    d00, d10 = d01 - l1 * c1 * w1, d11 - l1 * s1 * w1
-    g0, g1 = ar[0] - d00 * r1 - d01 * r2, ar[1] - d10 * r1 - d11 * r2
-    a1, a2 = (j11 * g0 - j01 * g1) / det, (-j10 * g0 + j00 * g1) / det
-    first = (a1, a2, c2 * (2.0 * a1 + a2) - s2 * (w2 * r1 + turn * r2))
-    second = (0.0, a1 + a2, c2 * a1 + s2 * w1 * r1)
-    for k in range(3):
-        # torques to forces at the tip: J^-T
-        Y[0, k] = (j11 * first[k] - j10 * second[k]) / det
-        Y[1, k] = (-j01 * first[k] + j00 * second[k]) / det
-
-
-@tick_kernel
-def regress(
-    arm: FloatArray, x: FloatArray, v: FloatArray, vr: FloatArray, ar: FloatArray, Y: FloatArray
-) -> None:
-    """Write the regressor of ``v``, ``vr`` and ``ar``, (n, 3 n (n + 1) / 2), 3 more with an arm."""
-    n, size = Y.shape
-    for i in range(n):
-        for k in range(size):
-            Y[i, k] = 0.0
-    at = 0
-    if arm[0] > 0.0:
-        _arm_columns(arm, x, v, vr, ar, Y)
-        at = ARM_PARAMETERS
+@kernel()
+def regressor(x: FloatArray, vr: FloatArray, ar: FloatArray) -> FloatArray:
+    """Regressor of ``x``, ``vr`` and ``ar``, shape (n, 3 n (n + 1) / 2)."""
+    n = x.size
     entries = n * (n + 1) // 2
-    column = at
+    Y = np.zeros((n, 3 * entries))
+    column = 0
     for i in range(n):
         for j in range(i, n):
-            Y[i, column] += ar[j]
-            Y[i, column + entries] += vr[j]
-            Y[i, column + 2 * entries] += x[j]
-            if i != j:
-                Y[j, column] += ar[i]
-                Y[j, column + entries] += vr[i]
-                Y[j, column + 2 * entries] += x[i]
+            Y[i, column], Y[j, column] = ar[j], ar[i]
+            Y[i, column + entries], Y[j, column + entries] = vr[j], vr[i]
+            Y[i, column + 2 * entries], Y[j, column + 2 * entries] = x[j], x[i]
             column += 1
+    return Y
 
 
-@tick_kernel
-def generalised_force(
-    arm: FloatArray,
-    theta: FloatArray,
-    x: FloatArray,
-    v: FloatArray,
-    vr: FloatArray,
-    ar: FloatArray,
-    Y: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write Y(x, v, vr, ar) theta [N] into ``out``, shape (n,); ``Y`` is room to work in, and written."""
-    regress(arm, x, v, vr, ar, Y)
-    for i in range(out.size):
-        total = 0.0
-        for k in range(theta.size):
-            total += Y[i, k] * theta[k]
-        out[i] = total
+@kernel()
+def _times(Y: FloatArray, theta: FloatArray) -> FloatArray:
+    """Product Y theta, summed in the order of the parameters."""
+    out = np.zeros(len(Y))
+    for k in range(theta.size):
+        out += Y[:, k] * theta[k]
+    return out
 
 
-@tick_kernel
-def inertia(
-    arm: FloatArray, theta: FloatArray, x: FloatArray, spare: FloatArray, Y: FloatArray, M: FloatArray
-) -> None:
-    """Write M(x) [kg], shape (n, n), into ``M``; ``Y`` and ``spare``, shape (2, n), are room to work in."""
-    n = x.size
-    nothing, unit = spare[0], spare[1]
-    for j in range(n):
-        nothing[j] = 0.0
-        unit[j] = 0.0
-    for j in range(n):
-        unit[j] = 1.0
-        regress(arm, x, nothing, nothing, unit, Y)
-        unit[j] = 0.0
-        for i in range(n):
-            # stiffness is the only part that a plant at rest still has: its columns are the last third
-            total = 0.0
-            for k in range(theta.size - n * (n + 1) // 2):
-                total += Y[i, k] * theta[k]
-            M[i, j] = total
+@kernel()
+def generalised_force(theta: FloatArray, x: FloatArray, vr: FloatArray, ar: FloatArray) -> FloatArray:
+    """Force Y(x, vr, ar) theta [N], shape (n,)."""
+    return _times(regressor(x, vr, ar), theta)
 
 
-@tick_kernel
+@kernel()
+def inertia(theta: FloatArray, axes: int) -> FloatArray:
+    """Inertia M among the parameters [kg], shape (n, n)."""
+    M = np.zeros((axes, axes))
+    column = 0
+    for i in range(axes):
+        for j in range(i, axes):
+            M[i, j] = M[j, i] = theta[column]
+            column += 1
+    return M
+
+
+@kernel()
 def damping_form(theta: FloatArray, r: FloatArray) -> float:
     """Power [W] that the damping B among the parameters takes at a velocity r: r' B r."""
     n = r.size
-    entries = n * (n + 1) // 2
-    column = theta.size - 2 * entries
+    column = n * (n + 1) // 2
     total = 0.0
     for i in range(n):
         for j in range(i, n):
@@ -231,10 +160,10 @@ def damping_form(theta: FloatArray, r: FloatArray) -> float:
     return float(total)
 
 
-@tick_kernel
-def solve(A: FloatArray, b: FloatArray) -> None:
-    """Solve A y = b by elimination with pivots; the answer takes the place of ``b``, A is destroyed."""
-    n = b.size
+@kernel()
+def solved(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Solution y of A y = b, by elimination with pivots; A is destroyed."""
+    y, n = b.copy(), b.size
     for k in range(n):
         pivot = k
         for i in range(k + 1, n):
@@ -243,16 +172,17 @@ def solve(A: FloatArray, b: FloatArray) -> None:
         if pivot != k:
             for j in range(k, n):
                 A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
-            b[k], b[pivot] = b[pivot], b[k]
+            y[k], y[pivot] = y[pivot], y[k]
         for i in range(k + 1, n):
             factor = A[i, k] / A[k, k]
             for j in range(k, n):
                 A[i, j] -= factor * A[k, j]
-            b[i] -= factor * b[k]
+            y[i] -= factor * y[k]
     for k in range(n - 1, -1, -1):
         for j in range(k + 1, n):
-            b[k] -= A[k, j] * b[j]
-        b[k] /= A[k, k]
+            y[k] -= A[k, j] * y[j]
+        y[k] /= A[k, k]
+    return y
 
 
 #: Rows of a drive, a column an axis: offset, amplitude, frequency of the hand's push; then of what disturbs.
@@ -260,100 +190,93 @@ DRIVE_ROWS = 6
 M_TO_MM = 1000.0
 
 
-@tick_kernel
-def hand_push(block: LoopBlock, drive: FloatArray, time: float, out: FloatArray) -> None:
-    """Write F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
+@kernel()
+def hand_push(block: LoopBlock, drive: FloatArray, time: float) -> FloatArray:
+    """Push F*(t) [N]: an offset and a sine an axis, risen linearly from 0."""
     share = min(1.0, time / block.rise_s) if block.rise_s > 0.0 else 1.0
-    for i in range(out.size):
-        out[i] = share * (drive[0, i] + drive[1, i] * math.sin(2.0 * math.pi * drive[2, i] * time))
+    push: FloatArray = share * (drive[0] + drive[1] * np.sin(2.0 * math.pi * drive[2] * time))
+    return push
 
 
-@tick_kernel
-def disturbance(drive: FloatArray, time: float, out: FloatArray) -> None:
-    """Write d(t) [N]."""
-    for i in range(out.size):
-        out[i] = drive[3, i] + drive[4, i] * math.sin(2.0 * math.pi * drive[5, i] * time)
+@kernel()
+def disturbance(drive: FloatArray, time: float) -> FloatArray:
+    """Disturbance d(t) [N]."""
+    disturbed: FloatArray = drive[3] + drive[4] * np.sin(2.0 * math.pi * drive[5] * time)
+    return disturbed
 
 
-@tick_kernel
+@kernel()
 def environment_force(
     block: LoopBlock, law: FloatArray, state: FloatArray, place: FloatArray, h: float
 ) -> float:
-    """Step the tissue with a tool at ``place`` [m] and give its force along the outward normal [N]."""
-    depth = 0.0
-    for i in range(place.size):
-        depth += block.inward[i] * place[i]
-    force = tissue_step_in(law, 0, state, 0, depth / block.motion_scale * M_TO_MM, h)
+    """Step the tissue with a tool at ``place`` [m] and give its force against the first axis [N]."""
+    force = tissue_step_in(law, 0, state, 0, place[0] / block.motion_scale * M_TO_MM, h)
     return float(force * block.force_scale)
 
 
-@tick_kernel
-def tool_acceleration(
-    block: LoopBlock, v: FloatArray, hand: FloatArray, touched: float, out: FloatArray
-) -> None:
-    """Write the acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
-    for i in range(v.size):
-        out[i] = (
-            hand[i] - block.inward[i] * touched - block.tool_damping_N_s_per_m * v[i]
-        ) / block.tool_mass_kg
+@kernel()
+def tool_acceleration(block: LoopBlock, v: FloatArray, hand: FloatArray, touched: float) -> FloatArray:
+    """Acceleration [m/s^2] of the virtual tool: Mt ae = Fh - F_env - Bt ve."""
+    force = hand.copy()
+    force[0] -= touched
+    return (force - block.tool_damping_N_s_per_m * v) / block.tool_mass_kg
 
 
-@tick_kernel
+@kernel()
 def advance_tool(block: LoopBlock, law: FloatArray, c: Controller, hand: FloatArray, touched: float) -> float:
     """Move the virtual tool over one period under a held force of the hand; tissue's force at its end [N].
 
     Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
     The tissue is stepped along, unless the device itself touches it: then its force is held as well.
     """
-    steps = block.substeps
-    h = block.period_s / steps
-    for _ in range(steps):
-        tool_acceleration(block, c.ve, hand, touched, c.ae)
-        for i in range(c.xe.size):
-            c.ve[i] += h * c.ae[i]
-            c.xe[i] += h * c.ve[i]
+    xe, ve, h = c.xe, c.ve, block.period_s / block.substeps
+    for _ in range(block.substeps):
+        ve += h * tool_acceleration(block, ve, hand, touched)
+        xe += h * ve
         if not block.touched_by_device:
-            touched = environment_force(block, law, c.state, c.xe, h)
+            touched = environment_force(block, law, c.state, xe, h)
     return touched
 
 
-@tick_kernel
+@kernel()
 def reference(
     block: LoopBlock,
     device: tuple[FloatArray, FloatArray],
     tool: tuple[FloatArray, FloatArray, FloatArray],
-    wanted: tuple[FloatArray, FloatArray, FloatArray],
-) -> None:
-    """Write vr, ar and rho of equations (16) and (17) by the tool's position, velocity, acceleration."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """References vr, ar and rho of equations (16) and (17) by the tool's position, velocity, acceleration."""
     x, v = device
     xe, ve, ae = tool
-    vr, ar, rho = wanted
     rate = block.reference_rate_per_s
-    for i in range(x.size):
-        vr[i] = ve[i] + rate * (xe[i] - x[i])
-        ar[i] = ae[i] + rate * (ve[i] - v[i])
-        rho[i] = vr[i] - v[i]
+    vr = ve + rate * (xe - x)
+    ar = ae + rate * (ve - v)
+    return vr, ar, vr - v
 
 
-@tick_kernel
+@kernel()
 def sigma_at(block: LoopBlock, time: float) -> float:
-    """sigma(t) of equation (22) [N m/s]."""
+    """Smoothing sigma(t) of equation (22) [N m/s]."""
     return float(max(block.sigma_start * math.exp(-block.sigma_rate_per_s * time), block.sigma_floor))
 
 
-@tick_kernel
-def robust_term(block: LoopBlock, rho: FloatArray, sigma: float, out: FloatArray) -> None:
-    """Write u_r [N], equation (21): smooth, along rho, of length delta at most."""
-    length = 0.0
-    for i in range(rho.size):
-        length += rho[i] * rho[i]
+@kernel()
+def length_of(vector: FloatArray) -> float:
+    """Length of a vector."""
+    square = 0.0
+    for one in vector:
+        square += one * one
+    return math.sqrt(square)
+
+
+@kernel()
+def robust_term(block: LoopBlock, rho: FloatArray, sigma: float) -> FloatArray:
+    """Robust term u_r [N], equation (21): smooth, along rho, of length delta at most."""
     delta = block.disturbance_bound_N
-    below = delta * math.sqrt(length) + sigma
-    for i in range(rho.size):
-        out[i] = delta * delta * rho[i] / below if below > 0.0 else 0.0
+    below = delta * length_of(rho) + sigma
+    return delta * delta * rho / below if below > 0.0 else np.zeros(rho.size)
 
 
-@tick_kernel
+@kernel()
 def control_force(
     block: LoopBlock,
     Y: FloatArray,
@@ -361,31 +284,26 @@ def control_force(
     rho: FloatArray,
     robust: FloatArray,
     hand: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
-    for i in range(out.size):
-        total = block.damping_N_s_per_m * rho[i] + robust[i]
-        for k in range(estimates.size):
-            total += Y[i, k] * estimates[k]
-        if block.variant_B:
-            total -= hand[i]
-        out[i] = total
+) -> FloatArray:
+    """Control force u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
+    total = block.damping_N_s_per_m * rho + robust
+    for k in range(estimates.size):
+        total += Y[:, k] * estimates[k]
+    if block.variant_B:
+        total -= hand
+    return total
 
 
-@tick_kernel
-def saturate(block: LoopBlock, u: FloatArray) -> None:
-    """Shorten a force to what the device can give, in its direction."""
-    length = 0.0
-    for i in range(u.size):
-        length += u[i] * u[i]
-    length = math.sqrt(length)
+@kernel()
+def saturated(block: LoopBlock, u: FloatArray) -> FloatArray:
+    """Force, shortened in its direction to what the device can give."""
+    length = length_of(u)
     if length > block.saturation_N:
-        for i in range(u.size):
-            u[i] *= block.saturation_N / length
+        return u * (block.saturation_N / length)
+    return u
 
 
-@tick_kernel
+@kernel()
 def adapt(
     block: LoopBlock,
     Y: FloatArray,
@@ -396,40 +314,32 @@ def adapt(
     estimates: FloatArray,
 ) -> None:
     """Move the estimates on by ``h`` seconds; ``gains`` is the diagonal of Gamma, ``bounds`` (2, p)."""
-    for k in range(estimates.size):
-        slope = 0.0
-        for i in range(rho.size):
-            slope += Y[i, k] * rho[i]
-        estimates[k] += h * block.adaptation_sign * gains[k] * slope
-        if block.projection:
+    estimates += h * block.adaptation_sign * gains * _times(Y.T, rho)
+    if block.projection:
+        for k in range(estimates.size):
             estimates[k] = min(max(estimates[k], bounds[0, k]), bounds[1, k])
 
 
-@tick_kernel
-def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
-    """Write what the estimates don't cover [N]: F* - d in variant A, -d in B."""
-    for i in range(out.size):
-        out[i] = -disturbed[i] if block.variant_B else push[i] - disturbed[i]
+@kernel()
+def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray) -> FloatArray:
+    """Forces that the estimates don't cover [N]: F* - d in variant A, -d in B."""
+    return -disturbed if block.variant_B else push - disturbed
 
 
-@tick_kernel
+@kernel()
 def lyapunov(
     block: LoopBlock,
-    x: FloatArray,
     terms: tuple[FloatArray, FloatArray, FloatArray],
     truth: FloatArray,
     estimates: FloatArray,
     gains: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray],
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N]; ``room`` (2, n), (n, p),
-    (n, n).
+    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N].
     """
     rho, robust, unknown = terms
-    spare, Y, M = room
-    inertia(block.arm, truth, x, spare, Y, M)
+    M = inertia(truth, rho.size)
     V = 0.0
     rate = -damping_form(truth, rho)
     for i in range(rho.size):
@@ -442,7 +352,7 @@ def lyapunov(
     return V, rate
 
 
-@tick_kernel
+@kernel()
 def command(
     block: LoopBlock,
     law: FloatArray,
@@ -451,20 +361,18 @@ def command(
     device: tuple[FloatArray, FloatArray],
     hand: FloatArray,
     touched: float,
-) -> float:
-    """Step the virtual tool through the coming period; the force [N] held through it is written to ``c.u``.
+) -> Command:
+    """Step the virtual tool through the coming period; the force [N] that is held through it.
 
-    Held until the next tick, the command aims at where the tool will be then; returns the tissue's force at
-    the end [N].
+    Held until the next tick, the command aims at where the tool will be then.
     """
-    x, v = device
+    x = device[0]
     if block.touched_by_device:
         touched = environment_force(block, law, c.state, x, block.period_s)
     touched = advance_tool(block, law, c, hand, touched)
-    tool_acceleration(block, c.ve, hand, touched, c.ae)
-    reference(block, device, (c.xe, c.ve, c.ae), (c.vr, c.ar, c.rho))
-    robust_term(block, c.rho, sigma_at(block, time), c.robust)
-    regress(block.arm, x, v, c.vr, c.ar, c.Y)
-    control_force(block, c.Y, c.estimates, c.rho, c.robust, hand, c.u)
-    saturate(block, c.u)
-    return float(touched)
+    ae = tool_acceleration(block, c.ve, hand, touched)
+    vr, ar, rho = reference(block, device, (c.xe, c.ve, ae))
+    robust = robust_term(block, rho, sigma_at(block, time))
+    Y = regressor(x, vr, ar)
+    u = saturated(block, control_force(block, Y, c.estimates, rho, robust, hand))
+    return Command(u, rho, robust, Y, touched)

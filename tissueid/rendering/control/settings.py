@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.rendering.control.law import ARM_PARAMETERS, MOST_AXES, inertia
+from tissueid.rendering.control.law import MOST_AXES
 from tissueid.rendering.tissue_block import Tissue
 
 
@@ -63,15 +63,6 @@ class Mechanics:
 #: Table 3 [reading].
 TABLE_3_OPERATOR = Mechanics(1.25, 2.0, 30.0)
 TABLE_3_DEVICE = Mechanics(1.158, 115.4, 31.46)
-
-
-@dataclass(frozen=True, slots=True)
-class PlanarArm:
-    """Two links in a horizontal plane, in addition to the device's own mechanics; for two axes."""
-
-    links_m: tuple[float, float]  # lengths
-    inertia_kg_m2: tuple[float, float, float]  # p1, p2, p3 of :mod:`tissueid.rendering.control.law`
-    base_m: tuple[float, float]  # where the work begins (the surface of the tissue), from the base of the arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +123,6 @@ class Gains:
     #: None is three times the bound below which the robust term chatters, or 0 in a continuous loop.
     sigma_floor: float | None = None
     adaptation: tuple[float, float, float] = (0.05, 5.0, 50.0)  # gamma of masses, dampings and stiffnesses
-    arm_adaptation: float = 0.05  # gamma of an arm's p1, p2, p3
     projection: bool = True  # estimates stay within their bounds
     #: 1; 0 is the frozen controller, -1 is wrong on purpose and must never pass for right.
     adaptation_sign: int = 1
@@ -155,7 +145,6 @@ class ControlSettings:
     environment: str = "admittance"
     device: Mechanics = TABLE_3_DEVICE
     operator: Mechanics = TABLE_3_OPERATOR
-    arm: PlanarArm | None = None
     tool: VirtualTool = field(default_factory=VirtualTool)
     gains: Gains = field(default_factory=Gains)
     #: F* and d; None is the task "sustained", and nothing.
@@ -192,49 +181,21 @@ class ControlSettings:
         """The same loop with estimates that stay where they start."""
         return replace(self, gains=replace(self.gains, adaptation_sign=0))
 
-    def true_parameters(self) -> tuple[FloatArray, FloatArray]:
-        """Parameters of the device, with its arm first, and of the hand, in the same places."""
-        arm = np.zeros(0) if self.arm is None else np.array(self.arm.inertia_kg_m2)
-        return (
-            np.concatenate([arm, self.device.parameters()]),
-            np.concatenate([np.zeros(arm.size), self.operator.parameters()]),
-        )
-
-    def arm_numbers(self) -> FloatArray:
-        """Lengths of the arm's links and where the work begins [m], shape (4,); zeros without an arm."""
-        return np.zeros(4) if self.arm is None else np.array([*self.arm.links_m, *self.arm.base_m])
-
-    def inertias(self) -> tuple[FloatArray, FloatArray]:
-        """Inertia of the device where its tool touches the tissue, and of the hand [kg], shape (n, n)."""
-        device, _operator = self.true_parameters()
-        found = np.zeros((self.axes, self.axes))
-        n = self.axes
-        inertia(self.arm_numbers(), device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
-        return found, self.operator.mass_kg
-
     def estimated_truth(self) -> FloatArray:
         """True values of the estimates, shape (p,): device and hand in variant A, the device in B."""
-        device, operator = self.true_parameters()
-        return device + operator if self.variant == "A" else device
+        device = self.device.parameters()
+        return device + self.operator.parameters() if self.variant == "A" else device
 
     def estimate_bounds(self) -> FloatArray:
         """Bounds of the projection, shape (2, p); an entry beside a diagonal may have either sign."""
-        truth = self.estimated_truth()
-        per_matrix = self.axes * (self.axes + 1) // 2
-        arm = truth.size - 3 * per_matrix
-        share = np.full(truth.size, LARGEST_REST)
-        share[: arm + per_matrix] = LARGEST_INERTIA
-        off_diagonal = np.zeros(truth.size, bool)
         rows, columns = np.triu_indices(self.axes)
-        off_diagonal[arm:] = np.tile(rows != columns, 3)
-        high = share * np.abs(truth)
-        return np.array([np.where(off_diagonal, -high, 0.0), high])
+        share = np.repeat([LARGEST_INERTIA, LARGEST_REST, LARGEST_REST], rows.size)
+        high = share * np.abs(self.estimated_truth())
+        return np.array([np.where(np.tile(rows != columns, 3), -high, 0.0), high])
 
     def adaptation_gains(self) -> FloatArray:
         """Diagonal of Gamma, shape (p,)."""
-        per_matrix = self.axes * (self.axes + 1) // 2
-        arm = [] if self.arm is None else [self.gains.arm_adaptation] * ARM_PARAMETERS
-        return np.array([*arm, *np.repeat(self.gains.adaptation, per_matrix)])
+        return np.repeat(np.array(self.gains.adaptation), self.axes * (self.axes + 1) // 2)
 
     def disturbance_bound_N(self) -> float:
         """Bound of what the estimates don't cover, delta of equation (21) [N]."""
@@ -248,8 +209,8 @@ class ControlSettings:
         device in B, whose hand is fed back one sample late. Raises UsageError: K_r alone already
         overshoots in one sample.
         """
-        device, hand = self.inertias()
-        mass = device + hand if self.variant == "A" else device
+        device = self.device.mass_kg
+        mass = device + self.operator.mass_kg if self.variant == "A" else device
         below = 2.0 * float(np.linalg.eigvalsh(mass)[0]) - self.gains.damping_N_s_per_m / self.rate_Hz
         if below <= 0.0:
             msg = (
@@ -309,9 +270,7 @@ def _problems(settings: ControlSettings) -> list[str]:
         parts = () if signal is None else astuple(signal)
         if any(len(part) != settings.axes for part in parts):
             found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
-    if settings.arm is not None and settings.device.axes != 2:
-        found.append("an arm in the plane has two axes; give device and hand as 2 x 2 matrices")
-    if settings.arm is None and not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
+    if not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
         found.append("the device needs a mass along every axis")
     if settings.continuous_step_s is not None and math.isfinite(settings.gains.saturation_N):
         found.append("a saturated controller is sampled; leave the continuous step out")
@@ -332,7 +291,7 @@ def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estima
 
     A: Mh M^-1 M^ / Mt; B: Mh M^-1 (M^ / Mt - I); ``estimate``: estimated inertia M^ over the true one.
     """
-    device, hand = settings.inertias()
+    device, hand = settings.device.mass_kg, settings.operator.mass_kg
     share = np.linalg.solve(device + hand, hand).T
     if settings.variant == "A":
         turn = share @ (device + hand) * (estimate / virtual_mass_kg)
@@ -343,7 +302,7 @@ def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estima
 
 def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
     """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass."""
-    device, hand = settings.inertias()
+    device, hand = settings.device.mass_kg, settings.operator.mass_kg
     if not np.any(hand):
         return 0.0
     low, high = 0.0, estimate * float(np.linalg.eigvalsh(device + hand)[-1])

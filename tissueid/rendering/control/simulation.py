@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.compiled import tick_kernel
+from tissueid.compiled import kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.control import law
@@ -33,167 +33,104 @@ class Loop(NamedTuple):
     bounds: FloatArray  # of the estimates, (2, p)
 
 
-#: Room of a sampled run: vectors, two of them to work in, regressor, inertia.
-SampledRoom = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-VECTOR_ROWS = 12
-
-
-def sampled_room(axes: int, parameters: int) -> SampledRoom:
-    """Room of a run."""
-    shapes = ((VECTOR_ROWS, axes), (2, axes), (axes, parameters), (axes, axes))
-    rows, spare, Y, M = (np.zeros(shape) for shape in shapes)
-    return rows, spare, Y, M
-
-
-@tick_kernel
-def _advance_plant(
-    loop: Loop,
-    time: float,
-    u: FloatArray,
-    plant: tuple[FloatArray, FloatArray, FloatArray],
-    vectors: tuple[FloatArray, FloatArray, FloatArray],
-    room: SampledRoom,
-) -> None:
-    """Move device and hand over one period under a held control force; leave the sensor's reading."""
+@kernel()
+def _advance_plant(loop: Loop, time: float, u: FloatArray, x: FloatArray, v: FloatArray) -> FloatArray:
+    """Move device and hand over one period under a held control force; the sensor's reading at its end."""
     block = loop.block
-    x, v, hand = plant
-    a, push, disturbed = vectors
-    spare, Y, M = room[1], room[2], room[3]
-    steps = block.substeps
-    h = block.period_s / steps
-    for step in range(steps):
-        law.hand_push(block, loop.drive, time + step * h, push)
-        law.disturbance(loop.drive, time + step * h, disturbed)
-        for i in range(x.size):
-            a[i] = 0.0
-        law.generalised_force(block.arm, loop.total, x, v, v, a, Y, hand)
-        for i in range(x.size):
-            a[i] = push[i] + u[i] - disturbed[i] - hand[i]
-        law.inertia(block.arm, loop.total, x, spare, Y, M)
-        law.solve(M, a)
-        if step == steps - 1:
+    h = block.period_s / block.substeps
+    at_rest = np.zeros(x.size)
+    for step in range(block.substeps):
+        push = law.hand_push(block, loop.drive, time + step * h)
+        disturbed = law.disturbance(loop.drive, time + step * h)
+        held = law.generalised_force(loop.total, x, v, at_rest)
+        a = law.solved(law.inertia(loop.total, x.size), push + u - disturbed - held)
+        if step == block.substeps - 1:
             # what the sensor feels: the push, less what moves and holds the hand itself
-            law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
-            for i in range(x.size):
-                hand[i] = push[i] - hand[i]
-        for i in range(x.size):
-            v[i] += h * a[i]
-            x[i] += h * v[i]
+            hand = push - law.generalised_force(loop.operator, x, v, a)
+        v += h * a
+        x += h * v
+    return hand
 
 
-@tick_kernel
-def run_sampled(loop: Loop, c: Controller, noise: FloatArray, room: SampledRoom, out: FloatArray) -> int:
+@kernel()
+def run_sampled(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -> int:
     """Run a sampled loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
 
     The loop reads the force that the hand had under the last command; ``noise``: of the sensor [N].
     """
     block = loop.block
-    rows, spare, Y, M = room
-    x, v, hand, sensed, push, disturbed = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    unknown, was = rows[6], (rows[7], rows[8])
+    x, v, hand = np.zeros_like(c.xe), np.zeros_like(c.xe), np.zeros_like(c.xe)
     touched = 0.0
-    for tick in range(out.shape[0]):
+    for tick in range(len(out)):
         time = tick * block.period_s
-        law.hand_push(block, loop.drive, time, push)
-        law.disturbance(loop.drive, time, disturbed)
-        for i in range(x.size):
-            sensed[i] = hand[i] + noise[tick, i]
-            was[0][i], was[1][i] = c.xe[i], c.ve[i]
-        before = touched
-        touched = law.command(block, loop.law, c, time, (x, v), sensed, touched)
-        law.not_covered(block, push, disturbed, unknown)
-        terms = (c.rho, c.robust, unknown)
-        V, rate = law.lyapunov(block, x, terms, loop.truth, c.estimates, loop.gains, (spare, Y, M))
-        vectors = (x, v, was[0], was[1], sensed, c.u, c.rho, push, disturbed)
-        law.record_row(out[tick], time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
-        law.adapt(block, c.Y, c.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
-        _advance_plant(loop, time, c.u, (x, v, hand), (rows[9], rows[10], rows[11]), room)
-        for i in range(x.size):
-            if not abs(x[i]) < LARGEST_M:
-                return tick + 1
-    return int(out.shape[0])
+        push, disturbed = law.hand_push(block, loop.drive, time), law.disturbance(loop.drive, time)
+        sensed = hand + noise[tick]
+        xe, ve, before = c.xe.copy(), c.ve.copy(), touched
+        sent = law.command(block, loop.law, c, time, (x, v), sensed, touched)
+        touched = sent.touched
+        terms = (sent.rho, sent.robust, law.not_covered(block, push, disturbed))
+        V, rate = law.lyapunov(block, terms, loop.truth, c.estimates, loop.gains)
+        vectors = (x, v, xe, ve, sensed, sent.u, sent.rho, push, disturbed)
+        out[tick] = law.recorded(time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
+        law.adapt(block, sent.Y, sent.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
+        hand = _advance_plant(loop, time, sent.u, x, v)
+        if not (np.abs(x) < LARGEST_M).all():
+            return tick + 1
+    return len(out)
 
 
-#: Vectors, regressor and three inertias to solve in; estimates and tissue, each with its trials.
-Solving = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-Lists = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-#: Room of a continuous run: motions, forces, and both of these.
-ContinuousRoom = tuple[FloatArray, FloatArray, Solving, Lists]
-#: Rows of the state of motion: position and velocity of the device, of the tool.
-MOTION_ROWS = 4
-#: Rows of forces, see :func:`_forces`; one for what the estimates don't cover.
-FORCE_ROWS = 11
+class Forces(NamedTuple):
+    """Forces and accelerations of a continuous loop at one moment; shape (n,) where nothing else is said."""
+
+    push: FloatArray
+    disturbed: FloatArray
+    hand: FloatArray
+    u: FloatArray
+    rho: FloatArray
+    robust: FloatArray
+    #: Accelerations of the device and of the tool.
+    a: FloatArray
+    ae: FloatArray
+    Y: FloatArray  # (n, p), regressor
 
 
-def continuous_room(axes: int, start: FloatArray) -> ContinuousRoom:
-    """Room of a run."""
-    squares = np.zeros((3, axes, axes))
-    return (
-        np.zeros((4, MOTION_ROWS, axes)),
-        np.zeros((FORCE_ROWS, axes)),
-        (np.zeros((2, axes)), np.zeros((axes, start.size)), squares[0], squares[1], squares[2]),
-        (start.copy(), start.copy(), start.copy(), np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)),
-    )
+@kernel()
+def _forces(loop: Loop, time: float, motion: FloatArray, estimates: FloatArray, touched: float) -> Forces:
+    """Solve the algebraic loop at one moment.
 
-
-@tick_kernel
-def _forces(
-    loop: Loop,
-    time: float,
-    motion: FloatArray,
-    estimates: FloatArray,
-    touched: float,
-    forces: FloatArray,
-    room: Solving,
-) -> None:
-    """Solve the algebraic loop at one moment; ``forces`` is written.
-
-    The hand's force holds its own acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a
-    [+ Mh a in variant B], with M^ of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
+    ``motion`` (4, n): position and velocity of the device, of the tool.  The hand's force holds its own
+    acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a [+ Mh a in variant B], with M^
+    of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
     """
     block = loop.block
-    spare, Y, M, Mh, Mc = room
-    x, v, ve = motion[0], motion[1], motion[3]
-    push, disturbed, hand, u, rho, robust = forces[0], forces[1], forces[2], forces[3], forces[4], forces[5]
-    a, ae, vr, ar = forces[6], forces[7], forces[8], forces[9]
+    x, v, xe, ve = motion[0], motion[1], motion[2], motion[3]
     n = x.size
-    law.hand_push(block, loop.drive, time, push)
-    law.disturbance(loop.drive, time, disturbed)
-    law.inertia(block.arm, loop.operator, x, spare, Y, Mh)
-    law.inertia(block.arm, estimates, x, spare, Y, Mc)
-    law.inertia(block.arm, loop.total, x, spare, Y, M)
+    at_rest = np.zeros(n)
+    push, disturbed = law.hand_push(block, loop.drive, time), law.disturbance(loop.drive, time)
+    M, Mh, Mc = law.inertia(loop.total, n), law.inertia(loop.operator, n), law.inertia(estimates, n)
+    hand = push - law.generalised_force(loop.operator, x, v, at_rest)
+    ae = law.tool_acceleration(block, ve, hand, touched)
+    vr, ar, rho = law.reference(block, (x, v), (xe, ve, ae))
+    robust = law.robust_term(block, rho, law.sigma_at(block, time))
+    u = law.control_force(block, law.regressor(x, vr, ar), estimates, rho, robust, hand)
+    held = law.generalised_force(loop.total, x, v, at_rest)
     for i in range(n):
-        a[i] = 0.0
-    law.generalised_force(block.arm, loop.operator, x, v, v, a, Y, hand)
-    for i in range(n):
-        hand[i] = push[i] - hand[i]
-    law.tool_acceleration(block, ve, hand, touched, ae)
-    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    law.robust_term(block, rho, law.sigma_at(block, time), robust)
-    law.regress(block.arm, x, v, vr, ar, Y)
-    law.control_force(block, Y, estimates, rho, robust, hand, u)
-    # the plant's own forces take the room of vr, which is not needed any more
-    law.generalised_force(block.arm, loop.total, x, v, v, a, Y, vr)
-    for i in range(n):
-        ar[i] = push[i] - disturbed[i] + u[i] - vr[i]
         for j in range(n):
             for k in range(n):
                 M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
             if block.variant_B:
                 M[i, j] -= Mh[i, j]
-    law.solve(M, ar)
-    for i in range(n):
-        a[i] = ar[i]
-    for i in range(n):
-        for j in range(n):
-            hand[i] -= Mh[i, j] * a[j]
-    law.tool_acceleration(block, ve, hand, touched, ae)
-    law.reference(block, (x, v), (motion[2], ve, ae), (vr, ar, rho))
-    law.regress(block.arm, x, v, vr, ar, Y)
-    law.control_force(block, Y, estimates, rho, robust, hand, u)
+    a = law.solved(M, push - disturbed + u - held)
+    for j in range(n):
+        hand -= Mh[:, j] * a[j]
+    ae = law.tool_acceleration(block, ve, hand, touched)
+    vr, ar, rho = law.reference(block, (x, v), (xe, ve, ae))
+    Y = law.regressor(x, vr, ar)
+    u = law.control_force(block, Y, estimates, rho, robust, hand)
+    return Forces(push, disturbed, hand, u, rho, robust, a, ae, Y)
 
 
-@tick_kernel
+@kernel()
 def _tissue(loop: Loop, state: FloatArray, motion: FloatArray) -> float:
     """Force of the environment [N] on whatever touches it, a step later."""
     block = loop.block
@@ -202,77 +139,46 @@ def _tissue(loop: Loop, state: FloatArray, motion: FloatArray) -> float:
     )
 
 
-@tick_kernel
-def _slopes(motion: FloatArray, forces: FloatArray, out: FloatArray) -> None:
-    """Time derivative of the motion."""
-    for i in range(motion.shape[1]):
-        out[0, i] = motion[1, i]
-        out[1, i] = forces[6, i]
-        out[2, i] = motion[3, i]
-        out[3, i] = forces[7, i]
-
-
-@tick_kernel
-def _copy(source: FloatArray, target: FloatArray) -> None:
-    for k in range(source.size):
-        target[k] = source[k]
-
-
-@tick_kernel
-def _step(loop: Loop, time: float, room: ContinuousRoom) -> float:
+@kernel()
+def _step(
+    loop: Loop, time: float, motion: FloatArray, estimates: FloatArray, state: FloatArray, now: Forces
+) -> float:
     """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
     block = loop.block
-    motions, forces, solving, lists = room
     h = block.period_s
-    motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
-    estimates, guess, moved, state, trial = lists
-    Y = solving[1]
-    law.regress(block.arm, motion[0], motion[1], forces[8], forces[9], Y)
-    _slopes(motion, forces, slope)
-    _copy(estimates, guess)
-    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, guess)
-    for k in range(MOTION_ROWS):
-        for i in range(motion.shape[1]):
-            ahead[k, i] = motion[k, i] + h * slope[k, i]
-    _copy(state, trial)
-    pressed = _tissue(loop, trial, ahead)
-    _forces(loop, time + h, ahead, guess, pressed, forces, solving)
-    _slopes(ahead, forces, slope_ahead)
-    _copy(guess, moved)
-    law.adapt(block, Y, forces[4], loop.gains, loop.bounds, h, moved)
-    for k in range(estimates.size):
-        estimates[k] = 0.5 * (estimates[k] + moved[k])
-    for k in range(MOTION_ROWS):
-        for i in range(motion.shape[1]):
-            motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
-    return float(_tissue(loop, state, motion))
+    slope = np.stack((motion[1], now.a, motion[3], now.ae))
+    guess = estimates.copy()
+    law.adapt(block, now.Y, now.rho, loop.gains, loop.bounds, h, guess)
+    ahead = motion + h * slope
+    then = _forces(loop, time + h, ahead, guess, _tissue(loop, state.copy(), ahead))
+    moved = guess.copy()
+    law.adapt(block, then.Y, then.rho, loop.gains, loop.bounds, h, moved)
+    estimates[:] = 0.5 * (estimates + moved)
+    motion += 0.5 * h * (slope + np.stack((ahead[1], then.a, ahead[3], then.ae)))
+    return _tissue(loop, state, motion)
 
 
-@tick_kernel
-def run_continuous(loop: Loop, every: int, room: ContinuousRoom, out: FloatArray) -> int:
+@kernel()
+def run_continuous(loop: Loop, every: int, estimates: FloatArray, out: FloatArray) -> int:
     """Run a loop without sampling from rest at the surface; a row every ``every`` steps of the period."""
     block = loop.block
-    motions, forces, solving, lists = room
-    motion, unknown, estimates = motions[0], forces[10], lists[0]
+    motion, state = np.zeros((4, loop.drive.shape[1])), np.zeros(STATE_SIZE)
     touched = 0.0
-    for row in range(out.shape[0]):
+    for row in range(len(out)):
         for step in range(every):
             time = (row * every + step) * block.period_s
-            _forces(loop, time, motion, estimates, touched, forces, solving)
+            now = _forces(loop, time, motion, estimates, touched)
             if step == 0:
-                law.not_covered(block, forces[0], forces[1], unknown)
-                terms, work = (forces[4], forces[5], unknown), (solving[0], solving[1], solving[2])
-                V, rate = law.lyapunov(block, motion[0], terms, loop.truth, estimates, loop.gains, work)
+                terms = (now.rho, now.robust, law.not_covered(block, now.push, now.disturbed))
+                V, rate = law.lyapunov(block, terms, loop.truth, estimates, loop.gains)
                 led = (motion[0], motion[1], motion[2], motion[3])
-                vectors = (*led, forces[2], forces[3], forces[4], forces[0], forces[1])
-                law.record_row(
-                    out[row], time, vectors, (touched, law.sigma_at(block, time), V, rate), estimates
-                )
-            touched = _step(loop, time, room)
-        for i in range(motion.shape[1]):
-            if not abs(motion[0, i]) < LARGEST_M:
-                return row + 1
-    return int(out.shape[0])
+                vectors = (*led, now.hand, now.u, now.rho, now.push, now.disturbed)
+                scalars = (touched, law.sigma_at(block, time), V, rate)
+                out[row] = law.recorded(time, vectors, scalars, estimates)
+            touched = _step(loop, time, motion, estimates, state, now)
+        if not (np.abs(motion[0]) < LARGEST_M).all():
+            return row + 1
+    return len(out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,7 +205,7 @@ class ControlRun:
     sigma: FloatArray  # (rows,)
     lyapunov: FloatArray  # (rows,)
     lyapunov_rate: FloatArray  # (rows,)
-    estimates: FloatArray  # (rows, p), masses, dampings, stiffnesses; those of an arm in front
+    estimates: FloatArray  # (rows, p), masses, dampings, stiffnesses
     diverged_s: float | None  # when the device was 10 m away, or lost; None where the loop stayed bounded
 
     @property
@@ -334,11 +240,9 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
         touched_by_device=touched_by_device,
         force_scale=settings.force_scale,
         motion_scale=settings.motion_scale,
-        inward=np.array([1.0, 0.0, 0.0]),
         period_s=period_s,
         substeps=substeps,
         rise_s=settings.push_rise_s,
-        arm=settings.arm_numbers(),
     )
 
 
@@ -360,12 +264,12 @@ def _drive(settings: ControlSettings) -> FloatArray:
 def simulate(settings: ControlSettings) -> ControlRun:
     """Run a loop from rest at the surface of the tissue; UsageError where its numbers can't be run."""
     check_virtual_mass(settings)
-    device, operator = settings.true_parameters()
+    device, operator = settings.device.parameters(), settings.operator.parameters()
     truth = settings.estimated_truth()
     start = 0.5 * truth if settings.start_estimates is None else settings.start_estimates
     start = np.array(start, dtype=np.float64)
     rows = max(1, round(settings.seconds * settings.rate_Hz))
-    out = np.zeros((rows, law.row_size(settings.axes, truth.size)))
+    out = np.zeros((rows, 1 + settings.axes * len(law.VECTORS) + len(law.SCALARS) + truth.size))
 
     def loop(block: LoopBlock) -> Loop:
         adaptation = settings.adaptation_gains(), settings.estimate_bounds()
@@ -377,12 +281,11 @@ def simulate(settings: ControlSettings) -> ControlRun:
         noise = np.zeros((rows, settings.axes))
         if settings.sensor_noise_N > 0.0:
             noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
-        controller, room = law.new_controller(settings.axes, start), sampled_room(settings.axes, start.size)
-        written = run_sampled(loop(block), controller, noise, room, out)
+        written = run_sampled(loop(block), law.new_controller(settings.axes, start), noise, out)
     else:
         every = max(1, math.ceil(1.0 / (settings.rate_Hz * settings.continuous_step_s) - 1e-9))
         block = loop_block(settings, period_s=1.0 / (settings.rate_Hz * every), substeps=1)
-        written = run_continuous(loop(block), every, continuous_room(settings.axes, start), out)
+        written = run_continuous(loop(block), every, start, out)
     return _as_run(settings, out[:written], complete=written == rows)
 
 
