@@ -99,6 +99,9 @@ def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[
             step *= 1.0 if count < POINTS else 1.3
             at = float(np.clip(at + sign * step, *bounds))
             last = _held(identified, branch, at, last)
+            if last.normal.objective - base >= LARGEST_RISE:
+                # a bound rests on it: it may have ended in another valley than the optimum's
+                last = min(last, _held(identified, branch, at, optimum), key=lambda one: one.normal.objective)
             rise = max(last.normal.objective - base, 0.0)
             rows.append((at, rise, stiffness(last)))
     rows.sort()
@@ -113,17 +116,16 @@ def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[
 
 
 def _crossing(place: FloatArray, height: FloatArray, centre: float, sign: int) -> tuple[float, bool]:
-    """First crossing of the 95 % level on one side; the last place, open, where it never does."""
+    """Last crossing of the 95 % level on one side; the last place, open, where it ends below."""
     order = np.argsort(sign * place)
     order = order[sign * (place[order] - centre) >= 0.0]
     x, y = place[order], np.sqrt(height[order])
     level = np.sqrt(LEVEL_95)
-    beyond = np.flatnonzero(y >= level)
-    if beyond.size == 0:
+    k = int(np.flatnonzero(y < level)[-1]) + 1
+    if k == y.size:
         return float(x[-1]), True
-    k = int(beyond[0])
-    share = (level - y[k - 1]) / max(y[k] - y[k - 1], 1e-300) if k else 0.0
-    return float(x[k - 1] + share * (x[k] - x[k - 1])) if k else float(x[0]), False
+    share = (level - y[k - 1]) / max(y[k] - y[k - 1], 1e-300)
+    return float(x[k - 1] + share * (x[k] - x[k - 1])), False
 
 
 #: Widest 95 % interval in the logarithm that counts as identified.
