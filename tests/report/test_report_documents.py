@@ -229,6 +229,8 @@ def test_a_browser_draws_the_numbers_of_the_payload(opened, schema, render, made
     page = render(made())
     tab = opened(page, width=width, height=6000, color_scheme=scheme)
     figures = payload_of(page, "payload")
+    for box in tab.locator("[data-figure]").all():
+        box.scroll_into_view_if_needed()
     wait_for_figures(tab, len(figures))
     wanted = [
         [{"name": one.get("name"), "x": one["x"], "y": one["y"]} for one in figure["traces"]]
