@@ -40,7 +40,8 @@ def numbers_of(out: Path) -> dict[str, Any]:
     """Everything a run found, without times: the document, and hashes of every curve and draw."""
     found: dict[str, Any] = {"document": json.loads((out / "identification.json").read_bytes())}
     for specimen in found["document"]["specimens"]:
-        (specimen["sampler"] or {}).pop("wall_s", None)
+        if specimen["sampler"] is not None:
+            del specimen["sampler"]["detail"]["wall_s"]
     for document, curves, posterior in each_result(out):
         arrays = [getattr(one.curve, name) for one in curves for name in ("time_s", "force_N", "model_N")]
         if posterior is not None:
