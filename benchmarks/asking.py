@@ -115,16 +115,10 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     stages.after(batch, "assemble")
     stages.after(pages, "write_report")
     # a first attempt at one specimen would parse what is answered here
-    batch.fit_while_read = _several
+    batch._Cohort._while_read = lambda *_: None  # noqa: SLF001
     main(["fit", str(data), "-o", str(out), *SHORT, sampler, "-q", "--workers", "1"])
     stages.note("committed")
     print(json.dumps(stages.rows))
-
-
-def _several(*_: Any) -> None:
-    from tissueid.study.batch import SeveralSpecimensError
-
-    raise SeveralSpecimensError
 
 
 def main() -> None:

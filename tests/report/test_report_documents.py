@@ -79,7 +79,7 @@ def design(machine_name: str = "paper-a") -> dict[str, Any]:
 
 @cache
 def reproduction() -> dict[str, Any]:
-    readings, ledger = Readings(), Ledger(SADEGHNEJAD)
+    readings, ledger = Readings(), Ledger(SADEGHNEJAD, "Table 2")
     items, figures = [ledger.item("table-2/tau", 0.0234, judge=rounded(3))], []
     for made in (force_displacement, peak_against_speed, guidance_forces):
         rows, figure = made(readings)

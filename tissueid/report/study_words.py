@@ -34,7 +34,7 @@ def _value(key: str, value: Any) -> str:
     """A value with the unit of its key."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return ", ".join(str(one) for one in value)
     if not isinstance(value, int | float):
         return str(value)
