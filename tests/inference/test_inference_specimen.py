@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import by_name, draw, handle_for, handles_for, small_recipe
 
-from tissueid.inference.specimen import FitOptions, fit_specimen, fit_with_state
+from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.synth import Branch, recipe
@@ -19,12 +19,8 @@ POOLINGS = ("partial", "shared", "scaled")
 
 def fit(recipe_, seed=0, *, branches=1, degree=0, static="partial", sd_mm=1e-4, tick=None):
     handles = handles_for(draw(recipe_, seed), sd_mm=sd_mm)
-    return fit_specimen(
-        "knee",
-        handles,
-        options=FitOptions(branches=branches, stiffness_degree=degree, static=static),
-        tick=tick,
-    )
+    options = FitOptions(branches=branches, stiffness_degree=degree, static=static)
+    return fit_with_state("knee", handles, options=options, tick=tick).fit
 
 
 def codes(fitted):
@@ -78,7 +74,7 @@ def test_shared_logs_keep_a_contact_each():
     trial = handles[0].load()
     moved = handle_for(trial, replace(handles[0].segmentation, contact=late))
     options = FitOptions(branches=1, stiffness_degree=0, static="shared")
-    found = fit_specimen("knee", [moved, *handles[1:]], options=options)
+    found = fit_with_state("knee", [moved, *handles[1:]], options=options).fit
     assert found.trials[0].contact_offset_mm == pytest.approx(-0.03, abs=0.004)
     assert max(abs(one.contact_offset_mm) for one in found.trials[1:]) <= 0.004
     tau = by_name(found)["relaxation_time_s"]

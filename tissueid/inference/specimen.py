@@ -39,7 +39,7 @@ from tissueid.priors import Priors
 from tissueid.quantities import QuotedNumbers, RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
 
-__all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
+__all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_with_state"]
 
 #: Share of the travel that frame and contact may take before less than the travel is claimed.
 TAKEN = 0.1
@@ -117,17 +117,6 @@ def request_of(options: FitOptions, priors: Priors, *, machine: bool) -> Request
     branches = (asked,) if asked else tuple(range(1, MAX_BRANCHES + 1))
     degrees = tuple(range(MAX_DEGREE + 1)) if degree is None else (degree,)
     return Request(branches, degrees, options.static, options.noise, priors, machine, laws)
-
-
-def fit_specimen(
-    specimen: str,
-    handles: Sequence[LogHandle],
-    *,
-    options: FitOptions | None = None,
-    tick: Callable[[str], None] | None = None,
-) -> SpecimenFit:
-    """Identify the contact model of one specimen from its logs, at least one."""
-    return fit_with_state(specimen, handles, options=options, tick=tick).fit
 
 
 def fit_with_state(

@@ -154,10 +154,6 @@ class TissueStepper:
         """Force [N], never negative, after ``dt_s`` s of linear motion to ``depth_mm`` (< 0: in air)."""
         return float(tissue_step_in(self._law, 0, self._state, 0, depth_mm, dt_s))
 
-    def reset(self) -> None:
-        """Tissue at rest."""
-        self._state[:] = 0.0
-
 
 def _of_yardstick(model: Yardstick, theta: FloatArray) -> ServoLaw:
     """Each node an exponential that follows its own curve, or the depth beside a stiffness."""
