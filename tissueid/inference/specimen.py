@@ -22,7 +22,7 @@ from tissueid.inference.quoted import EQUALLY_LONG, depth_test, quoted_numbers, 
 from tissueid.inference.residual_blocks import sandwich_covariance
 from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.second_looks import relaxation_window, settled
-from tissueid.inference.summaries import Look, Summaries, second_pass
+from tissueid.inference.summaries import Known, Look, Summaries, second_pass
 from tissueid.inference.system import Point
 from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
@@ -225,16 +225,14 @@ class _Found:
         found, theta = self.identified, self.identified.law.theta(point.log_times, point.linear)[0]
         here = replace(self.tissue, theta=theta)
         adjustments = adjustments_of(found, self.handles, point)
+        tip = TipOf(self.options.geometry, self.options.header_tip)
         told = second_pass(
             self.handles,
             adjustments,
-            here,
+            Known(here, self.noise, self.options.depths_mm, tip),
             self.tick,
-            noise=self.noise,
             force_of=lambda i, log: force_along(found, self.handles[i], log, i, point),
             looks=looks,
-            depths_mm=self.options.depths_mm,
-            tip=TipOf(self.options.geometry, self.options.header_tip),
         )
         quoted_of = partial(self._quoted, told)
         quoted, said = quoted_of(here) if found.quotable else (None, [])

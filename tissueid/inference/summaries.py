@@ -25,7 +25,7 @@ from tissueid.inference.trials import Adjustment, ResidualTotals, over_force, su
 from tissueid.inference.window import FittedLog
 from tissueid.measured import measure
 from tissueid.measured.cycles import closed_area, cycle_rows
-from tissueid.measured.geometry import NO_TIP, TipOf
+from tissueid.measured.geometry import TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.channels import ChannelModel
 from tissueid.own_process import threads
@@ -140,7 +140,7 @@ MAX_WORKERS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class Known:
     """Facts of the specimen that the summary of each log needs."""
 
     tissue: TissueEstimate
@@ -182,20 +182,16 @@ class _OneLog(NamedTuple):
 def second_pass(
     handles: Sequence[LogHandle],
     adjustments: Sequence[Adjustment],
-    tissue: TissueEstimate,
+    known: Known,
     tick: Callable[[str], None],
     *,
-    noise: NoiseFit,
     force_of: Callable[[int, FittedLog], FloatArray],
     looks: Sequence[Look] = (),
-    depths_mm: Sequence[float] = (),
-    tip: TipOf = NO_TIP,
 ) -> Summaries:
     """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
 
     ``looks``: of an earlier pass over the same logs.
     """
-    known = _Known(tissue, noise, depths_mm, tip)
     workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()
     found: list[_OneLog] = []
@@ -222,7 +218,7 @@ def second_pass(
     )
 
 
-def _look(trial: Trial, segmentation: Segmentation, known: _Known) -> Look:
+def _look(trial: Trial, segmentation: Segmentation, known: Known) -> Look:
     """A recording as it shows itself."""
     return Look(
         cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
@@ -239,7 +235,7 @@ def _one_log(
     fitted: FloatArray,
     adjustment: Adjustment,
     look: Look | None,
-    known: _Known,
+    known: Known,
 ) -> _OneLog:
     """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = known.tissue.model, known.tissue.theta

@@ -19,12 +19,11 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any, Self
 
-from tissueid import __version__
+from tissueid import __version__, extras
 from tissueid.errors import InputError, TissueidError, was_interrupted
 from tissueid.own_process import end_with_parent, one_processor
 
@@ -80,13 +79,9 @@ def unpacked(content: bytes) -> Any:
 @cache
 def versions() -> dict[str, str]:
     """Versions of tissueid, Python and the numeric libraries in this process."""
-    found = {"tissueid": __version__, "python": platform.python_version()}
-    for name in _LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "none"
-    return found
+    none = dict.fromkeys(_LIBRARIES, "none")
+    own = {"tissueid": __version__, "python": platform.python_version()}
+    return {**own, **none, **extras.versions(_LIBRARIES)}
 
 
 def perform(what: str, payload: bytes) -> bytes:
