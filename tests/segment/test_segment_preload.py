@@ -78,3 +78,41 @@ def test_no_hold_no_knowledge_of_what_relaxes():
     assert before == pytest.approx(back.mean(), rel=1e-6)
     assert sd == pytest.approx(back.std(), rel=1e-4)
     assert with_relaxed(0.5, 0.01, 1.0, (2.0, 0.0), 0.0, 10.0) == pytest.approx((0.5, 0.01))
+
+
+def touched(touch_mm: float, *, noise: float, seed: int = 0, film_N: float = 0.0) -> Trial:
+    """Approach of 1 mm/s from 2 mm above the tissue to ``touch_mm``, 8 s of standing, and a push to 5 mm."""
+    time = np.arange(0.0, 30.0, 0.02)
+    times = [0.0, 3.0, 5.0 + touch_mm, 13.0 + touch_mm, 18.0, 30.0]
+    depth = np.interp(time, times, [-2.0, -2.0, touch_mm, touch_mm, DEPTH_MM, DEPTH_MM])
+    into = np.maximum(depth, 0.0)
+    force = sum(a * into ** (k + 1) for k, a in enumerate(STATIC))
+    decay, state = np.exp(-0.02 / 2.0), 0.0
+    branch = np.zeros(time.size)
+    for k, change in enumerate(np.diff(into), start=1):
+        state = decay * state + 2.0 * (1.0 - decay) / 0.02 * change
+        branch[k] = state
+    # a film of liquid under the tool, pressed out while it stands
+    film = np.interp(time, [times[2] - 0.4, times[2], times[2] + 0.5], [0.0, film_N, 0.0])
+    force = force + branch + film
+    rng = np.random.default_rng(seed)
+    force = force + noise * force.max() * rng.normal(size=time.size)
+    return Trial("touch", time, depth + 1e-4 * rng.normal(size=time.size), force)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 2e-3])
+@pytest.mark.parametrize("touch_mm", [-0.5, 0.0, 0.4])
+def test_a_tool_that_stands_where_it_touches_has_shown_air_on_its_way_there(touch_mm, noise):
+    found = [segment(touched(touch_mm, noise=noise, seed=seed)) for seed in range(8)]
+    assert all(one.contact.in_record for one in found)
+    assert not any({"starts_in_contact", "contact_uncertain"} & set(codes(one)) for one in found)
+    errors = np.array([one.contact.displacement_mm for one in found])
+    assert abs(np.median(errors)) < 0.01 * DEPTH_MM
+    assert np.abs(errors).max() < 0.07 * DEPTH_MM
+    kinds = [phase.kind for phase in found[0].phases]
+    assert ("hold" in kinds[:-1]) == (touch_mm > 0.0)
+
+
+def test_a_force_that_is_gone_while_the_tool_stands_is_no_touch():
+    contact = segment(touched(-0.2, noise=1e-3, film_N=1.0)).contact
+    assert abs(contact.displacement_mm) < 0.03 * DEPTH_MM

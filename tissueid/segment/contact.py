@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -122,10 +123,18 @@ REACH_SD = 3.0
 PRELOAD_SD = 4.0
 #: A start is preloaded by more than this share of the force range; less may be the load cell's zero.
 PRELOAD_SHARE = 0.01
+#: Samples shallower than a tool that stands by more than this share of the travel are on its way there.
+STANDING_SHARE = 1e-3
 #: Samples at rest before a ramp that tell what it starts from: after them a start kick tells nothing.
 FEWEST_RESTING = 3
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
+#: A move has touched the tissue before another pushes into it where force has reached this share of its range
+#: and so many noise sd (fewer place the contact worse than the push does), and, while the tool stands in
+#: between, a share of it is left.
+TOUCH_SHARE = 0.005
+TOUCH_SD = 20.0
+STAYING_SHARE = 0.25
 #: Contact sd above this share of the depth is said.
 UNCERTAIN_SHARE = 0.05
 #: Fewest samples of a ramp from which a contact can be found.
@@ -138,53 +147,97 @@ def find_contact(
     force_N: FloatArray,
     loading: list[Piece],
     *,
+    touches: list[Piece],
     noise_N: float,
     signs: tuple[int, int],
     options: SegmentOptions,
 ) -> tuple[Contact | None, list[Flag]]:
-    """The contact on the first loading move that shows it; depth and force grow into the tissue."""
-    compression, force_sign = signs
+    """The contact on the first loading move that shows it; depth and force grow into the tissue.
+
+    ``touches``: moves into the tissue before those of ``loading``, under which force hardly rises.
+    """
     if options.contact_displacement_mm is not None:
         return _given(depth_mm, force_N, signs, options)
     # a single wild reading of travel is no travel
     depth_mm = without_spikes(depth_mm, noise=0.0)
-    move = next((piece for piece in loading if _meets(force_N, piece, noise_N)), None)
-    if move is None:
+    at = next((k for k, piece in enumerate(loading) if _meets(force_N, piece, noise_N)), None)
+    if at is None:
         reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
         message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
         return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
+    move = loading[at]
+    for touch, after in pairwise((*touches, *loading[: at + 1])):
+        if _stays(force_N, touch, after, noise_N):
+            contact = _Approach.of(depth_mm, force_N, touch, first=0, noise_N=noise_N).in_air(signs)
+            if contact is not None:
+                return contact, _uncertain(contact, depth_mm[: move.stop + 1])
     # rest before the move tells the reading in air as well, an earlier move in air too
-    first = 0 if move == loading[0] else move.start
-    u, f = depth_mm[first : move.stop + 1], force_N[first : move.stop + 1]
-    noise = max(noise_N, 1e-6 * float(np.ptp(f)))
-    start_mm = float(np.median(depth_mm[first : move.start + 1]))
-    f = without_kick(f, move.start - first, noise)
-    air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
-    latest = left_air(u, f, air.contact_mm, noise)
-    if latest is not None and latest < air.contact_mm:
-        air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0, latest_mm=latest)
-    in_air = (u < air.contact_mm) & (np.arange(first, move.stop + 1) >= move.start)
-    count = int(in_air.sum())
-    # what the force would have risen by, had the tool been in contact all along, against its noise
-    missing = _least_slope(u, f, air) * (air.contact_mm - start_mm) * np.sqrt(count) / noise
-    least = max(PRELOAD_SD * noise / np.sqrt(max(count, 1)), PRELOAD_SHARE * float(np.ptp(f)))
-    zero = air.baseline_N <= least
-    many = count >= FEWEST_AIR_SAMPLES
-    few = zero and count >= FEWEST_ZERO_SAMPLES and air.contact_mm - start_mm > FEW_AIR_SD * air.sd_mm
-    far = air.at_start < (START_DENSITY if zero else DOUBTFUL_START_DENSITY)
-    flat = missing > (MISSING_RISE_SD if zero else DOUBTFUL_RISE_SD)
-    if far and flat and (many or few) and not rises(f[in_air], f[u >= air.contact_mm], noise):
-        at = first + int(np.argmax((u >= air.contact_mm) & (np.arange(u.size) >= move.start - first)))
-        contact = Contact(
-            index=at,
-            displacement_mm=compression * air.contact_mm,
+    first = move.start if at else 0
+    approach = _Approach.of(depth_mm, force_N, move, first=first, noise_N=noise_N)
+    contact = approach.in_air(signs)
+    if contact is not None:
+        return contact, _uncertain(contact, approach.depth_mm)
+    relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, approach.noise_N)
+    return _start_in_contact(approach, signs=signs, relaxing=relaxing)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Approach:
+    """A move into the tissue behind what stands before it, and its contact if it begins in air."""
+
+    depth_mm: FloatArray
+    force_N: FloatArray
+    noise_N: float
+    begins: int  # sample of the record at which the move begins
+    start: int  # sample of these at which it does
+    air: HingeFit
+
+    @classmethod
+    def of(
+        cls, depth_mm: FloatArray, force_N: FloatArray, move: Piece, *, first: int, noise_N: float
+    ) -> _Approach:
+        """The move behind the record from a sample on."""
+        u, f, start = depth_mm[first : move.stop + 1], force_N[first : move.stop + 1], move.start - first
+        noise = max(noise_N, 1e-6 * float(np.ptp(f)))
+        f = without_kick(f, start, noise)
+        shallower = u[:start] < u[start] - STANDING_SHARE * float(np.ptp(u))
+        if shallower.any():
+            # the tool stands where it may touch, and what it touches relaxes: the way there tells more
+            kept = np.append(shallower, np.ones(u.size - start, dtype=np.bool_))
+            u, f, start = u[kept], f[kept], int(shallower.sum())
+        air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
+        latest = left_air(u, f, air.contact_mm, noise)
+        if latest is not None and latest < air.contact_mm:
+            air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0, latest_mm=latest)
+        return cls(u, f, noise, move.start, start, air)
+
+    def in_air(self, signs: tuple[int, int]) -> Contact | None:
+        """The contact, where samples before it show air."""
+        u, f, air, noise = self.depth_mm, self.force_N, self.air, self.noise_N
+        moved = np.arange(u.size) >= self.start
+        # a tool may stand where it touches: what lies shallower, on its way there, is air as well
+        shallower = u < u[self.start] - STANDING_SHARE * float(np.ptp(u))
+        in_air = (u < air.contact_mm) & (moved | shallower)
+        count = int(in_air.sum())
+        start_mm = float(np.median(u[: self.start + 1]))
+        start_mm = min(start_mm, float(u[in_air].min(initial=start_mm)))
+        # what the force would have risen by, had the tool been in contact all along, against its noise
+        missing = _least_slope(u, f, air) * (air.contact_mm - start_mm) * np.sqrt(count) / noise
+        least = max(PRELOAD_SD * noise / np.sqrt(max(count, 1)), PRELOAD_SHARE * float(np.ptp(f)))
+        zero = air.baseline_N <= least
+        many = count >= FEWEST_AIR_SAMPLES
+        few = zero and count >= FEWEST_ZERO_SAMPLES and air.contact_mm - start_mm > FEW_AIR_SD * air.sd_mm
+        far = air.at_start < (START_DENSITY if zero else DOUBTFUL_START_DENSITY)
+        flat = missing > (MISSING_RISE_SD if zero else DOUBTFUL_RISE_SD)
+        if not (far and flat and (many or few)) or rises(f[in_air], f[u >= air.contact_mm], noise):
+            return None
+        return Contact(
+            index=self.begins + int(np.argmax(u[self.start :] >= air.contact_mm)),
+            displacement_mm=signs[0] * air.contact_mm,
             sd_mm=air.sd_mm,
-            baseline_N=force_sign * _reading_in_air(u, f, air, noise),
+            baseline_N=signs[1] * _reading_in_air(u, f, air, noise),
             in_record=True,
         )
-        return contact, _uncertain(contact, u)
-    relaxing = relaxing_stiffness((time_s, depth_mm, force_N), move, noise)
-    return _start_in_contact(u, f, air, noise_N=noise, signs=signs, relaxing=relaxing)
 
 
 def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
@@ -195,6 +248,17 @@ def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
     edge = max(1, force.size // 10)
     rise = float(force[-edge:].mean() - force[:edge].mean())
     return rise > CONTACT_SD * noise_N / np.sqrt(edge) and rise > 0.05 * float(np.ptp(force_N))
+
+
+def _stays(force_N: FloatArray, touch: Piece, after: Piece, noise_N: float) -> bool:
+    """True where a tool stands, before it pushes, under a force that a move has met, and no drag or kick."""
+    standing = force_N[touch.stop + 1 : after.start + 1]
+    if standing.size < FEWEST_RESTING or touch.stop - touch.start < FEWEST_SAMPLES:
+        return False
+    air = float(np.median(force_N[: touch.start + 1]))
+    reached, left = float(force_N[touch.stop]) - air, float(np.median(standing)) - air
+    least = max(TOUCH_SHARE * float(np.ptp(force_N)), TOUCH_SD * noise_N)
+    return reached > least and left > STAYING_SHARE * reached
 
 
 def _least_slope(u: FloatArray, f: FloatArray, air: HingeFit) -> float:
@@ -252,19 +316,14 @@ def _given(
 
 def _resting(u: FloatArray) -> int:
     """Samples before the tool moves, at least one."""
-    return max(1, int(np.argmin(u <= u[0] + 1e-3 * float(u.max() - u[0]))))
+    return max(1, int(np.argmin(u <= u[0] + STANDING_SHARE * float(u.max() - u[0]))))
 
 
 def _start_in_contact(
-    u: FloatArray,
-    f: FloatArray,
-    air: HingeFit,
-    *,
-    noise_N: float,
-    signs: tuple[int, int],
-    relaxing: float | None,
+    approach: _Approach, *, signs: tuple[int, int], relaxing: float | None
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
+    u, f, air, noise_N = approach.depth_mm, approach.force_N, approach.air, approach.noise_N
     compression, force_sign = signs
     start = float(u[0])
     few = _resting(u)

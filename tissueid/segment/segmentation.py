@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -169,11 +169,11 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
     locate = partial(_lasting, path, quiet_stretches(time_s, force, found), locate)
     moves = _whole(path, found, breaks=options.rupture)
-    contact, contact_flags = locate(moves, _shallow_from(path, moves))
+    contact, contact_flags = locate(moves, moves.shallow_from(path))
     if contact is None and options.rupture:
         # a swing of correlated noise in air may have been taken for a break that ends the move
         moves = _whole(path, found, breaks=False)
-        contact, contact_flags = locate(moves, _shallow_from(path, moves))
+        contact, contact_flags = locate(moves, moves.shallow_from(path))
     surface = Surface.of(contact, depth, compression)
     creep = partial(held_from, path)
     phases = name_phases(path, found, surface, creeps=creep)
@@ -199,6 +199,22 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
 
 
+@dataclass(frozen=True, slots=True)
+class _Moves:
+    """Moves that may show the tissue's surface, each up to where it breaks."""
+
+    meeting: list[Piece]  # from the first that meets the tissue
+    before: list[Piece]  # that may have touched it
+
+    def shallow_from(self, path: Path) -> int:
+        """Sample from which the tool stays shallower than the first will take it: records may begin deep."""
+        if not self.meeting:
+            return 0
+        first = self.meeting[0]
+        deeper = np.flatnonzero(path.depth_mm[: first.start] >= path.depth_mm[first.stop])
+        return int(deeper[-1]) + 1 if deeper.size else 0
+
+
 def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tuple[Phase, ...]:
     """Phases of which no standstill after a break is a hold: what broke can't relax."""
     broken = [e.index for e in events if e.kind == "rupture" and e.values["drop_fraction"] >= BROKEN_SHARE]
@@ -206,14 +222,6 @@ def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tup
     if first is None:
         return phases
     return tuple(replace(p, kind="rest") if p.kind == "hold" and p.start > first else p for p in phases)
-
-
-def _shallow_from(path: Path, moves: list[Piece]) -> int:
-    """From where on the tool stays shallower than the first move will take it: the record may begin deep."""
-    if not moves:
-        return 0
-    deeper = np.flatnonzero(path.depth_mm[: moves[0].start] >= path.depth_mm[moves[0].stop])
-    return int(deeper[-1]) + 1 if deeper.size else 0
 
 
 def _shows_depths(depth: FloatArray) -> bool:
@@ -225,22 +233,25 @@ def _lasting(
     path: Path,
     quiet: list[FloatArray],
     locate: Callable[..., tuple[Contact | None, list[Flag]]],
-    moves: list[Piece],
+    moves: _Moves,
     start: int,
 ) -> tuple[Contact | None, list[Flag]]:
     """Contact on the moves from a sample on, and on what the record shows before them from there.
 
     The noise is that which lasts over many samples, as standstills show it, else the air.
     """
-    later = [
-        Piece(1, piece.start - start, piece.stop - start)
-        for piece in moves
-        if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
-    ]
+    touches, later = (
+        [
+            Piece(1, piece.start - start, piece.stop - start)
+            for piece in some
+            if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
+        ]
+        for some in (moves.before, moves.meeting)
+    )
     record = [values[start:] for values in (path.time_s, path.depth_mm, path.force_N)]
 
     def located(ratio: float) -> tuple[Contact | None, list[Flag]]:
-        contact, flags = locate(*record, later, noise_N=path.noise_N * ratio)
+        contact, flags = locate(*record, later, touches=touches, noise_N=path.noise_N * ratio)
         return (None if contact is None else replace(contact, index=contact.index + start)), flags
 
     contact, flags = located(long_run_ratio(quiet))
@@ -252,26 +263,28 @@ def _lasting(
     return (contact, flags) if ratio == 1.0 else located(ratio)
 
 
-def _whole(path: Path, found: list[Piece], *, breaks: bool) -> list[Piece]:
-    """Moves that may show the tissue's surface: from the first that meets it, up to where it breaks."""
+def _whole(path: Path, found: list[Piece], *, breaks: bool) -> _Moves:
+    """Moves into the tissue up to where it breaks, those before any has met it apart."""
     loading = [piece for piece in found if piece.direction > 0]
     if not loading:
-        return []
+        return _Moves([], [])
     force, start = path.force_N, loading[0].start
     zero = (float(path.depth_mm[start]), float(np.median(force[: max(start, FEWEST_SAMPLES)])))
     breaking = ruptures(path, loading, zero) if breaks else ()
     broken = [event.index for event in breaking if event.kind == "rupture"]
     least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
     met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
-    return [
+    moves = [
         replace(
             piece,
             stop=min(
                 [_straight_until(path, piece), *(at for at in broken if piece.start < at <= piece.stop)]
             ),
         )
-        for piece in loading[met[0] if met else 0 :]
+        for piece in loading
     ]
+    first = met[0] if met else 0
+    return _Moves(moves[first:], moves[:first])
 
 
 def _straight_until(path: Path, move: Piece) -> int:
