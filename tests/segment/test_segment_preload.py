@@ -116,3 +116,10 @@ def test_a_tool_that_stands_where_it_touches_has_shown_air_on_its_way_there(touc
 def test_a_force_that_is_gone_while_the_tool_stands_is_no_touch():
     contact = segment(touched(-0.2, noise=1e-3, film_N=1.0)).contact
     assert abs(contact.displacement_mm) < 0.03 * DEPTH_MM
+
+
+def test_a_touch_near_its_noise_leaves_the_contact_to_the_push():
+    found = [segment(touched(1.0, noise=0.01, seed=seed)).contact for seed in range(8)]
+    scores = np.array([one.displacement_mm / one.sd_mm for one in found])
+    assert np.abs(scores).max() < 2.0
+    assert max(abs(one.displacement_mm) for one in found) < 0.1 * DEPTH_MM

@@ -160,7 +160,10 @@ def find_contact(
         return _given(depth_mm, force_N, signs, options)
     # a single wild reading of travel is no travel
     depth_mm = without_spikes(depth_mm, noise=0.0)
-    at = next((k for k, piece in enumerate(loading) if _meets(force_N, piece, noise_N)), None)
+    meeting = [k for k, piece in enumerate(loading) if _meets(force_N, piece, noise_N)]
+    # a later move tells more than one under which force rises little above its noise
+    clear = [k for k in meeting if force_N[loading[k].stop] - force_N[loading[k].start] > TOUCH_SD * noise_N]
+    at = min(clear or meeting, default=None)
     if at is None:
         reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
         message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
