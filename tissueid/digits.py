@@ -66,7 +66,7 @@ def together(values: Sequence[float], sd: float | None) -> list[str]:
     power = _power(largest) if largest > 0.0 else 0
     if 0.0 < largest < SMALL:
         scaled = together([value / 10.0**power for value in values], sd / 10.0**power)
-        return [text + power_of_ten(power) for text in scaled]
+        return [text + power_of_ten(power) if text.strip("−0.") else "0" for text in scaled]
     places = ERROR_DIGITS - 1 - _power(sd)
     if places < 0 or places > _MOST_DECIMALS:
         return [number(value) for value in values]

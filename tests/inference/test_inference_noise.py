@@ -17,14 +17,18 @@ from tissueid.inference.evidence import (
     LogEvidence,
     NoiseVerdict,
     _quiet,
+    log_evidence,
     scan_memory,
     verdict_on_noise,
 )
 from tissueid.inference.noise import Memory, whitener
 from tissueid.inference.optimum import Noise
 from tissueid.inference.specimen import fit_with_state
+from tissueid.inference.window import fitted_log
+from tissueid.segment import segment
 from tissueid.signal_noise import white_noise_sd
 from tissueid.synth import Hold, Log, Move
+from tissueid.trial import Trial
 
 STEP = 0.01
 
@@ -281,3 +285,19 @@ def test_one_branch_on_meat_misses_more_than_noise_in_nine_of_ten_sheets(shared_
         said.append(any(flag.code == "discrepancy" for flag in found.flags))
     sys.stdout.write(f"\none branch on {len(said)} sheets: {sum(said)} miss more than the noise\n")
     assert sum(said) >= 0.9 * len(said)
+
+
+def test_the_corner_of_the_retract_is_no_noise_of_the_hold() -> None:
+    sigma, time = 1e-4, np.arange(0.0, 40.0, 0.1)
+    # the tool turns back between two samples
+    times = [0.0, 5.0, 10.0, 30.04, 32.0, 40.0]
+    depth = np.interp(time, times, [-1.0, -1.0, 3.0, 3.0, -1.0, -1.0])
+    into, held = np.maximum(depth, 0.0), np.clip(time - 10.0, 0.0, None)
+    force = into * (1.0 + 0.2 * np.exp(-held / 2.0))
+    force += sigma * np.random.default_rng(2).standard_normal(time.size)
+    trial = Trial("cut", time, depth, force)
+    segmentation = segment(trial)
+    log = fitted_log(trial, segmentation)
+    assert log is not None
+    (stretch,) = log_evidence(trial, segmentation, log).quiet
+    assert np.std(stretch.left_N) == pytest.approx(sigma, rel=0.2)
