@@ -17,6 +17,8 @@ NORMAL_SD_OVER_MEDIAN = 1.482602218505602
 FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
+#: Fewer changes are those of a signal that hardly moves: the few samples of a quick step are no digits.
+FEWEST_CHANGES = 8
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
@@ -24,10 +26,10 @@ EQUAL_STEP = 0.01
 
 
 def quantum(values: FloatArray) -> float:
-    """Step of a quantised signal, in its unit; 0 where values hardly repeat, or small changes differ."""
+    """Step of a quantised signal, in its unit; 0 where values hardly repeat or change, or small changes differ."""
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]
-    if moved.size == 0 or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
+    if moved.size < FEWEST_CHANGES or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
     count = max(1, moved.size // 10)
     smallest = np.partition(moved, count - 1)[:count]

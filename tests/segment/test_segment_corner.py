@@ -164,3 +164,10 @@ def test_two_samples_of_one_ramp_place_no_corner_far_along_it():
         path = Path(time_s, depth, depth, 0.0, 1e-3, 1e-3)
         found.append(corner_near(path, 0, (0, 99), stands=(False, False)))
     assert max(found) <= 1
+
+
+def test_a_crosshead_that_creeps_on_in_its_hold_overshoots_nothing() -> None:
+    time, depth = path()
+    found = divided(time, depth + 0.01 * np.clip(time - CORNER_S, 0.0, None))
+    assert "corner_overshoot" not in codes(found)
+    assert only(found).overshoot_mm == 0.0

@@ -70,3 +70,17 @@ def test_a_single_sample_far_off_parts_no_ramp(value: float) -> None:
     assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
     assert found.contact is not None
     assert found.contact.displacement_mm == pytest.approx(CONTACT_MM, abs=0.02)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5])
+def test_a_step_of_few_samples_and_its_hold_are_told(samples: int) -> None:
+    time = np.arange(0.0, 12.0, 0.01)
+    travel = np.interp(time, [1.0, 1.0 + 0.01 * samples], [-0.5, 4.0])
+    held = np.maximum(time - 1.0, 0.0)
+    force = 2.0 * np.maximum(travel, 0.0) * (0.6 + 0.4 * np.exp(-held / 2.0))
+    force += np.random.default_rng(4).normal(0.0, 0.01, time.size)
+    found = segment(Trial("step", time, travel, force))
+    assert [phase.kind for phase in found.phases] == ["approach", "ramp", "hold"]
+    assert found.phases[-1].start_s == pytest.approx(1.0, abs=0.011 * samples + 0.011)
+    assert found.contact is not None
+    assert abs(found.contact.displacement_mm) < 2.5 * found.contact.sd_mm

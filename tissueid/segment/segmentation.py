@@ -241,13 +241,12 @@ def _lasting(
     The noise is that which lasts over many samples, as standstills show it, else the air.
     """
     touches, later = (
-        [
-            Piece(1, piece.start - start, piece.stop - start)
-            for piece in some
-            if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
-        ]
+        [Piece(1, piece.start - start, piece.stop - start) for piece in some if piece.start >= start]
         for some in (moves.before, moves.meeting)
     )
+    shown = [piece for piece in later if _shows_depths(path.depth_mm[start:][piece.start : piece.stop + 1])]
+    # a step between two samples is looked at where nothing else is: what follows it is a hold all the same
+    later = shown or later
     record = [values[start:] for values in (path.time_s, path.depth_mm, path.force_N)]
 
     def located(ratio: float) -> tuple[Contact | None, list[Flag]]:

@@ -187,7 +187,10 @@ def _corner(path: Path, at: tuple[int, Phase, Phase]) -> Corner:
     overshoot, swings, period = 0.0, 0, None
     if after.kind in STANDING:
         later = t >= meet
-        overshoot = float(beyond.max()) if beyond.max() > path.tolerance_mm else 0.0
+        # a crosshead that creeps on in its hold ends beyond the level, and overshot nothing
+        early = t <= 0.5 * (after.start_s + after.end_s)
+        most, end = float(beyond[early].max()), float(beyond[~early].max(initial=0.0))
+        overshoot = most if most > max(end, path.tolerance_mm) else 0.0
         swings, period = _ringing(t[later], beyond[later], path.tolerance_mm)
     duration = max(float(t[settles] - t[leaves]), 0.0)
     if swings < 2:
