@@ -168,6 +168,6 @@ def test_two_samples_of_one_ramp_place_no_corner_far_along_it():
 
 def test_a_crosshead_that_creeps_on_in_its_hold_overshoots_nothing() -> None:
     time, depth = path()
-    found = divided(time, depth + 0.01 * np.clip(time - CORNER_S, 0.0, None))
+    found = divided(time, depth + 0.003 * np.clip(time - CORNER_S, 0.0, None))
     assert "corner_overshoot" not in codes(found)
     assert only(found).overshoot_mm == 0.0

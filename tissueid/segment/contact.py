@@ -364,6 +364,10 @@ def _start_in_contact(
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
         sd = float(np.hypot(sd, contact_mm - start))
+        step = float(u[min(few, u.size - 1)]) - start
+        if few >= FEWEST_RESTING and step > UNCERTAIN_SHARE * float(np.ptp(u)):
+            # a tool that stands and then jumps may have met the tissue anywhere on its way
+            sd = float(np.hypot(sd, step / np.sqrt(3.0)))
         contact = Contact(
             index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
         )
