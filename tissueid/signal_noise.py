@@ -17,19 +17,20 @@ NORMAL_SD_OVER_MEDIAN = 1.482602218505602
 FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
-#: Fewer changes are those of a signal that hardly moves: the few samples of a quick step are no digits.
-FEWEST_CHANGES = 8
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
 EQUAL_STEP = 0.01
 
 
-def quantum(values: FloatArray) -> float:
-    """Step of a quantised signal, in its unit; 0 where values hardly repeat or change, or small changes differ."""
+def quantum(values: FloatArray, *, fewest: int = 1) -> float:
+    """Step of a quantised signal, in its unit; 0 where values hardly repeat, or small changes differ.
+
+    ``fewest``: changes that show one.
+    """
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]
-    if moved.size < FEWEST_CHANGES or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
+    if moved.size < fewest or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
     count = max(1, moved.size // 10)
     smallest = np.partition(moved, count - 1)[:count]
@@ -39,8 +40,11 @@ def quantum(values: FloatArray) -> float:
     return step if 2 * int(alike.sum()) >= count else 0.0
 
 
-def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:
-    """Standard deviation of the white part of a signal's noise, in its unit; 0 below three samples."""
+def white_noise_sd(time_s: FloatArray, values: FloatArray, *, fewest: int = 1) -> float:
+    """Standard deviation of the white part of a signal's noise, in its unit; 0 below three samples.
+
+    ``fewest``: changes that show the step of a quantised signal.
+    """
     if values.size < 3:
         return 0.0
     step = np.diff(time_s)
@@ -54,7 +58,7 @@ def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:
         # few samples on a curved ramp: the fourth difference is blind to a cubic
         fourth = np.diff(values, n=4) / np.sqrt(FOURTH_DIFFERENCE_VARIANCE)
         estimates.append(NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(fourth))))
-    return max(min(estimates), quantum(values) / float(np.sqrt(12.0)))
+    return max(min(estimates), quantum(values, fewest=fewest) / float(np.sqrt(12.0)))
 
 
 #: A spike stands off the line between its neighbours by so many noise sd ...

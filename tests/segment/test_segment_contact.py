@@ -287,3 +287,17 @@ def test_a_specimen_that_pulls_from_the_start_is_no_drift() -> None:
         1000.0 * x + 1000.0 * np.maximum(x - 0.12, 0.0) + np.random.default_rng(3).normal(0.0, 0.5, time.size)
     )
     assert "baseline_drift" not in codes(segment(Trial("s", time, x, force)))
+
+
+@pytest.mark.parametrize("step_N", [0.05, 0.2, 0.5])
+def test_digits_without_noise_are_no_noise_and_part_of_the_contact_s_sd(step_N):
+    time_s = np.arange(0.0, 30.0, 0.01)
+    travel = np.interp(time_s, [0.0, 5.0], [-1.0, 4.0])
+    depth = np.maximum(travel, 0.0)
+    held = np.maximum(time_s - 5.0, 0.0)
+    force = (1.0 * depth + 0.1 * depth**2) * (0.7 + 0.3 * np.exp(-held / 2.0))
+    contact = segment(Trial("steps", time_s, travel, np.round(force / step_N) * step_N)).contact
+    assert contact is not None
+    assert contact.in_record
+    assert abs(contact.displacement_mm) < 2.5 * contact.sd_mm
+    assert contact.sd_mm < 0.3 * step_N + 0.02

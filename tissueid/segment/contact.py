@@ -9,11 +9,11 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.hinge import HingeFit, fit_contact
+from tissueid.segment.hinge import STEP, HingeFit, fit_contact
 from tissueid.segment.motion import Piece, slope_of
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.preload import relaxing_stiffness, with_relaxed
-from tissueid.signal_noise import without_spikes
+from tissueid.signal_noise import quantum, without_spikes
 from tissueid.trial import Contact
 
 #: Force has left the reading in air beyond so many sd of its own scatter there.
@@ -135,6 +135,8 @@ CONTACT_SD = 6.0
 TOUCH_SHARE = 0.005
 TOUCH_SD = 20.0
 STAYING_SHARE = 0.25
+#: Share of readings in air that repeat the last where its noise does not cross the steps of its digits.
+STEADY_SHARE = 0.9
 #: Contact sd above this share of the depth is said.
 UNCERTAIN_SHARE = 0.05
 #: Fewest samples of a ramp from which a contact can be found.
@@ -237,7 +239,7 @@ class _Approach:
         return Contact(
             index=self.begins + int(np.argmax(u[self.start :] >= air.contact_mm)),
             displacement_mm=signs[0] * air.contact_mm,
-            sd_mm=air.sd_mm,
+            sd_mm=float(np.hypot(air.sd_mm, _digits(f[in_air], quantum(f)) / _least_slope(u, f, air))),
             baseline_N=signs[1] * _reading_in_air(u, f, air, noise),
             in_record=True,
         )
@@ -262,6 +264,12 @@ def _stays(force_N: FloatArray, touch: Piece, after: Piece, noise_N: float) -> b
     reached, left = float(force_N[touch.stop]) - air, float(np.median(standing)) - air
     least = max(TOUCH_SHARE * float(np.ptp(force_N)), TOUCH_SD * noise_N)
     return reached > least and left > STAYING_SHARE * reached
+
+
+def _digits(air_N: FloatArray, quantum_N: float) -> float:
+    """Standard deviation of a force by the step of its digits, where no noise averages it out [N]."""
+    steady = air_N.size > 1 and float(np.mean(np.diff(air_N) == 0.0)) > STEADY_SHARE
+    return quantum_N / STEP if steady else 0.0
 
 
 def _least_slope(u: FloatArray, f: FloatArray, air: HingeFit) -> float:

@@ -30,6 +30,8 @@ LEFT = 1.0
 LARGEST = 0.95
 #: Residuals below this share of the step of a quantised signal show the step, no noise.
 COARSE = 0.5
+#: Share of a force that its rounding leaves.
+ROUNDING = 1e-9
 
 
 def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Piece]) -> list[FloatArray]:
@@ -55,7 +57,9 @@ def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
     basis, _ = np.linalg.qr(slow)
     left = force_N - basis @ (basis.T @ force_N)
     sd = float(np.sqrt(left @ left / (left.size - SLOW_POWERS - 1)))
-    return np.asarray(left) if sd > COARSE * quantum(force_N) and sd > 0.0 else None
+    # of a force that stands still rounding alone is left
+    least = max(COARSE * quantum(force_N), ROUNDING * float(np.abs(force_N).max()))
+    return np.asarray(left) if sd > least else None
 
 
 def long_run_ratio(stretches: Sequence[FloatArray]) -> float:

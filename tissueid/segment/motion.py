@@ -199,6 +199,8 @@ HOLD_DRIFT = 0.01
 STAND_SPEED = 0.03
 #: Two moves in one direction are told apart where their speeds differ by this factor.
 SPEED_RATIO = 2.0
+#: Fewer changes of the displacement are samples of a quick step, and no steps of its digits.
+FEWEST_CHANGES = 8
 #: Fewer samples than this at another speed are a start or a stop, not a move of their own.
 MOVE_SAMPLES = 5
 #: ... and a slower stretch up to this long is a crosshead that stops or starts [s], as is ...
@@ -232,9 +234,14 @@ class Piece:
         return self.travel_mm(path) / max(self.took_s(path), 1e-300)
 
 
+def travel_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
+    """White noise of a displacement [mm]: the few samples of a quick step are no steps of its digits."""
+    return white_noise_sd(time_s, depth_mm, fewest=FEWEST_CHANGES)
+
+
 def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
     """Largest distance from a straight line that noise and steps of the displacement explain [mm]."""
-    noise = white_noise_sd(time_s, depth_mm)
+    noise = travel_noise(time_s, depth_mm)
     if depth_mm.size >= FEWEST_FOR_SPREAD:
         # the median of a quantised signal is one of its steps; a trimmed mean square knows no steps
         bend = np.diff(depth_mm, n=2) ** 2 / SECOND_DIFFERENCE_VARIANCE
@@ -242,7 +249,11 @@ def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
         noise = max(noise, float(np.sqrt(inner.mean() / TRIMMED_VARIANCE)))
     moving = _moving(depth_mm)
     noise = max(noise, _timing_noise(time_s, depth_mm, moving))
-    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm), 1.01 * _held_step(depth_mm, moving))
+    return max(
+        NOISE_REACH * noise,
+        1.01 * quantum(depth_mm, fewest=FEWEST_CHANGES),
+        1.01 * _held_step(depth_mm, moving),
+    )
 
 
 def _moving(depth_mm: FloatArray) -> NDArray[np.bool_]:

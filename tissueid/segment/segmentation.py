@@ -21,7 +21,7 @@ from tissueid.segment.endings import (
     pull_off,
 )
 from tissueid.segment.memory import long_run_ratio, quiet_stretches, without_slow
-from tissueid.segment.motion import Path, Piece, leaves_line, pieces
+from tissueid.segment.motion import Path, Piece, leaves_line, pieces, travel_noise
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
@@ -163,7 +163,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
         few = _nothing(message, time_s.size, float(np.ptp(depth)))
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
-    depth = without_spikes(depth, noise=white_noise_sd(time_s, depth))
+    depth = without_spikes(depth, noise=travel_noise(time_s, depth))
     path = Path.of(time_s, depth, force, noise)
     found = placed_stops(path, settled(path, pieces(path), options))
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
