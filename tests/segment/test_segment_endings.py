@@ -84,6 +84,24 @@ def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None
     assert {"load_limit_stop", "no_hold"} <= codes(found)
 
 
+@pytest.mark.parametrize("steps", [1, 3])
+def test_creep_that_begins_fast_is_told_from_the_ramp_at_every_load(steps: int) -> None:
+    time, depth, force = np.arange(0.0, 31.0 * steps, 0.02), 0.0, 0.0
+    for start in 31.0 * np.arange(steps):
+        ramp = np.clip(time - start, 0.0, 1.0)
+        depth = depth + ramp - 0.7 * np.expm1(-np.maximum(time - start - 1.0, 0.0) / 2.0)
+        force = force + 2.0 * ramp
+    noise = 0.01 * np.random.default_rng(8).standard_normal(time.size)
+    found = segment(Trial("creep", time, depth, force + noise))
+    assert kinds(found) == ["ramp", "creep"] * steps
+    assert [one.start_s for one in found.phases if one.kind == "creep"] == pytest.approx(
+        31.0 * np.arange(steps) + 1.0, abs=0.05
+    )
+    assert [one.speed_mm_s for one in found.phases if one.kind == "ramp"] == pytest.approx(
+        [1.0] * steps, rel=0.02
+    )
+
+
 def test_an_elastic_tissue_at_a_held_depth_is_a_hold() -> None:
     found = segment(drawn([0, 4, 30], [0, 4, 4]))
     assert kinds(found) == ["ramp", "hold"]

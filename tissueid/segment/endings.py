@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import Path, Piece, corner_near, slope_of
+from tissueid.segment.motion import HOLD_DRIFT, Path, Piece, corner_near, corners, slope_of
 from tissueid.signal_noise import running_median
 from tissueid.trial import Event, Phase, Protocol
 
@@ -116,8 +117,8 @@ HELD_MOST = 0.95
 #: A machine stops at a stated force once it is read: the end of the ramp lies between these shares of it.
 LIMIT_FROM, LIMIT_TO = 0.97, 1.1
 FEWEST_AT_LIMIT = 5
-#: Fewest samples of the ramp's end whose slope leads to the held load; a tenth of the ramp is taken.
-LEAD_SAMPLES = 20
+#: Fewest samples of a held load.
+FEWEST_HELD = 20
 #: Samples of the reading in air after a pull, which exceeds so many noise sd and a share of the range.
 PULL_SAMPLES, PULL_SD, PULL_SHARE = 5, 6.0, 0.01
 #: Loops that turn at one force: fewest of them, and how many times more their depths let it vary.
@@ -149,32 +150,70 @@ def pull_off(path: Path, *, surface_mm: float) -> list[Flag]:
     return [Flag("adhesion", words, {"pull_N": pull})]
 
 
-def held_from(path: Path, ramp: Piece, slow: Piece) -> int | None:
-    """From where the load is held while the tool creeps, if a slow move after a ramp is creep."""
+@dataclass(frozen=True, slots=True)
+class Held(Piece):
+    """A stretch in which the load is held while the tool creeps on; its direction is that of a standstill."""
+
+
+def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
+    """Moves and standstills, of which none goes on through a held load."""
+    for held in _held_loads(path, found):
+        before = [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
+        if len(before) > 1 and before[-1].stop - before[-1].start < FEWEST_HELD:  # rest of a rounded corner
+            before[-2:] = [replace(before[-2], stop=held.start)]
+        after = [replace(one, start=max(one.start, held.stop)) for one in found if one.stop > held.stop]
+        found = [*before, held, *after]
+    return found
+
+
+def _held_loads(path: Path, found: list[Piece]) -> list[Held]:
+    """Stretches of level force behind a rise in which the tool sinks in, slower than it came."""
+    force = running_median(path.force_N)
+    within = max(HELD_SHARE * float(np.ptp(force)), HELD_SD * path.noise_N)
+    knots = corners(path.time_s, force, tolerance=within).tolist()
+    edges = np.array([one.start for one in found] + [path.time_s.size - 1])
+    held: list[Held] = []
+    rises: int | None = None
+    for start, stop in pairwise(knots):
+        if rises is not None and _is_held(path, rises, Piece(0, start, stop)):
+            one = _placed(path, rises, Held(0, start, stop), edges)
+            held += [one] if _is_held(path, rises, one) else []
+        rising = force[stop] - force[start] > within
+        if rising and rises is None:
+            rises = start
+        elif not rising and stop - start >= FEWEST_HELD:
+            rises = None
+    return held
+
+
+def _placed(path: Path, rises: int, held: Held, edges: NDArray[np.intp]) -> Held:
+    """A held load between its corners: the path, which slows down there, places them better."""
+    reach = max(held.start - rises, FEWEST_HELD) // 4
+    around = max(rises + 1, held.start - reach), min(held.stop - 1, held.start + reach)
+    end = int(edges[np.argmin(np.abs(edges - held.stop))])
+    return Held(
+        0,
+        corner_near(path, held.start, around, stands=(False, False)),
+        end if abs(end - held.stop) <= reach else held.stop,
+    )
+
+
+def _is_held(path: Path, rises: int, slow: Piece) -> bool:
+    """True where the load is held while the tool creeps, behind a rise from a sample on."""
+    ramp = Piece(1, rises, slow.start)
     ramp_s, slow_s = ramp.took_s(path), slow.took_s(path)
-    if not (ramp_s > 0.0 and slow_s > 0.0):
-        return None
-    ramp_mm, slow_mm = ramp.travel_mm(path), slow.travel_mm(path)
-    held = path.force_N[slow.start + (slow.stop - slow.start) // 10 : slow.stop + 1]
+    if slow.stop - slow.start < FEWEST_HELD or not (ramp_s > 0.0 and slow_s > 0.0):
+        return False
+    late = Piece(0, slow.start + (slow.stop - slow.start) // 10, slow.stop)  # behind a slow stop
+    held = path.force_N[late.start : late.stop + 1]
     level = float(np.median(held))
-    rise = level - float(np.median(path.force_N[ramp.start : ramp.start + 5]))
+    rise = level - float(np.median(path.force_N[rises : rises + 5]))
     within = max(HELD_SHARE * rise, HELD_SD * path.noise_N)
     constant = float(np.mean(np.abs(held - level) <= within)) >= HELD_MOST
-    if rise <= within or not constant or slow_mm / slow_s >= CREEP_SPEED * ramp_mm / ramp_s:
-        return None
-    below = np.flatnonzero(running_median(path.force_N[ramp.start : slow.start + 1]) < level - within)
-    last = ramp.start + int(below[-1]) if below.size else slow.start
-    # the last of the way to the held load is drawn as a straight line
-    lead = slice(max(ramp.start, last - max(LEAD_SAMPLES, (last - ramp.start) // 10)), last + 1)
-    time, force = path.time_s[lead], path.force_N[lead]
-    slope, _ = slope_of(time, force)
-    meets = float(time.mean()) + (level - float(force.mean())) / slope if slope > 0.0 else 0.0
-    at = int(np.searchsorted(path.time_s, meets)) if meets > path.time_s[last] else last + 1
-    at = min(max(at, ramp.start + 2), slow.stop - 1)
-    # the tool slows down there: its path places the corner better than the force
-    reach = max(at - ramp.start, 4) // 4
-    low, high = max(ramp.start + 1, at - reach), min(slow.stop - 1, at + reach)
-    return corner_near(path, at, (low, high), stands=(False, False))
+    ramp_mm = ramp.travel_mm(path)
+    creeps = late.travel_mm(path) > max(HOLD_DRIFT * ramp_mm, path.tolerance_mm)
+    slower = slow.travel_mm(path) / slow_s < CREEP_SPEED * ramp_mm / ramp_s
+    return rise > within and constant and creeps and slower
 
 
 def aborts(path: Path, phases: tuple[Phase, ...], protocol: Protocol) -> list[Event]:

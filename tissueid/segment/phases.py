@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.segment.endings import Held
 from tissueid.segment.motion import SPEED_RATIO, Path, Piece, corner_near, leaves_line
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
@@ -155,12 +155,10 @@ def name_phases(
     found: list[Piece],
     surface: Surface,
     *,
-    creeps: Callable[[Piece, Piece], int | None],
     again: Contact | None = None,
 ) -> tuple[Phase, ...]:
     """Name each settled piece; neighbours share their corner sample, together they cover the recording.
 
-    ``creeps(ramp, slow move)``: sample from which the load was held while the tool crept, or ``None``;
     ``again``: where the tool met the tissue again, on a later ramp.
     """
     loops = _loops(path, found, surface)
@@ -179,15 +177,6 @@ def name_phases(
         if touch is not None and touch > found[k].start and not (looped and after_cycle):
             named.append(("approach", Piece(1, piece.start, touch), None))
             piece = replace(piece, start=touch)
-        # the end of creep is as good as still, and no hold while the load is what is held
-        may_creep = kind == "ramp" or (kind == "hold" and named[-1][0] == "creep")
-        crept = _creep_start(found[k], named, creeps) if may_creep else None
-        if crept is not None:
-            while named[-1][1].start >= crept:  # slow moves that were taken for ramps before
-                named.pop()
-            before = named[-1]
-            named[-1] = (before[0], replace(before[1], stop=crept), before[2])
-            kind, piece = "creep", replace(found[k], start=crept)
         named.append((kind, piece, peak))
         k += 2 if looped else 1
     return tuple(_phase(path, kind, piece, peak) for kind, piece, peak in named)
@@ -226,7 +215,7 @@ def _touch(path: Path, piece: Piece, surface: Surface) -> int | None:
 
 
 def _kind(path: Path, piece: Piece, surface: Surface, named: list[tuple[str, Piece, int | None]]) -> str:
-    """The kind of a piece that is no loop; creep is told apart later."""
+    """The kind of a piece that is no loop."""
     contact = surface.contact
     if contact is None:
         return "retract" if piece.direction < 0 else "approach"
@@ -238,31 +227,17 @@ def _kind(path: Path, piece: Piece, surface: Surface, named: list[tuple[str, Pie
         return "ramp" if _touch(path, piece, surface) is not None else "approach"
     if not any(kind in ("ramp", "cycle") for kind, _, _ in named):
         return "approach"  # nothing was loaded: there is nothing to relax
+    if isinstance(piece, Held):
+        return "creep"
     level = float(np.median(path.depth_mm[piece.start : piece.stop + 1]))
     return "rest" if level < surface.clear_mm else "hold"
-
-
-def _creep_start(
-    slow: Piece,
-    named: list[tuple[str, Piece, int | None]],
-    creeps: Callable[[Piece, Piece], int | None],
-) -> int | None:
-    """Start of creep, if a slow move after a ramp, or after creep, is some."""
-    run: list[Piece] = []
-    for kind, piece, _ in reversed(named):
-        if kind not in ("ramp", "creep"):
-            break
-        run += [piece] if kind == "ramp" else []
-    # early creep may have passed for a slower ramp: the first ramp of the run that fits
-    starts = (creeps(ramp, slow) for ramp in reversed(run))
-    return next((start for start in starts if start is not None), None)
 
 
 def _phase(path: Path, kind: str, piece: Piece, peak: int | None) -> Phase:
     start_s, end_s = float(path.time_s[piece.start]), float(path.time_s[piece.stop])
     turn = piece.stop if peak is None else peak
     moved, took = float(path.depth_mm[turn] - path.depth_mm[piece.start]), float(path.time_s[turn]) - start_s
-    stands = kind in ("hold", "rest") or (piece.direction == 0 and peak is None)
+    stands = kind != "creep" and piece.direction == 0 and peak is None
     speed = moved / took if took > 0.0 and not stands else 0.0
     if speed != 0.0 and kind in STEADY:
         speed, _ = travel_line(path.time_s, path.depth_mm, piece.start, piece.stop)

@@ -15,10 +15,10 @@ from tissueid.segment.endings import (
     aborts,
     cycle_flags,
     ending_flags,
-    held_from,
     load_limits,
     loops_of,
     pull_off,
+    with_creep,
 )
 from tissueid.segment.memory import long_run_ratio, quiet_stretches, without_slow
 from tissueid.segment.motion import Path, Piece, leaves_line, pieces, travel_noise
@@ -165,7 +165,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
     depth = without_spikes(depth, noise=travel_noise(time_s, depth))
     path = Path.of(time_s, depth, force, noise)
-    found = placed_stops(path, settled(path, pieces(path), options))
+    found = with_creep(path, placed_stops(path, settled(path, pieces(path), options)))
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
     locate = partial(_lasting, path, quiet_stretches(time_s, force, found), locate)
     moves = _whole(path, found, breaks=options.rupture)
@@ -175,15 +175,14 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         moves = _whole(path, found, breaks=False)
         contact, contact_flags = locate(moves, moves.shallow_from(path))
     surface = Surface.of(contact, depth, compression)
-    creep = partial(held_from, path)
-    phases = name_phases(path, found, surface, creeps=creep)
+    phases = name_phases(path, found, surface)
     test = _test_phase(path, phases, surface)
     if contact is not None and _lets_go(path, phases[:test], force_sign * contact.baseline_N):
         start = phases[test].start
         again, again_flags = locate(moves, start)
         if again is not None:
             contact, contact_flags = again, again_flags
-            phases = name_phases(path, found, surface, creeps=creep, again=contact)
+            phases = name_phases(path, found, surface, again=contact)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
     phases = _without_broken(phases, events)
