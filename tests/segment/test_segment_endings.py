@@ -169,3 +169,34 @@ def test_tissue_that_pulls_as_the_tool_leaves_adheres() -> None:
 @pytest.mark.parametrize(("pull_N", "end_N"), [(0.0, 0.0), (0.1, 0.0), (0.0, -1.5)])
 def test_a_clean_retract_or_a_zero_that_drifted_is_no_adhesion(pull_N: float, end_N: float) -> None:
     assert "adhesion" not in codes(segment(retracted(pull_N, end_N)))
+
+
+def load_controlled(creep_mm: float, tau_s: float) -> Trial:
+    """Load at a constant rate to 10 N in 60 s, held for 20 s, and off again, under a spherical tip."""
+    time = np.arange(0.0, 140.0, 0.1)
+    load = np.interp(time, [0.0, 60.0, 80.0, 140.0], [0.0, 10.0, 10.0, 0.0])
+    crept = creep_mm * (1.0 - np.exp(-np.clip(time - 60.0, 0.0, None) / tau_s))
+    rng = np.random.default_rng(6)
+    depth = load ** (2.0 / 3.0) + crept * (load > 0.0)
+    return Trial(
+        "load", time, depth + 1e-4 * rng.normal(size=time.size), load + 1e-3 * rng.normal(size=time.size)
+    )
+
+
+@pytest.mark.parametrize(("creep_mm", "tau_s"), [(0.2, 15.0), (0.3, 10.0)])
+def test_a_held_load_is_told_though_the_tool_slows_down_before_it(creep_mm: float, tau_s: float) -> None:
+    found = segment(load_controlled(creep_mm, tau_s))
+    assert kinds(found)[:3] == ["ramp", "creep", "retract"]
+    assert found.phases[1].start_s == pytest.approx(60.0, abs=2.5)
+
+
+@pytest.mark.parametrize("shape", ["even", "sine"])
+def test_a_crosshead_that_slows_down_holds_no_load(shape: str) -> None:
+    time = np.arange(0.0, 20.0, 0.01)
+    u = np.clip((time - 1.0) / 3.0, 0.0, 1.0)
+    even = u - np.sin(2.0 * np.pi * u) / (2.0 * np.pi)
+    depth = 5.0 * (even if shape == "even" else np.sin(0.5 * np.pi * u))
+    force = depth + np.gradient(depth, time) * 0.5
+    force *= 0.7 + 0.3 * np.exp(-np.clip(time - 4.0, 0.0, None))
+    noise = 0.01 * np.random.default_rng(7).normal(size=time.size)
+    assert "creep" not in kinds(segment(Trial(shape, time, depth, force + noise)))
