@@ -40,6 +40,8 @@ class Path:
     #: the polyline does not resolve [mm].
     noise_mm: float
     tolerance_mm: float
+    #: The force swings by so much while the tool stands.
+    swing_N: float = 0.0
 
     @classmethod
     def of(cls, time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> Path:

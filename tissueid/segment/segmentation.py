@@ -20,7 +20,7 @@ from tissueid.segment.endings import (
     pull_off,
     with_creep,
 )
-from tissueid.segment.memory import long_run_ratio, quiet_stretches, without_slow
+from tissueid.segment.memory import long_run_ratio, quiet_stretches, swing_of, without_slow
 from tissueid.segment.motion import Path, Piece, leaves_line, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
@@ -167,7 +167,9 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     path = Path.of(time_s, depth, force, noise)
     found = with_creep(path, placed_stops(path, settled(path, pieces(path), options)))
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
-    locate = partial(_lasting, path, quiet_stretches(time_s, force, found), locate)
+    quiet = quiet_stretches(time_s, force, found)
+    path = replace(path, swing_N=swing_of(quiet))
+    locate = partial(_lasting, path, quiet, locate)
     moves = _whole(path, found, breaks=options.rupture)
     contact, contact_flags = locate(moves, _shallow_from(path, moves))
     if contact is None and options.rupture:
