@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from tissueid.inference.estimates import ProfileInterval
-from tissueid.inference.verdict import specimen_flags
+from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate
 
@@ -111,3 +111,10 @@ def test_amplitude_of_a_stiffness_that_ends_at_zero():
     found = flags(sigma=1.01 * need, slope=-7.5)["amplitude_small"]
     assert found.values["amplitude_N"] == pytest.approx(amplitude, rel=1e-3)
     assert "amplitude_small" not in flags(sigma=0.99 * need, slope=-7.5)
+
+
+@pytest.mark.parametrize(("sigma", "said"), [(0.30, "3 times the noise"), (0.099, "correlated otherwise")])
+def test_a_residual_of_the_size_of_the_noise_is_not_said_to_exceed_it(sigma, said):
+    noise = SimpleNamespace(discrepant=True, measured_N=0.1, sigma_N=sigma, samples_per_independent=4.0)
+    (flag,) = discrepancy_flags(noise, SimpleNamespace(range=0.01))
+    assert said in flag.message

@@ -58,6 +58,14 @@ def test_fit_starts_at_a_contact_inserted_between_two_samples():
     assert log.speeds_mm_s == (2.0,)
 
 
+@pytest.mark.parametrize("kind", ["hold", "creep"])
+def test_what_is_held_is_a_hold_of_depth_or_of_load(kind):
+    trial = in_air_trial()
+    found = segmented(trial)
+    phases = tuple(replace(one, kind=kind) if one.kind == "hold" else one for one in found.phases)
+    assert fitted_log(trial, replace(found, phases=phases)).has_hold
+
+
 def test_signs_and_baseline_are_taken_out():
     plain = in_air_trial()
     normal, phases = fitted_log(plain, segmented(plain)), segmented(plain).phases

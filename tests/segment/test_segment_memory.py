@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from tissueid.segment import segment
 from tissueid.segment.memory import long_run_ratio, without_slow
-from tissueid.signal_noise import white_noise_sd
+from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.trial import Trial
 
 
@@ -73,3 +73,43 @@ def test_air_alone_shows_that_noise_lasts():
     )
     # noise^(2/3), a long-run sd of 1.73: 1.44; of differences alone it was 0.8
     assert sd_lasting > 1.2 * sd_white
+
+
+def held(noise, *, step=0.0):
+    """1 mm/s to 3 mm, contact at 0.5 mm, relaxing within 0.5 s, then 20 s of hold; 200 samples a second."""
+    time = np.arange(0.0, 23.0, 0.005)
+    x, since = np.clip(time - 0.5, 0.0, 2.5), np.maximum(time - 3.0, 0.0)
+    force = x + np.exp(-since / 0.5) * -np.expm1(-x / 0.5) + noise(time)
+    return segment(
+        Trial("held", time, np.minimum(time, 3.0), np.round(force / step) * step if step else force)
+    )
+
+
+def test_a_hum_is_no_rupture_and_no_slip():
+    white = np.random.default_rng(1).normal(size=4600)
+    found = held(lambda time: 0.01 * white + 0.1 * np.sin(2.0 * np.pi * 20.0 * time))
+    assert found.events == ()
+    assert [one.kind for one in found.phases] == ["approach", "ramp", "hold"]
+
+
+def test_a_hold_that_reads_one_level_shows_no_lasting_noise():
+    found = held(lambda time: np.zeros(time.size), step=0.07)
+    assert found.contact is not None
+    assert found.contact.displacement_mm == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_jump_between_two_samples_is_a_move_with_the_contact_anywhere_on_its_way():
+    time = np.arange(0.0, 30.0, 0.05)
+    step = np.where(time < 1.0, 0.0, 2.0)
+    noise = 0.05 * np.random.default_rng(2).normal(size=time.size)
+    found = segment(Trial("step", time, step, 5.0 * step * np.exp(-np.maximum(time - 1.0, 0.0)) + noise))
+    assert [one.stop - one.start for one in found.phases] == [20, 2, 580]
+    assert found.contact.sd_mm > 1.0
+    assert "contact_uncertain" in [flag.code for flag in found.flags]
+
+
+@pytest.mark.parametrize("samples", [3, 10])
+def test_the_speed_of_a_quick_ramp_is_no_step_of_its_channel(samples):
+    assert quantum(np.clip(np.arange(1000.0) - 100.0, 0.0, samples)) == 0.0
+    slow = np.floor(np.clip(np.arange(1000.0) - 100.0, 0.0, 50.0) / 5.0)
+    assert quantum(slow) == 1.0

@@ -72,7 +72,7 @@ class FittedLog:
     depth_mm: float  # largest fitted depth
     step_s: float  # median sampling interval [s]
     speeds_mm_s: tuple[float, ...]  # loading speeds of its ramps
-    has_hold: bool
+    has_hold: bool  # of a depth, or of a load
     n_samples: int  # samples that take part in the likelihood
     #: (n,): depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's
     #: surface, which a tool that lets go leaves behind.
@@ -194,7 +194,7 @@ def fitted_log(
         depth_mm=depth_mm,
         step_s=float(np.median(positive)),
         speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
-        has_hold=any(phase.kind == "hold" for phase in inside),
+        has_hold=any(phase.kind in ("hold", "creep") for phase in inside),
         n_samples=int(include.sum()),
     )
 

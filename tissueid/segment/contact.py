@@ -169,6 +169,8 @@ def find_contact(
     if at is None:
         reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
         message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
+        if not loading:
+            message = "the tool makes no move into the tissue"
         return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
     move = loading[at]
     for touch, after in pairwise((*touches, *loading[: at + 1])):

@@ -20,6 +20,8 @@ LATE_SHARE = 1.0 / 3.0
 SLOW_POWERS = 3
 #: Fewest samples of a quiet stretch.
 FEWEST = 48
+#: Shares of the samples that a swing leaves out on either side, and its reserve: of white noise 7 sd.
+SWING_SHARES, SWING = (0.01, 0.99), 1.5
 #: Fewest means by which a variance and a correlation are judged.
 FEWEST_MEANS = 32
 #: Standard errors beyond which neighbouring means are correlated, and those beyond which a correlation that
@@ -30,8 +32,8 @@ LEFT = 1.0
 LARGEST = 0.95
 #: Residuals below this share of the step of a quantised signal show the step, no noise.
 COARSE = 0.5
-#: Share of a force that its rounding leaves.
-ROUNDING = 1e-9
+#: ... and those below this share of the force its arithmetic.
+ROUNDING = 1e-12
 
 
 def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Piece]) -> list[FloatArray]:
@@ -48,6 +50,11 @@ def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Pie
     return stretches
 
 
+def swing_of(stretches: Sequence[FloatArray]) -> float:
+    """Way of the force from one side of quiet stretches to the other, of a hum or of the noise [N]."""
+    return max((SWING * float(np.ptp(np.quantile(one, SWING_SHARES))) for one in stretches), default=0.0)
+
+
 def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
     """The force without a polynomial of time, ``None`` where too few samples are left, or its step shows."""
     span = float(np.ptp(time_s)) if time_s.size else 0.0
@@ -57,9 +64,8 @@ def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
     basis, _ = np.linalg.qr(slow)
     left = force_N - basis @ (basis.T @ force_N)
     sd = float(np.sqrt(left @ left / (left.size - SLOW_POWERS - 1)))
-    # of a force that stands still rounding alone is left
-    least = max(COARSE * quantum(force_N), ROUNDING * float(np.abs(force_N).max()))
-    return np.asarray(left) if sd > least else None
+    shown = max(COARSE * quantum(force_N), ROUNDING * float(np.abs(force_N).max()))
+    return np.asarray(left) if sd > shown else None
 
 
 def long_run_ratio(stretches: Sequence[FloatArray]) -> float:

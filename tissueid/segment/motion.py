@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.signal_noise import NORMAL_SD_OVER_MEDIAN, quantum, white_noise_sd
+from tissueid.signal_noise import FEWEST_CHANGES, NORMAL_SD_OVER_MEDIAN, quantum, white_noise_sd
 
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
@@ -40,6 +40,8 @@ class Path:
     #: the polyline does not resolve [mm].
     noise_mm: float
     tolerance_mm: float
+    #: The force swings by so much while the tool stands.
+    swing_N: float = 0.0
 
     @classmethod
     def of(cls, time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> Path:
@@ -199,8 +201,6 @@ HOLD_DRIFT = 0.01
 STAND_SPEED = 0.03
 #: Two moves in one direction are told apart where their speeds differ by this factor.
 SPEED_RATIO = 2.0
-#: Fewer changes of the displacement are samples of a quick step, and no steps of its digits.
-FEWEST_CHANGES = 8
 #: Fewer samples than this at another speed are a start or a stop, not a move of their own.
 MOVE_SAMPLES = 5
 #: ... and a slower stretch up to this long is a crosshead that stops or starts [s], as is ...
@@ -234,14 +234,9 @@ class Piece:
         return self.travel_mm(path) / max(self.took_s(path), 1e-300)
 
 
-def travel_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
-    """White noise of a displacement [mm]: the few samples of a quick step are no steps of its digits."""
-    return white_noise_sd(time_s, depth_mm, fewest=FEWEST_CHANGES)
-
-
 def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
     """Largest distance from a straight line that noise and steps of the displacement explain [mm]."""
-    noise = travel_noise(time_s, depth_mm)
+    noise = white_noise_sd(time_s, depth_mm, fewest=FEWEST_CHANGES)
     if depth_mm.size >= FEWEST_FOR_SPREAD:
         # the median of a quantised signal is one of its steps; a trimmed mean square knows no steps
         bend = np.diff(depth_mm, n=2) ** 2 / SECOND_DIFFERENCE_VARIANCE

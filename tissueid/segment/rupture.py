@@ -22,7 +22,8 @@ from tissueid.trial import Event
 DROP_SHARE = 0.1
 #: ... this share of the whole force range ...
 RANGE_SHARE = 0.02
-#: ... and so many noise sd: extremes of filtered noise over 1e5 samples lie 2.5 sd out on either side.
+#: ... more than the force swings while the tool stands, and so many noise sd: extremes of filtered noise over
+#: 1e5 samples lie 2.5 sd out on either side.
 DROP_SD = 8.0
 #: A fall is steep where its slope exceeds this multiple of the secant stiffness before it.
 STEEP = 2.0
@@ -64,7 +65,7 @@ def ruptures(path: Path, loading: list[Piece], zero: tuple[float, float]) -> lis
     ``zero``: depth and force of the contact.
     """
     inside = replace(path, depth_mm=path.depth_mm - zero[0], force_N=path.force_N - zero[1])
-    least = max(DROP_SD * path.noise_N, RANGE_SHARE * float(np.ptp(path.force_N)))
+    least = max(DROP_SD * path.noise_N, RANGE_SHARE * float(np.ptp(path.force_N)), path.swing_N)
     events: list[Event] = []
     for piece in loading:
         span = slice(piece.start, piece.stop + 1)

@@ -20,8 +20,8 @@ from tissueid.segment.endings import (
     pull_off,
     with_creep,
 )
-from tissueid.segment.memory import long_run_ratio, quiet_stretches, without_slow
-from tissueid.segment.motion import Path, Piece, leaves_line, pieces, travel_noise
+from tissueid.segment.memory import long_run_ratio, quiet_stretches, swing_of, without_slow
+from tissueid.segment.motion import Path, Piece, leaves_line, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
@@ -35,7 +35,7 @@ from tissueid.segment.stop import (
     travel_line,
     with_braking,
 )
-from tissueid.signal_noise import white_noise_sd, without_spikes
+from tissueid.signal_noise import FEWEST_CHANGES, white_noise_sd, without_spikes
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
 #: A hold may begin in these kinds of phase.
@@ -163,11 +163,13 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
         few = _nothing(message, time_s.size, float(np.ptp(depth)))
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
-    depth = without_spikes(depth, noise=travel_noise(time_s, depth))
+    depth = without_spikes(depth, noise=white_noise_sd(time_s, depth, fewest=FEWEST_CHANGES))
     path = Path.of(time_s, depth, force, noise)
     found = with_creep(path, placed_stops(path, settled(path, pieces(path), options)))
     locate = partial(find_contact, signs=(compression, force_sign), options=options)
-    locate = partial(_lasting, path, quiet_stretches(time_s, force, found), locate)
+    quiet = quiet_stretches(time_s, force, found)
+    path = replace(path, swing_N=swing_of(quiet))
+    locate = partial(_lasting, path, quiet, locate)
     moves = _whole(path, found, breaks=options.rupture)
     contact, contact_flags = locate(moves, moves.shallow_from(path))
     if contact is None and options.rupture:
