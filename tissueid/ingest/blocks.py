@@ -113,6 +113,10 @@ def specimen_columns(
     return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
 
 
+#: Where a word of letters goes on as a number: ``F2``.
+_GLUED_NUMBER = re.compile(r"(?<=[^\W\d_])(?=\d+\b)")
+
+
 def _is(name: str, channel: Channel) -> bool:
     return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
 
@@ -120,7 +124,7 @@ def _is(name: str, channel: Channel) -> bool:
 def _repeats(names: Sequence[str]) -> list[tuple[int, int]]:
     """Columns of groups that repeat the same names in the same order, but for one word or number a group."""
     filled = [i for i, name in enumerate(names) if name.strip()]
-    words = [tuple(plain_words(names[i]).split()) for i in filled]
+    words = [tuple(_GLUED_NUMBER.sub(" ", plain_words(names[i])).split()) for i in filled]
     for size in range(len(CHANNELS), len(filled) // 2 + 1):
         groups = [words[at : at + size] for at in range(0, len(words), size)]
         if len(filled) % size == 0 and all(_same_but_for_a_word(groups[0], group) for group in groups[1:]):

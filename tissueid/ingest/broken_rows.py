@@ -118,7 +118,7 @@ def _exchanged(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRo
     straight = np.minimum(*steps)
     row = int(np.argmax(straight)) + 1
     crosswise = max(abs(travel[row] - force[row - 1]), abs(force[row] - travel[row - 1]))
-    if crosswise > CROSSWISE * straight[row - 1]:
+    if crosswise >= CROSSWISE * straight[row - 1]:
         return None
     message = (
         f"displacement and force go on in each other's column: {travel[row - 1]:g}, {force[row - 1]:g} is"

@@ -19,7 +19,7 @@ from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words
+from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, rank_of
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
@@ -214,7 +214,7 @@ class Anchor:
     def head(self, rows: Sequence[Row]) -> tuple[Row, Row]:
         """Names and units among the rows in which they were found; empty where there are none."""
         names = () if self.names is None else rows[self.names]
-        return names, () if self.units is None else _without_key(rows[self.units])
+        return names, () if self.units is None else _without_key(rows[self.units], len(names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +336,7 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     for index in _filled_above(rows, names) if columns else ():
         if index < names - 1 and not _is_units_key(_opening(rows[index])):
             continue
-        cells = _without_key(rows[index])
+        cells = _without_key(rows[index], len(rows[names]))
         printed = [
             (channel, cells[k]) for channel, k in zip(CHANNELS, columns, strict=True) if k < len(cells)
         ]
@@ -346,23 +346,30 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     return None
 
 
-def _stated_units(header: Sequence[Row], names: Row) -> Row:
-    """Units that lines of the header state, each of one column by its name: ``Force unit: mN``."""
+def _stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
+    """Units that lines of the header state, each of one column by its name or kind: ``Force unit: mN``."""
     stated = {}
     for row in header:
         match = _UNIT_OF_NAME.fullmatch(" ".join(_filled(row)))
         if match is not None and isinstance(quantity_of(match[2]), str):
             stated[plain_words(match[1])] = match[2]
-    return tuple(stated.get(plain_words(name), "") for name in names) if stated else ()
+    units = [stated.get(plain_words(name), "") for name in names]
+    for channel, at in zip(CHANNELS, channel_columns(names, options) if stated else (), strict=False):
+        if not units[at] and split_name(names[at])[1] is None:
+            kinds = (unit for key, unit in stated.items() if rank_of(key, channel, loose=False) is not None)
+            units[at] = next(kinds, "")
+    return tuple(units) if stated else ()
 
 
 def _is_units_key(cell: str) -> bool:
-    return _UNITS_KEY.fullmatch(plain_words(cell)) is not None
+    return _UNITS_KEY.fullmatch(plain_words(cell.partition(":")[0])) is not None
 
 
-def _without_key(row: Row) -> Row:
-    """A row of units without the word that announces it."""
-    return ("", *row[1:]) if row and _is_units_key(row[0]) else row
+def _without_key(row: Row, width: int) -> Row:
+    """A row of units without the word that announces it, be that in a cell of its own or not."""
+    if not row or not _is_units_key(row[0]):
+        return row
+    return row[1:] if len(row) > width else (row[0].partition(":")[2].strip(), *row[1:])
 
 
 def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) -> Anchor:
@@ -396,7 +403,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
-        units = _stated_units(rows[: found.names], names)
+        units = _stated_units(rows[: found.names], names, options)
     below_names = b"".join(raw[found.first : len(rows)])
     results = None
     if not _ONLY_NUMBERS.fullmatch(below_names):
