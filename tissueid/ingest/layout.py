@@ -404,17 +404,16 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
         units = _stated_units(rows[: found.names], names, options)
-    below_names = b"".join(raw[found.first : len(rows)])
+    below = rows[found.first :]
     results = None
-    if not _ONLY_NUMBERS.fullmatch(below_names):
-        results = results_below(rows[found.first :], names, units, options)
-    below = rows[found.first :] if results is None else rows[found.first : found.first + results]
-    sample = [row for row in below if _numeric_share(row) >= 0.5]
+    if not _ONLY_NUMBERS.fullmatch(b"".join(raw[found.first : len(rows)])):
+        results = results_below(below, names, units, options)
+    sample = [row for row in below[:results] if _numeric_share(row) >= 0.5]
     if not sample:
         message = "under the names stand results or another table, but no row of numbers; export the raw data"
         place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
-    decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
+    decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(
         delimiter,
         decimal,
@@ -513,7 +512,7 @@ def find_decimal(
     if min(votes[:2]) == 0 < max(votes[:2]):
         return "." if votes[0] else ","
     tail: list[Row] = []
-    if len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
+    if first + len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
         last = text.data[-_TAIL_BYTES:].splitlines()[1:-1]
         tail = [split_line(text.decode(line), delimiter) for line in last]
     cells = [cell for row in (*sample, *tail) for cell in row if looks_numeric(cell)]
@@ -522,7 +521,7 @@ def find_decimal(
         return "." if points > commas else ","
     if not open_cells:
         return "."
-    for index, row in enumerate(rows[first:], start=first):
+    for index, row in enumerate(rows, start=first):
         for column, cell in enumerate(row):
             marks = cell.count(".") + cell.count(",")
             if not looks_numeric(cell) or marks == 0:

@@ -203,6 +203,12 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     return None
 
 
+def is_specimen_name(words: str) -> bool:
+    """True where a column, in plain words, tells specimens apart: ``sample``, ``specimen id``."""
+    plain = re.sub(r"\bsample\b", "specimen", re.sub(r" (?:no|nr|number|code)$", "", words))
+    return _SPECIMEN_WORDS.fullmatch(plain) is not None or specimen_key_rank(plain) is not None
+
+
 def specimen_key_rank(key: str) -> int | None:
     """0 for a specimen label, 1 for its number or ID, 2 for its name, ``None`` for any other header key."""
     if len(key) > _LONGEST_KEY:
