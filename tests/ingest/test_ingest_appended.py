@@ -81,6 +81,34 @@ def test_a_column_that_counts_samples_tells_no_specimens_apart(tmp_path: Path) -
     assert trial.time_s.size == 30
 
 
+@pytest.mark.parametrize(
+    "foot",
+    [
+        "\nPeak force (N),8.25\n",
+        "Peak force,8.25,N\n",
+        "\nOperator,lab\nTemperature,23.1,C\nEnd of test\n",
+        "\n,Min,Max\nLoad (N),1,8.25\n",
+    ],
+)
+def test_keys_and_values_behind_the_last_row_are_left_out_and_said(tmp_path: Path, foot: str) -> None:
+    (trial,) = read_trials(put(tmp_path / "a.csv", HEAD + "".join(lines(30, 1.0)) + foot))
+    assert trial.time_s.size == 30
+    assert codes(trial) == ["rows_skipped"]
+
+
+@pytest.mark.parametrize("row", ["err,1.500,8.500\n", "Total,1.500,8.500\n"])
+def test_a_last_row_whose_time_is_no_number_is_no_foot(tmp_path: Path, row: str) -> None:
+    error = refusal(put(tmp_path / "a.csv", HEAD + "".join(lines(30, 1.0)) + row))
+    assert (error.code, error.line) == ("text_in_numbers", 32)
+
+
+def test_a_remark_with_a_number_in_the_200th_line_ends_no_table(tmp_path: Path) -> None:
+    rows = lines(300, 1.0)
+    rows.insert(198, "Segment,2,hold\n")
+    error = refusal(put(tmp_path / "a.csv", HEAD + "".join(rows)))
+    assert (error.code, error.line) == ("text_in_numbers", 200)
+
+
 def test_rows_of_specimens_that_stand_mixed_are_refused(tmp_path: Path) -> None:
     both = zip(lines(30, 1.0), lines(30, 9.0), strict=True)
     error = refusal(put(tmp_path / "a.csv", f"Specimen,{HEAD}" + "".join(f"A,{a}B,{b}" for a, b in both)))

@@ -20,7 +20,7 @@ from tissueid.ingest.vocabulary import is_specimen_name, plain_words
 
 #: Names of what is done several times to a specimen.
 _RUNS = re.compile(
-    r"(?:test|trial|run|repeat|replicate|indent(?:ation)?|curve|file)(?: (?:no|nr|id|name|number))?"
+    r"(?:test|trial|run|repeat|replicate|indent(?:ation)?|curve|file)(?: ?(?:no|nr|id|name|number))?"
 )
 #: The rows beside a head are sought in so many bytes.
 _NEAR_BYTES = 1 << 13

@@ -113,6 +113,16 @@ def results_below(rows: Sequence[Cells], names: Cells, units: Cells, options: Re
     return None
 
 
+def _foot(rows: Sequence[Cells]) -> int | None:
+    """First line of keys and values behind the last row: ``Peak force,7.02,N``."""
+    last = max((index for index, row in enumerate(rows) if row and looks_numeric(row[0])), default=-1)
+    foot = [index for index in range(last + 1, len(rows)) if _filled(rows[index])]
+    if last < 0 or not foot or _numeric_share(tuple(rows[foot[0]])) > 0.0:
+        return None
+    words = all(is_word(_opening(rows[index])) for index in foot)
+    return foot[0] if words and any(looks_numeric(c) for i in foot for c in rows[i]) else None
+
+
 def _top(rows: Sequence[Cells], at: int, own: set[tuple[str, ...]]) -> int:
     """The first line of the table in which a row of statistics stands."""
     head = at
@@ -469,6 +479,7 @@ def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | Non
     raw = tail.splitlines(keepends=True)
     rows = [split_line(text.decode(line), layout.delimiter) for line in raw]
     results = results_below(rows, layout.names, layout.units, options)
+    results = _foot(rows) if results is None else results
     return None if results is None else start + sum(map(len, raw[:results]))
 
 
