@@ -96,6 +96,14 @@ def test_keys_and_values_behind_the_last_row_are_left_out_and_said(tmp_path: Pat
     assert codes(trial) == ["rows_skipped"]
 
 
+def test_a_row_of_numbers_between_names_and_units_is_said(tmp_path: Path) -> None:
+    head = "Time,Extension,Load\n9,0,0.680\n(s),(mm),(N)\n"
+    (trial,) = read_trials(put(tmp_path / "a.csv", head + "".join(lines(30, 1.0))))
+    assert trial.time_s.size == 30
+    assert codes(trial) == ["rows_skipped"]
+    assert trial.flags[0].values["lines"] == [2]
+
+
 @pytest.mark.parametrize("row", ["err,1.500,8.500\n", "Total,1.500,8.500\n"])
 def test_a_last_row_whose_time_is_no_number_is_no_foot(tmp_path: Path, row: str) -> None:
     error = refusal(put(tmp_path / "a.csv", HEAD + "".join(lines(30, 1.0)) + row))

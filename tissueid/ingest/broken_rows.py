@@ -134,7 +134,7 @@ def _foreign(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRow 
         if rows.size == 0:
             return None
         usual = np.maximum(_usual(step), np.abs(values[rows + 1] - values[rows - 1]))
-        rows = rows[np.minimum(step[rows - 1], step[rows]) > times * usual]
+        rows = rows[np.minimum(step[rows - 1], step[rows]) / times > usual]
     if rows.size == 0:
         return None
     row = int(rows[0])

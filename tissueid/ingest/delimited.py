@@ -18,7 +18,7 @@ from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.rows import flag_head
+from tissueid.ingest.rows import flag_head, row_like, skipped_flag
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 
@@ -83,11 +83,15 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
     """The recordings in the table of a text file: one, or several below each other."""
     place = Place(file.path)
     text, layout = file.laid_out()
-    lines = text.data[: layout.offset].splitlines()[: layout.names_line or 0]
-    head = [split_line(text.decode(line), layout.delimiter) for line in lines]
-    if head and len(file.options.columns) < len(CHANNELS):
-        _refuse_unnamed(layout, len(head[-1]), place)
-    above = flag_head(head[:-1], place)
+    top = text.data[: layout.offset].splitlines()
+    lines = [split_line(text.decode(line), layout.delimiter) for line in top]
+    names = layout.names_line or 0
+    if names and len(file.options.columns) < len(CHANNELS):
+        _refuse_unnamed(layout, len(lines[names - 1]), place)
+    said = flag_head(lines[: names - 1] if names else (), place)
+    left_out = [n for n, row in enumerate(lines, 1) if n > names > 0 and row_like(" ".join(row))]
+    if left_out:
+        said = (*said, skipped_flag(left_out, "lines of numbers between names and rows"))
     whole = header_entries(layout.header)
     choice = _choice(layout, file.options, place)
     wanted = [choice.index[channel] for channel in CHANNELS]
@@ -96,7 +100,7 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
         try:
             metadata = whole | header_entries(header)
             table = read_table(rows, own, file.options, replace(place, sheet=name), metadata=metadata)
-            yield replace(table, flags=(*table.flags, *above))
+            yield replace(table, flags=(*table.flags, *said))
         except InputError as error:
             yield error
 
