@@ -65,6 +65,13 @@ def test_a_column_of_specimens_parts_the_rows(tmp_path: Path, label: str, names:
     assert first.specimen != second.specimen
 
 
+def test_a_specimen_named_in_its_first_row_alone_goes_on_below_it(tmp_path: Path) -> None:
+    rows = [f"{'A' if k == 0 else ''},{line}" for k, line in enumerate(lines(30, 1.0))]
+    rows += [f"{'B' if k == 0 else ''},{line}" for k, line in enumerate(lines(20, 2.0))]
+    trials = read_trials(put(tmp_path / "a.csv", f"Specimen,{HEAD}" + "".join(rows)))
+    assert [(trial.source.sheet, trial.time_s.size) for trial in trials] == [("1: A", 30), ("2: B", 20)]
+
+
 @pytest.mark.parametrize(("start", "count"), [(0.0, 2), (3.0, 1)])
 def test_a_column_of_runs_parts_them_where_the_time_starts_again(
     tmp_path: Path, start: float, count: int

@@ -78,16 +78,26 @@ def _by_label(
 ) -> list[_Cut]:
     """Stretches of rows with the same label; empty where there is one, or each row has its own."""
     starts: list[tuple[int, str]] = []
-    at, rows, still, last, before = layout.offset, 0, 0, ["", ""], 0.0
+    at, rows, still = layout.offset, 0, 0
+    label, last, seen = ("", ""), b"", [b""]
+    delimiter, both = layout.delimiter.encode(), [*labels, *runs]
     for line in text.data[layout.offset :].splitlines(keepends=True):
-        row = _row(text, layout, time, line)
+        raw = line.split(delimiter)
+        same = len(raw) == layout.n_columns and [raw[i] for i in both] == seen
+        row = None if same else _row(text, layout, time, line)
         if row is not None:
             cells, value = row
-            label = [" ".join(cells[i].strip() for i in some) for some in (labels, runs)]
-            if not starts or label[0] != last[0] or (label[1] != last[1] and value < before):
-                starts.append((at if starts else layout.offset, " ".join(filter(None, label))))
-                still += rows > 0 and value == before
-            rows, last, before = rows + 1, label, value
+            # a cell that is empty goes on with what stands above it
+            own = [" ".join(cells[i].strip() for i in some) for some in (labels, runs)]
+            here = (own[0] or label[0], own[1] or label[1])
+            above = None if here == label else _row(text, layout, time, last)
+            before = value if above is None else above[1]
+            if not starts or here[0] != label[0] or value < before:
+                starts.append((at if starts else layout.offset, " ".join(filter(None, here))))
+                still += above is not None and value == before
+            label, seen = here, [raw[i] for i in both] if len(raw) == layout.n_columns else [b""]
+        if same or row is not None:
+            rows, last = rows + 1, line
         at += len(line)
     if len(starts) * FEWEST_ROWS > rows:
         if 3 * still > rows:
