@@ -103,6 +103,12 @@ def test_keys_and_values_behind_the_last_row_are_left_out_and_said(tmp_path: Pat
     assert codes(trial) == ["rows_skipped"]
 
 
+def test_a_table_below_250_lines_of_header_is_found(tmp_path: Path) -> None:
+    header = "".join(f"Key {k},value\n" for k in range(250))
+    (trial,) = read_trials(put(tmp_path / "a.csv", header + HEAD + "".join(lines(30, 1.0))))
+    assert (trial.time_s.size, trial.source.metadata["Key 249"]) == (30, "value")
+
+
 def test_a_row_of_numbers_between_names_and_units_is_said(tmp_path: Path) -> None:
     head = "Time,Extension,Load\n9,0,0.680\n(s),(mm),(N)\n"
     (trial,) = read_trials(put(tmp_path / "a.csv", head + "".join(lines(30, 1.0))))

@@ -113,6 +113,13 @@ def test_whole_nanometres_have_lost_no_mark_and_whole_micrometres_may_have(tmp_p
     assert codes(coarse) == ["no_decimals"]
 
 
+def test_a_time_of_whole_numbers_may_be_in_ms_and_says_so(tmp_path: Path) -> None:
+    rows = "".join(f"{k * 100},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+    trial = read(written(tmp_path / "a.csv", "Time,Depth (mm),Load (N)", rows))
+    assert codes(trial) == ["units_assumed", "no_decimals"]
+    assert "--units time=ms" in trial.flags[1].message
+
+
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
     trial = read(written(tmp_path / "a.csv", "t,x,F"))
     assert codes(trial) == ["units_assumed"] * 3

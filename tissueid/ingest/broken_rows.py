@@ -210,7 +210,8 @@ def lost_marks(
 
 
 def _flag(channel: Channel, what: str) -> Flag:
-    message = f"the {channel} as printed {what}: decimal marks lost?"
+    other = ", or is it in ms (--units time=ms)" if channel == "time" else ""
+    message = f"the {channel} as printed {what}: decimal marks lost{other}?"
     return Flag("no_decimals", message, {"quantity": channel})
 
 

@@ -404,10 +404,13 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         raw = raw[:-1]
     if not raw:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
-    lines = [text.decode(line) for line in raw[:_HEAD_LINES]]
-    delimiter = options.delimiter or _find_delimiter(lines)
-    rows = [split_line(line, delimiter) for line in lines]
-    found = anchor(rows, options)
+    for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
+        lines = [text.decode(line) for line in raw[:count]]
+        delimiter = options.delimiter or _find_delimiter(lines)
+        rows = [split_line(line, delimiter) for line in lines]
+        found = anchor(rows, options)
+        if found is not None or count >= len(raw):
+            break
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
