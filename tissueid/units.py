@@ -49,7 +49,7 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
 #: Words that mean one unit however they are capitalised; ``MN``, ``Ms`` and ``G`` may mean two.
 #: Masses, where a force is printed, are their weight under standard gravity.
 _WORDS: Mapping[str, str] = {
-    "s": "sec secs sek seg second seconds",
+    "s": "sec secs sek seg sn second seconds",
     "ms": "msec msecs millis millisecond milliseconds",
     "us": "usec usecs µsec micros microsecond microseconds",
     "min": "min mins minute minutes",

@@ -92,6 +92,29 @@ def judge(mutant: Mutant, item: Trial | InputError, usual: frozenset[tuple[str, 
     return "flagged" if unusual else "read"
 
 
+def judge_parts(mutant: Mutant, items: Sequence[Trial | InputError]) -> Outcome:
+    """The outcome of recordings below each other: the rows up to each fall of the time, up to a refusal."""
+    if mutant.expect != "oracle":
+        raise WrongError(f"{len(items)} recordings, though there is one")
+    reading = fuzz_oracle.read(mutant.data, mutant.intent)
+    parts: list[list[fuzz_oracle.Row]] = []
+    for row in reading.rows:
+        if not parts or row.values[0] < parts[-1][-1].values[0]:
+            parts.append([])
+        parts[-1].append(row)
+    for item, rows in zip(items, parts, strict=not any(isinstance(item, InputError) for item in items)):
+        if isinstance(item, InputError):
+            return "refused"
+        left_out = _left_out(item.flags)
+        kept = [row for row in rows if row.line not in left_out]
+        if any(kept[0].line < line < kept[-1].line for line in set(reading.odd) - left_out):
+            raise WrongError("a line is neither a row nor a remark, and was passed over")
+        compare(item, _in_units(mutant, item, [row.values for row in kept]))
+    if mutant.cut and not any(flag.code == "cut_row" for flag in items[-1].flags):
+        raise WrongError("the last row was cut, and nobody says so")
+    return "flagged"
+
+
 def compare(trial: Trial, expected: Sequence[tuple[float, float, float]]) -> None:
     """Raise :class:`WrongError` where a recording has other rows."""
     channels = (trial.time_s.tolist(), trial.displacement_mm.tolist(), trial.force_N.tolist())
@@ -119,6 +142,13 @@ def _expected(mutant: Mutant, trial: Trial) -> list[tuple[float, float, float]]:
         passed_over = [line for line in reading.odd if line > start and line not in left_out]
         if passed_over:
             raise WrongError(f"line {passed_over[0]} is neither a row nor a remark, and was passed over")
+    return _in_units(mutant, trial, rows)
+
+
+def _in_units(
+    mutant: Mutant, trial: Trial, rows: Sequence[tuple[float, float, float]]
+) -> list[tuple[float, float, float]]:
+    """Rows in the units that the reader assumed."""
     scale = [1.0, 1.0, 1.0]
     for flag in trial.flags:
         if flag.code == "units_assumed":

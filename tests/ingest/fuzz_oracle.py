@@ -33,7 +33,7 @@ class Reading:
 
 def number(cell: str, intent: Intent) -> float | None:
     """The value of a cell by the grammar of the dialect, or ``None``."""
-    whole, point, rest = cell.strip(" \t").partition(intent.decimal)
+    whole, point, rest = cell.strip(" \t").replace("\u2212", "-").partition(intent.decimal)
     marks = [mark for mark in SPACES + OTHER_MARK[intent.decimal] if mark in whole]
     if marks:
         sign = whole[:1] if whole[:1] in {"+", "-"} else ""

@@ -65,6 +65,13 @@ def test_columns_exchanged_from_a_row_on_are_refused(tmp_path: Path, first: int)
     assert "each other's column" in error.message
 
 
+def test_a_travel_and_a_force_that_are_zero_have_exchanged_nothing(tmp_path: Path) -> None:
+    rows = table()
+    for row in rows:
+        row[1:] = ["0,00000", "0,00000"]
+    assert read(written(tmp_path / "a.csv", rows)).time_s.size == COUNT
+
+
 def test_a_row_of_another_recording_is_refused(tmp_path: Path) -> None:
     rows = table()
     rows[222][1:] = ["812,5", "-4100,25"]

@@ -10,11 +10,11 @@ from random import Random
 
 import pytest
 from fuzz_marks import MARKS
-from fuzz_mutant import Mutant, Mutation, Outcome, judge, original, remarks
+from fuzz_mutant import Mutant, Mutation, Outcome, judge, judge_parts, original, remarks
 from fuzz_seeds import seeds
 from fuzz_structure import STRUCTURE
 from fuzz_values import VALUES
-from fuzz_workbooks import WORKBOOK_MUTATIONS, judge_workbook
+from fuzz_workbooks import WORKBOOK_MUTATIONS, WorkbookMutant, judge_workbook
 from ingest_files import put
 
 from tissueid.errors import InputError
@@ -56,7 +56,16 @@ def usual_flags(folder: Path) -> dict[str, frozenset[tuple[str, str]]]:
 
 
 #: A mutant's kind, suffix and bytes, and the judge of what was read.
-Case = tuple[str, str, bytes, Callable[[Trial | InputError], Outcome]]
+Case = tuple[str, str, bytes, Callable[[list[Trial | InputError]], Outcome]]
+
+
+def judge_all(mutant: Mutant, items: list[Trial | InputError], usual: frozenset[tuple[str, str]]) -> Outcome:
+    return judge(mutant, items[0], usual) if len(items) == 1 else judge_parts(mutant, items)
+
+
+def judge_sheet(mutant: WorkbookMutant, items: list[Trial | InputError]) -> Outcome:
+    (item,) = items
+    return judge_workbook(mutant, item)
 
 
 def texts(letter: str, count: int, folder: Path) -> Iterator[Case]:
@@ -64,7 +73,7 @@ def texts(letter: str, count: int, folder: Path) -> Iterator[Case]:
     for index in range(count):
         mutant = make(letter, index)
         kind = f"{mutant.kind} of {mutant.seed.name!r}"
-        judged = partial(judge, mutant, usual=usual[mutant.seed.name])
+        judged = partial(judge_all, mutant, usual=usual[mutant.seed.name])
         yield kind, mutant.seed.suffix, mutant.data, judged
 
 
@@ -72,7 +81,7 @@ def workbooks(letter: str, count: int, _folder: Path) -> Iterator[Case]:
     for index in range(count):
         rng = Random(f"workbook-{letter}-{index}")
         mutant = rng.choice(WORKBOOK_MUTATIONS[letter])(rng)
-        yield mutant.kind, ".xlsx", mutant.data, partial(judge_workbook, mutant)
+        yield mutant.kind, ".xlsx", mutant.data, partial(judge_sheet, mutant)
 
 
 @pytest.mark.parametrize("letter", CLASSES)
@@ -92,8 +101,7 @@ def test_mutants_are_read_right_or_refused(
     for index, (kind, suffix, data, judged) in enumerate(cases(letter, count, tmp_path)):
         path = put(tmp_path / f"mutant{suffix}", data)
         try:
-            (item,) = read_each(path)
-            outcomes[judged(item)] += 1
+            outcomes[judged(list(read_each(path)))] += 1
         except Exception as error:  # noqa: BLE001 - a traceback is looked for as well
             bugs.append(f"{letter}-{index} {kind}: {type(error).__name__}: {error}")
     assert not bugs, "\n".join(bugs[:40])

@@ -52,6 +52,15 @@ def written(path: Path, head: str, rows: str = ROWS) -> Path:
         ("Time_S,Displacement_mm,Force_N", (1, 1)),
         ("Time (s),Deformation (mm),Loadcell (N)", (1, 1)),
         ("time_s,pos_z_mm,fz_N", (1, 1)),
+        ("Time (s),伸び (mm),荷重 (N)", (1, 1)),
+        ("Čas (s),Posun (mm),Síla (N)", (1, 1)),
+        ("Zaman (sn),Uzama (mm),Kuvvet (N)", (1, 1)),
+        ("t [s],s [mm],F [N]", (1, 1)),
+        ("t [s],h [nm],P [mN]", (1e-6, 1e-3)),
+        ("Time [s],ΔL [mm],F [N]", (1, 1)),
+        ("t1 (s),x1 (mm),F1 (N)", (1, 1)),
+        ("Time [s],CH2: Stroke [mm],CH1: Load [N]", (1, 1)),
+        ("Time (s),Displacement [um] (LVDT),Force [mN] (cell 2)", (1e-3, 1e-3)),
     ],
 )
 def test_names_with_glued_units_of_french_crossheads_eight_more_languages_and_loggers_are_read(
@@ -102,6 +111,13 @@ def test_whole_nanometres_have_lost_no_mark_and_whole_micrometres_may_have(tmp_p
     assert codes(read(written(tmp_path / "a.csv", "Time (s),Depth (nm),Load (uN)", rows))) == []
     coarse = read(written(tmp_path / "b.csv", "Time (s),Depth (um),Load (mN)", rows))
     assert codes(coarse) == ["no_decimals"]
+
+
+def test_a_time_of_whole_numbers_may_be_in_ms_and_says_so(tmp_path: Path) -> None:
+    rows = "".join(f"{k * 100},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+    trial = read(written(tmp_path / "a.csv", "Time,Depth (mm),Load (N)", rows))
+    assert codes(trial) == ["units_assumed", "no_decimals"]
+    assert "--units time=ms" in trial.flags[1].message
 
 
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
@@ -311,6 +327,19 @@ FOUR = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f},{2 + k * 0.125:.
             "Load (N)",
         ),
         ("Time (s),Distance (mm),Soll Kraft (N),Kraft gefiltert (N)", "Distance (mm)", "Kraft gefiltert (N)"),
+        ("Time (s),Travel_SP (mm),Travel_PV (mm),Load (N)", "Travel_PV (mm)", "Load (N)"),
+        ("Time (s),Sollweg (mm),Istweg (mm),Kraft (N)", "Istweg (mm)", "Kraft (N)"),
+        ("Time (s),Travel ref (mm),Travel fbk (mm),Load (N)", "Travel fbk (mm)", "Load (N)"),
+        ("Time (s),Travel (mm),Force limit (N),Measured force (N)", "Travel (mm)", "Measured force (N)"),
+        (
+            "Time (s),Shear displacement (mm),Normal displacement (mm),Load (N)",
+            "Normal displacement (mm)",
+            "Load (N)",
+        ),
+        ("time,position_z,force_x,force_z", "position_z", "force_z"),
+        ("Time (s),Deflection (um),Height Sensor (um),Force (nN)", "Height Sensor (um)", "Force (nN)"),
+        ("Time (s),Disp 1 (mm),Disp 2 (mm),Force (N)", "Disp 1 (mm)", "Force (N)"),
+        ("Time (s),LVDT 2 (mm),LVDT 1 (mm),Force1 (N)", "LVDT 1 (mm)", "Force1 (N)"),
     ],
 )
 def test_neither_a_sideways_axis_nor_what_was_asked_for_is_taken_for_what_was_measured(
@@ -323,6 +352,25 @@ def test_neither_a_sideways_axis_nor_what_was_asked_for_is_taken_for_what_was_me
 
 def test_of_two_sideways_axes_either_may_be_meant(tmp_path: Path) -> None:
     error = refusal(written(tmp_path / "a.csv", "Time (s),Force X (N),Force Y (N),Displacement (mm)", FOUR))
+    assert error.code == "no_columns"
+    assert "--columns" in error.message
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Time (s),Travel (mm),Friction force (N)",
+        "Time (s),Travel (mm),Lateral force (N)",
+        "Time (s),Shear displacement (mm),Force (N)",
+        "Time (s),Travel_SP (mm),Force (N)",
+        "Time (s),Travel reference (mm),Force (N)",
+        "Time (s),Travel (mm),F1 (N),F2 (N)",
+    ],
+)
+def test_a_sideways_force_or_what_was_asked_for_is_not_taken_for_want_of_another(
+    tmp_path: Path, head: str
+) -> None:
+    error = refusal(written(tmp_path / "a.csv", head, FOUR if "F2" in head else ROWS))
     assert error.code == "no_columns"
     assert "--columns" in error.message
 
@@ -356,6 +404,24 @@ def test_a_stamp_that_is_no_seconds_is_asked_about(tmp_path: Path, first: int, s
     assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-6)
 
 
+@pytest.mark.parametrize("first", [45021.4244, 738000.4244])
+def test_days_of_a_spreadsheet_are_no_seconds(tmp_path: Path, first: float) -> None:
+    rows = "".join(f"{first + k / 864_000:.10f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+    path = written(tmp_path / "a.csv", "Time,position_mm,force_N", rows)
+    error = refusal(path)
+    assert error.code == "implausible_range"
+    assert "--units time=day" in error.message
+    trial = read(path, ReadOptions(units={"time": "day"}))
+    assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-3)
+
+
+def test_a_time_that_stands_still_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"3.0,{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+    error = refusal(written(tmp_path / "a.csv", "Time_s,Extension_mm,Load_N", rows))
+    assert error.code == "no_columns"
+    assert "--columns time=" in error.message
+
+
 GROUPS = "Force (g),Distance (mm),Time (sec)"
 
 
@@ -367,6 +433,7 @@ GROUPS = "Force (g),Distance (mm),Time (sec)"
         ("", f"{GROUPS},{GROUPS}", ["1", "2"]),
         ("", f"{GROUPS},Force (g).1,Distance (mm).1,Time (sec).1", ["1", "2"]),
         ("", "Force 1 (g),Distance 1 (mm),Time 1 (s),Force 2 (g),Distance 2 (mm),Time 2 (s)", ["1", "2"]),
+        ("", "F1 (g),x1 (mm),t1 (s),F2 (g),x2 (mm),t2 (s)", ["1", "2"]),
         (
             "",
             "L1 Force (g),L1 Distance (mm),L1 Time (s),L2 Force (g),L2 Distance (mm),L2 Time (s)",

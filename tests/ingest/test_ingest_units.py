@@ -93,17 +93,27 @@ def test_units_in_a_line_of_the_header_are_those_of_the_columns_below(tmp_path: 
     assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.1e-3, 1.5e-3))
 
 
+@pytest.mark.parametrize("line", ["Units: ms, um, mN", "Units,(ms),(um),(mN)"])
+def test_units_behind_their_key_stand_in_the_order_of_the_columns(tmp_path: Path, line: str) -> None:
+    trial = read(put(tmp_path / "a.csv", f"Operator,lab\n{line}\nTime,Position,Load\n{ROWS}"))
+    assert trial.flags == ()
+    assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.1e-3, 1.5e-3))
+
+
 def test_units_of_another_table_are_not_those_of_the_columns(tmp_path: Path) -> None:
     above = read(put(tmp_path / "b.csv", f"Units,N,um\n\nTime,Extension,Load\n{ROWS}"))
     assert above.force_N[2] == 1.5
     assert codes(above) == ["units_assumed"] * 3
 
 
+@pytest.mark.parametrize("names", ["Time,Displacement,Force", "Elapsed Time,Position,Load"])
 @pytest.mark.parametrize("line", ["{name} unit: {unit}", "{name} unit,{unit}", "{name} units = {unit}"])
-def test_units_that_the_header_states_column_by_column_are_read(tmp_path: Path, line: str) -> None:
+def test_units_that_the_header_states_column_by_column_are_read(
+    tmp_path: Path, line: str, names: str
+) -> None:
     stated = {"Time": "msec", "Displacement": "um", "Force": "mN"}
     header = "\n".join(line.format(name=name, unit=unit) for name, unit in stated.items())
-    trial = read(put(tmp_path / "a.csv", f"{header}\n\nTime,Displacement,Force\n{ROWS}"))
+    trial = read(put(tmp_path / "a.csv", f"{header}\n\n{names}\n{ROWS}"))
     assert trial.flags == ()
     assert (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2]) == pytest.approx(
         (2e-4, 1e-4, 1.5e-3)

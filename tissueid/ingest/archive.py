@@ -81,7 +81,7 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
                 count += 1
                 yield item
     if count == 0:
-        names = ", ".join(repr(member.filename) for member in members[:10]) or "none"
+        names = ", ".join(map(repr, archive.namelist()[:10])) or "none"
         place.refuse("no_recording", f"the archive holds no recording; its files are {names}")
 
 

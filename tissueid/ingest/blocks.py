@@ -1,7 +1,6 @@
 """Recipes for text that holds several tables: Mach-1 and MTS 793 below each other, Shimadzu side by side.
 
-Each table is laid out as if it stood alone; the lines above it are kept as blank ones, so that a refusal
-still points at the line of the file.
+Each table is laid out as if it stood alone, at its lines in the file.
 """
 
 from __future__ import annotations
@@ -52,15 +51,12 @@ def _read_block(
     """The table of a text with nothing but its rows in it, at their lines."""
     names, units, names_line, first_line = head
     place = Place(file.path, sheet)
-    first = first_line - 1
-    text = replace(text, data=b"\n" * first + text.data)
-    opening = text.data[first : first + _SAMPLED_BYTES].splitlines()
+    opening = text.data[:_SAMPLED_BYTES].splitlines()
     rows = [split_line(text.decode(line), delimiter) for line in opening]
     sample = [row for row in rows if sum(map(looks_numeric, row)) >= 2]
     mark = file.options.decimal or decimal
     if mark is None:
-        padded: list[Row] = [()] * first
-        mark = find_decimal(text, sample, delimiter, place, first=first, rows=padded + rows)
+        mark = find_decimal(text, sample, delimiter, place, first=first_line - 1, rows=rows)
     usual = Counter(map(len, sample)).most_common(1)
     # a delimiter at the end of every row is one more column, without a name
     unnamed = any(cell.strip() for row in sample for cell in row[len(names) :])
@@ -74,7 +70,7 @@ def _read_block(
         units_in_row=bool(units),
         names_line=names_line,
         first_line=first_line,
-        offset=first,
+        offset=0,
         n_columns=n_columns,
         numeric=numeric_columns(sample, n_columns),
     )
@@ -113,6 +109,10 @@ def specimen_columns(
     return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
 
 
+#: Where a word of letters goes on as a number: ``F2``.
+_GLUED_NUMBER = re.compile(r"(?<=[^\W\d_])(?=\d+\b)")
+
+
 def _is(name: str, channel: Channel) -> bool:
     return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
 
@@ -120,7 +120,7 @@ def _is(name: str, channel: Channel) -> bool:
 def _repeats(names: Sequence[str]) -> list[tuple[int, int]]:
     """Columns of groups that repeat the same names in the same order, but for one word or number a group."""
     filled = [i for i, name in enumerate(names) if name.strip()]
-    words = [tuple(plain_words(names[i]).split()) for i in filled]
+    words = [tuple(_GLUED_NUMBER.sub(" ", plain_words(names[i])).split()) for i in filled]
     for size in range(len(CHANNELS), len(filled) // 2 + 1):
         groups = [words[at : at + size] for at in range(0, len(words), size)]
         if len(filled) % size == 0 and all(_same_but_for_a_word(groups[0], group) for group in groups[1:]):

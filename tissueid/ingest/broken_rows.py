@@ -118,7 +118,7 @@ def _exchanged(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRo
     straight = np.minimum(*steps)
     row = int(np.argmax(straight)) + 1
     crosswise = max(abs(travel[row] - force[row - 1]), abs(force[row] - travel[row - 1]))
-    if crosswise > CROSSWISE * straight[row - 1]:
+    if crosswise >= CROSSWISE * straight[row - 1]:
         return None
     message = (
         f"displacement and force go on in each other's column: {travel[row - 1]:g}, {force[row - 1]:g} is"
@@ -134,7 +134,7 @@ def _foreign(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRow 
         if rows.size == 0:
             return None
         usual = np.maximum(_usual(step), np.abs(values[rows + 1] - values[rows - 1]))
-        rows = rows[np.minimum(step[rows - 1], step[rows]) > times * usual]
+        rows = rows[np.minimum(step[rows - 1], step[rows]) / times > usual]
     if rows.size == 0:
         return None
     row = int(rows[0])
@@ -210,7 +210,8 @@ def lost_marks(
 
 
 def _flag(channel: Channel, what: str) -> Flag:
-    message = f"the {channel} as printed {what}: decimal marks lost?"
+    other = ", or is it in ms (--units time=ms)" if channel == "time" else ""
+    message = f"the {channel} as printed {what}: decimal marks lost{other}?"
     return Flag("no_decimals", message, {"quantity": channel})
 
 

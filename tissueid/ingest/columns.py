@@ -98,6 +98,10 @@ def split_name(name: str) -> tuple[str, str | None]:
         inside = match[2]
         if match[1] and _CLOCK_FORM.fullmatch(inside):
             return match[1], None
+        if match[1].endswith((")", "]")) and quantity_of(inside) not in _SPLIT_UNITS:
+            before, unit = split_name(match[1])  # a sensor stands behind the unit: "Force [mN] (cell 2)"
+            if quantity_of(unit or "") in _SPLIT_UNITS:
+                return before, unit
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
             return match[1], inside
         return name, None

@@ -9,14 +9,16 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from tissueid.errors import InputError
+from tissueid.ingest.appended import Part, recordings
 from tissueid.ingest.body import read_body
-from tissueid.ingest.columns import choose_columns, has_channels, split_name
+from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels, split_name
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import NOT_MINE, Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.rows import flag_head
+from tissueid.ingest.rows import flag_head, row_like, skipped_flag
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 
@@ -77,17 +79,30 @@ def detect_columns(file: InputFile) -> Detection:
     return 0.5, f"a table of numbers in {file.layout.n_columns} columns"
 
 
-def read_delimited(file: InputFile) -> Iterator[Table]:
-    """The one table of a text file."""
+def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
+    """The recordings in the table of a text file: one, or several below each other."""
     place = Place(file.path)
     text, layout = file.laid_out()
-    lines = text.data[: layout.offset].splitlines()[: layout.names_line or 0]
-    head = [split_line(text.decode(line), layout.delimiter) for line in lines]
-    if head and len(file.options.columns) < len(CHANNELS):
-        _refuse_unnamed(layout, len(head[-1]), place)
-    above = flag_head(head[:-1], place)
-    table = read_table(text, layout, file.options, place, metadata=header_entries(layout.header))
-    yield replace(table, flags=(*table.flags, *above))
+    top = text.data[: layout.offset].splitlines()
+    lines = [split_line(text.decode(line), layout.delimiter) for line in top]
+    names = layout.names_line or 0
+    if names and len(file.options.columns) < len(CHANNELS):
+        _refuse_unnamed(layout, len(lines[names - 1]), place)
+    said = flag_head(lines[: names - 1] if names else (), place)
+    left_out = [n for n, row in enumerate(lines, 1) if n > names > 0 and row_like(" ".join(row))]
+    if left_out:
+        said = (*said, skipped_flag(left_out, "lines of numbers between names and rows"))
+    whole = header_entries(layout.header)
+    choice = _choice(layout, file.options, place)
+    wanted = [choice.index[channel] for channel in CHANNELS]
+    parts = recordings(text, layout, wanted, place)
+    for name, header, rows, own in parts or [Part(None, (), text, layout)]:
+        try:
+            metadata = whole | header_entries(header)
+            table = read_table(rows, own, file.options, replace(place, sheet=name), metadata=metadata)
+            yield replace(table, flags=(*table.flags, *said))
+        except InputError as error:
+            yield error
 
 
 def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:
@@ -118,18 +133,7 @@ def read_table(
     text: Text, layout: Layout, options: ReadOptions, place: Place, *, metadata: Mapping[str, str]
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read."""
-    if len(layout.names) > layout.n_columns:
-        message = (
-            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file again"
-        )
-        place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
-    choice = choose_columns(
-        layout.names,
-        layout.units,
-        options=options,
-        place=place,
-        line=layout.names_line or layout.first_line,
-    )
+    choice = _choice(layout, options, place)
     columns, flags = read_body(text, layout, choice, place)
     return Table(
         *columns,
@@ -142,6 +146,21 @@ def read_table(
         specimen=specimen_in(metadata),
         flags=(*text.flags, *choice.flags, *flags),
         axes=choice.axes,
+    )
+
+
+def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:
+    if len(layout.names) > layout.n_columns:
+        message = (
+            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file again"
+        )
+        place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
+    return choose_columns(
+        layout.names,
+        layout.units,
+        options=options,
+        place=place,
+        line=layout.names_line or layout.first_line,
     )
 
 
@@ -170,9 +189,12 @@ def detect_chiaro(file: InputFile) -> Detection:
     return NOT_MINE
 
 
-def read_chiaro(file: InputFile) -> Iterator[Table]:
+def read_chiaro(file: InputFile) -> Iterator[Table | InputError]:
     """The one table, with the tip and the sweep of the header as its protocol."""
     for item in read_delimited(file):
+        if isinstance(item, InputError):
+            yield item
+            continue
         stated = protocol_of(item.metadata, file.path, decimal=item.decimal)
         steps = _sweep(item.metadata)
         if stated.speed_mm_s is None and steps and steps[0][0] != 0.0:

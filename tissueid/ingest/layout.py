@@ -19,7 +19,7 @@ from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words
+from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, rank_of
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
@@ -111,6 +111,16 @@ def results_below(rows: Sequence[Cells], names: Cells, units: Cells, options: Re
         if is_title(row) or (named and tuple(_filled(below)) not in own):
             return index
     return None
+
+
+def _foot(rows: Sequence[Cells]) -> int | None:
+    """First line of keys and values behind the last row: ``Peak force,7.02,N``."""
+    last = max((index for index, row in enumerate(rows) if row and looks_numeric(row[0])), default=-1)
+    foot = [index for index in range(last + 1, len(rows)) if _filled(rows[index])]
+    if last < 0 or not foot or _numeric_share(tuple(rows[foot[0]])) > 0.0:
+        return None
+    words = all(is_word(_opening(rows[index])) for index in foot)
+    return foot[0] if words and any(looks_numeric(c) for i in foot for c in rows[i]) else None
 
 
 def _top(rows: Sequence[Cells], at: int, own: set[tuple[str, ...]]) -> int:
@@ -214,7 +224,7 @@ class Anchor:
     def head(self, rows: Sequence[Row]) -> tuple[Row, Row]:
         """Names and units among the rows in which they were found; empty where there are none."""
         names = () if self.names is None else rows[self.names]
-        return names, () if self.units is None else _without_key(rows[self.units])
+        return names, () if self.units is None else _without_key(rows[self.units], len(names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +346,7 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     for index in _filled_above(rows, names) if columns else ():
         if index < names - 1 and not _is_units_key(_opening(rows[index])):
             continue
-        cells = _without_key(rows[index])
+        cells = _without_key(rows[index], len(rows[names]))
         printed = [
             (channel, cells[k]) for channel, k in zip(CHANNELS, columns, strict=True) if k < len(cells)
         ]
@@ -346,23 +356,30 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     return None
 
 
-def _stated_units(header: Sequence[Row], names: Row) -> Row:
-    """Units that lines of the header state, each of one column by its name: ``Force unit: mN``."""
+def _stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
+    """Units that lines of the header state, each of one column by its name or kind: ``Force unit: mN``."""
     stated = {}
     for row in header:
         match = _UNIT_OF_NAME.fullmatch(" ".join(_filled(row)))
         if match is not None and isinstance(quantity_of(match[2]), str):
             stated[plain_words(match[1])] = match[2]
-    return tuple(stated.get(plain_words(name), "") for name in names) if stated else ()
+    units = [stated.get(plain_words(name), "") for name in names]
+    for channel, at in zip(CHANNELS, channel_columns(names, options) if stated else (), strict=False):
+        if not units[at] and split_name(names[at])[1] is None:
+            kinds = (unit for key, unit in stated.items() if rank_of(key, channel, loose=False) is not None)
+            units[at] = next(kinds, "")
+    return tuple(units) if stated else ()
 
 
 def _is_units_key(cell: str) -> bool:
-    return _UNITS_KEY.fullmatch(plain_words(cell)) is not None
+    return _UNITS_KEY.fullmatch(plain_words(cell.partition(":")[0])) is not None
 
 
-def _without_key(row: Row) -> Row:
-    """A row of units without the word that announces it."""
-    return ("", *row[1:]) if row and _is_units_key(row[0]) else row
+def _without_key(row: Row, width: int) -> Row:
+    """A row of units without the word that announces it, be that in a cell of its own or not."""
+    if not row or not _is_units_key(row[0]):
+        return row
+    return row[1:] if len(row) > width else (row[0].partition(":")[2].strip(), *row[1:])
 
 
 def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) -> Anchor:
@@ -387,27 +404,29 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         raw = raw[:-1]
     if not raw:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
-    lines = [text.decode(line) for line in raw[:_HEAD_LINES]]
-    delimiter = options.delimiter or _find_delimiter(lines)
-    rows = [split_line(line, delimiter) for line in lines]
-    found = anchor(rows, options)
+    for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
+        lines = [text.decode(line) for line in raw[:count]]
+        delimiter = options.delimiter or _find_delimiter(lines)
+        rows = [split_line(line, delimiter) for line in lines]
+        found = anchor(rows, options)
+        if found is not None or count >= len(raw):
+            break
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
     _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
-        units = _stated_units(rows[: found.names], names)
-    below_names = b"".join(raw[found.first : len(rows)])
+        units = _stated_units(rows[: found.names], names, options)
+    below = rows[found.first :]
     results = None
-    if not _ONLY_NUMBERS.fullmatch(below_names):
-        results = results_below(rows[found.first :], names, units, options)
-    below = rows[found.first :] if results is None else rows[found.first : found.first + results]
-    sample = [row for row in below if _numeric_share(row) >= 0.5]
+    if not _ONLY_NUMBERS.fullmatch(b"".join(raw[found.first : len(rows)])):
+        results = results_below(below, names, units, options)
+    sample = [row for row in below[:results] if _numeric_share(row) >= 0.5]
     if not sample:
         message = "under the names stand results or another table, but no row of numbers; export the raw data"
         place.refuse("no_rows", message, line=found.first + 1)
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
-    decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
+    decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=below)
     layout = Layout(
         delimiter,
         decimal,
@@ -463,6 +482,7 @@ def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | Non
     raw = tail.splitlines(keepends=True)
     rows = [split_line(text.decode(line), layout.delimiter) for line in raw]
     results = results_below(rows, layout.names, layout.units, options)
+    results = _foot(rows) if results is None else results
     return None if results is None else start + sum(map(len, raw[:results]))
 
 
@@ -506,7 +526,7 @@ def find_decimal(
     if min(votes[:2]) == 0 < max(votes[:2]):
         return "." if votes[0] else ","
     tail: list[Row] = []
-    if len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
+    if first + len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
         last = text.data[-_TAIL_BYTES:].splitlines()[1:-1]
         tail = [split_line(text.decode(line), delimiter) for line in last]
     cells = [cell for row in (*sample, *tail) for cell in row if looks_numeric(cell)]
@@ -515,7 +535,7 @@ def find_decimal(
         return "." if points > commas else ","
     if not open_cells:
         return "."
-    for index, row in enumerate(rows[first:], start=first):
+    for index, row in enumerate(rows, start=first):
         for column, cell in enumerate(row):
             marks = cell.count(".") + cell.count(",")
             if not looks_numeric(cell) or marks == 0:

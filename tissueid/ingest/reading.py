@@ -214,6 +214,8 @@ FORCE_LIMIT_N = 5e6
 #: No clock shows so many seconds (stamps count from 1970, or 1904), and no recording lasts so long (3 years).
 STAMP_LIMIT_S = 1e11
 DURATION_LIMIT_S = 1e8
+#: Days since 1900, or since year 0, as spreadsheets and MATLAB count them; and a step that is 2 s in days.
+DAY_COUNTS, DAY_STEP = (2e4, 1e6), 2.0 / 86_400.0
 _STAMP_UNITS = (("ms", 1e3), ("us", 1e6), ("ns", 1e9))
 
 
@@ -325,14 +327,15 @@ def _beyond_machines(table: Table, declared: Container[str]) -> Iterator[str]:
 
 
 def _beyond_clocks(table: Table) -> Iterator[str]:
-    """Times that are no seconds: a stamp in ms, us or ns under a name that does not say so."""
+    """Times that are no seconds: a stamp in days, ms, us or ns under a name that does not say so."""
     first, last = float(table.time_s[0]), float(table.time_s[-1])
-    if abs(first) < STAMP_LIMIT_S and last - first < DURATION_LIMIT_S:
+    days = DAY_COUNTS[0] < first < DAY_COUNTS[1] and 0.0 < last - first < DAY_STEP * table.time_s.size
+    if abs(first) < STAMP_LIMIT_S and last - first < DURATION_LIMIT_S and not days:
         return
     units = (
         unit for unit, per_s in _STAMP_UNITS if DURATION_LIMIT_S < abs(last) / per_s < STAMP_LIMIT_S / 10
     )
-    unit = next(units, None) if abs(first) >= STAMP_LIMIT_S else None
+    unit = "day" if days else next(units, None) if abs(first) >= STAMP_LIMIT_S else None
     likely = f"is it a stamp in {unit}? State its unit" if unit else "is it in ms, us or ns? State it"
     yield (
         f"the time in column {table.columns['time']!r} runs from {first:.10g} to {last:.10g} s, which is no"
@@ -341,8 +344,9 @@ def _beyond_clocks(table: Table) -> Iterator[str]:
 
 
 def _stuck(table: Table) -> Iterator[str]:
-    """Displacement or force that never changes where other columns may be it."""
+    """Time that never changes, or displacement or force where other columns may be it."""
     channels: tuple[tuple[Channel, FloatArray], ...] = (
+        ("time", table.time_s),
         ("displacement", table.displacement_mm),
         ("force", table.force_N),
     )
@@ -356,11 +360,11 @@ def _stuck(table: Table) -> Iterator[str]:
             for one in choice["alternatives"]
             if rank_of(split_name(one)[0], channel, loose=True) != SYMBOL_RANK
         ]
-        if others and not np.ptp(values) > 0.0:
+        if (others or channel == "time") and not np.ptp(values) > 0.0:
             yield (
                 f"column {table.columns[channel]!r} is {values[0]:g} in all {table.time_s.size} rows, as of a"
                 " sensor that was not attached; take another, as with"
-                f" --columns {channel}={others[0]!r}"
+                f" --columns {channel}={others[0] if others else 'NAME'!r}"
             )
 
 

@@ -282,7 +282,11 @@ class RowReader:
         for position, number in enumerate(numbered):
             if position == row:
                 return number
-        return self.text.data.count(b"\n") + 1
+        return self._last_line
+
+    @property
+    def _last_line(self) -> int:
+        return self.layout.first_line + self.text.data.count(b"\n", self.layout.offset)
 
     def tail(self) -> tuple[list[float] | None, list[Flag]]:
         """The last line where it has no line end: its values if it is whole, and what to say of it.
@@ -293,7 +297,7 @@ class RowReader:
         line = self.text.decode(self.text.data[self.end :])
         if not line.strip(f" \t{self.layout.delimiter}"):
             return None, []
-        number = self.text.data.count(b"\n") + 1
+        number = self._last_line
         cells = self.cells(line)
         verdict = self._tail_verdict(cells, line)
         if verdict == "cut":

@@ -36,7 +36,8 @@ _ROW = re.compile(rb"[ \t]*(?:%b)(?: +(?:%b))+[ \t]*\r?" % (_NUMBER, _NUMBER), r
 _NAME = re.compile(rb"[^\s(\[]+(?: ?[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]")
 #: Hours, minutes and seconds, or minutes and seconds with their fraction; milliseconds may follow a colon.
 _CLOCK = (
-    rb"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T])?(?:(\d{1,2}):(?=\d{2}:)|(?=\d{1,3}:\d{2}%b\d))"
+    rb"(?:(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|\d{1,2}[- ][A-Za-z]{3}[- ]\d{2,4})[ T])?"
+    rb"(?:(\d{1,2}):(?=\d{2}:)|(?=\d{1,3}:\d{2}%b\d))"
     rb"(\d{1,3}):(\d{2})(%b\d{1,9}|:\d{3})?(?: ?([AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d{2}:?\d{2})?"
 )
 _CELL_CLOCK, _CELL_CLOCK_AMONG_COMMAS = (

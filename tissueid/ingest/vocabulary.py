@@ -46,7 +46,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|indring(?:diepte|ing)|intrangningsdjup|hloubka|derinlik|глубина(?: внедрения)?|깊이"
         ),
         1: (  # travel of the machine from its zero
-            r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
+            r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?"
             r"|standard travel|displ?|distance|dist"
             r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
             r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
@@ -55,9 +55,9 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento"
             r"|curso|estensione|spostamento|allungamento"
             r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
-            r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ"
+            r"|位移|伸长|伸長|伸び|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ|ist ?weg"
             r"|verplaatsing|verlenging|forskjutning|forlangning|forskydning|forskyvning|forlengelse"
-            r"|posunuti|posuv|prodlouzeni|yer degistirme|uzama|deplasman"
+            r"|posun(?:uti)?|posuv|prodlouzeni|yer degistirme|uzama|deplasman"
             r"|перемещение(?: траверсы)?|смещение|удлинение|ход|변위|신장"
         ),
         2: (  # the same with the sense of the test
@@ -69,24 +69,24 @@ _NAMES: dict[Channel, dict[int, str]] = {
             r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
             r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
             r"|traversen(?:position|weg absolut)|pos(?:ition)?(?: absolue| z)?|posicion|posizione|pozycja"
-            r"|stroke|actuator|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
+            r"|stroke|actuator|height(?: measured| sensor)?|z(?: position)?|hoehe|hohe|hauteur"
         ),
         4: (  # what is left between the tools
             r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
             r"|werkzeugabstand|einspannlange|gap"
         ),
         5: (  # another sensor
-            r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection"
+            r"capteur de course|extensometer|extensometre|dehnung|wegaufnehmer|deflection"
             r"|durchbiegung|strain 1|lvdt|displacement strain 1"
         ),
     },
     "force": {
         0: (  # the load cell
-            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?"
+            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement| z)?"
             r"|force standard"
             r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
             r"|forca|forza(?: standard)?|carico|sila(?: standardowa)?|obciazenie"
-            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load ?cell(?: 1)?"
+            r"|力|标准力|载荷|载重|负荷|荷重|试验力|試験力|fz|load ?cell|ist ?kraft"
             r"|kracht|belasting|belastning|zatizeni|kuvvet|yuk|сила|нагрузка|усилие|하중|시험력|힘"
         ),
         1: (  # the same with the sense of the test
@@ -96,10 +96,7 @@ _NAMES: dict[Channel, dict[int, str]] = {
         2: r"capteur de force|kraftaufnehmer|load channel|force channel",  # another channel
     },
 }
-# as names are compared: Hangul in its letters
-for _ranks in _NAMES.values():
-    _ranks.update({rank: unicodedata.normalize("NFKD", pattern) for rank, pattern in _ranks.items()})
-_CHANNEL_NUMBER = re.compile(r"(.*?) ([2-9])")
+_CHANNEL_NUMBER = re.compile(r"(.*?) ?([1-9])")
 #: A channel number above one adds to the rank.
 _CHANNEL_PENALTY = 5
 #: Rank of none of these names, but a word of them and a unit that agrees.
@@ -112,10 +109,17 @@ _SYMBOLS: dict[Channel, frozenset[str]] = {
     "displacement": frozenset("xXzZduUhLl"),
     "force": frozenset("Ff"),
 }
+#: Letters with a unit that agrees: ``s [mm]``, ``ΔL [mm]``, ``P [mN]``, ``F1 (N)``.
+_LOOSE_SYMBOLS = {
+    "time": re.compile("t[1-9]?"),
+    "displacement": re.compile("(?:(?:d|δ ?|delta ?)?[xzduhls]|δ)[1-9]?"),
+    "force": re.compile("[fp][1-9]?"),
+}
 _LOOSE_WORDS = {
     "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
         r"\b(?:displacement|extension|indentation|depth|travel|position|height|displ?|distance|weg|deplacement"
+        r"|stroke|actuator|crosshead"
         # strain in other languages, and letters of an indenter: with a unit of length alone
         r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
@@ -133,7 +137,8 @@ _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
     r"|average|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
     r"|position [xy]|[xy] position|command(?:ed)?|cmd|set ?point"
-    r"|set (?=force|load|pos|disp|dist|travel|depth)|demand(?:ed)?"
+    r"|set (?=force|load|pos|disp|dist|travel|depth)|demand(?:ed)?|sp|preset|ref(?:erence)?|limit|threshold"
+    r"|shear|lateral|tangential|friction(?:al)?"
     r"|desired|programmed|nominal|target|soll\w*|consigne|valor nominal)\b"
 )
 
@@ -167,9 +172,17 @@ def is_comment_name(name: str) -> bool:
 @cache
 def plain_words(text: str) -> str:
     """Lower case, without accents and punctuation: ``"Temps d'essai"`` gives ``"temps d essai"``."""
-    folded = unicodedata.normalize("NFKD", text.replace("ł", "l").replace("Ł", "L")).casefold()
-    letters = "".join(c for c in folded if not unicodedata.combining(c))
+    letters = _unaccented(text.replace("ł", "l").replace("Ł", "L")).casefold()
     return " ".join(re.sub(r"[\W_]+", " ", letters).split())
+
+
+def _unaccented(text: str) -> str:
+    return "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+
+
+# as names are compared: Hangul in its letters, kana without their marks
+for _ranks in _NAMES.values():
+    _ranks.update({rank: _unaccented(pattern) for rank, pattern in _ranks.items()})
 
 
 @cache
@@ -181,13 +194,19 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
         if re.fullmatch(pattern, words):
             return rank
         if numbered and re.fullmatch(pattern, numbered[1]):
-            return rank + _CHANNEL_PENALTY
+            return rank + _CHANNEL_PENALTY * (numbered[2] != "1")
     if loose and _LOOSE_WORDS[channel].search(words) and not _NOT_A_CHANNEL.search(words):
         return SIDEWAYS_RANK if _SIDEWAYS.search(words) and channel != "time" else _LOOSE_RANK
     letter = name.strip()
-    if letter in _SYMBOLS[channel] or (loose and letter.casefold() in _SYMBOLS[channel]):
+    if letter in _SYMBOLS[channel] or (loose and _LOOSE_SYMBOLS[channel].fullmatch(words)):
         return SYMBOL_RANK
     return None
+
+
+def is_specimen_name(words: str) -> bool:
+    """True where a column, in plain words, tells specimens apart: ``sample``, ``specimen id``."""
+    plain = re.sub(r"\bsample\b", "specimen", re.sub(r" (?:no|nr|number|code)$", "", words))
+    return _SPECIMEN_WORDS.fullmatch(plain) is not None or specimen_key_rank(plain) is not None
 
 
 def specimen_key_rank(key: str) -> int | None:

@@ -1,0 +1,152 @@
+"""Recordings below each other in one table: under a head that comes again, or told by a column of specimens.
+
+A head that comes again while the time goes on begins a page; where the time starts again, or the cell under a
+name such as ``Specimen`` changes, another recording begins.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.layout import Layout, Row, split_line
+from tissueid.ingest.numbers import CellFault, parse_number
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.text import FEWEST_ROWS, Text
+from tissueid.ingest.vocabulary import is_specimen_name, plain_words
+
+#: Names of what is done several times to a specimen.
+_RUNS = re.compile(
+    r"(?:test|trial|run|repeat|replicate|indent(?:ation)?|curve|file)(?: ?(?:no|nr|id|name|number))?"
+)
+#: The rows beside a head are sought in so many bytes.
+_NEAR_BYTES = 1 << 13
+
+
+class Part(NamedTuple):
+    """One recording: its name, what stood above it, its rows, and where they stand."""
+
+    name: str | None
+    header: tuple[Row, ...]
+    text: Text
+    layout: Layout
+
+
+class _Cut(NamedTuple):
+    """The bytes of the rows of one recording, its name, and the lines above it."""
+
+    start: int
+    stop: int
+    name: str
+    header: tuple[Row, ...]
+
+
+def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) -> list[Part]:
+    """Recordings of a table whose time, displacement and force are ``wanted``; empty where it is one."""
+    time = wanted[0]
+    names = [plain_words(name) for name in layout.names]
+    labels = [i for i, name in enumerate(names) if i not in wanted and is_specimen_name(name)]
+    runs = [
+        i for i, name in enumerate(names) if i not in wanted and i not in labels and _RUNS.fullmatch(name)
+    ]
+    cuts = _by_label(text, layout, time, labels, runs, place) if labels or runs else []
+    cuts = cuts or list(_by_head(text, layout, time))
+    if len(cuts) < 2:
+        return []
+    parts = []
+    line, counted = layout.first_line, layout.offset
+    for count, cut in enumerate(cuts, 1):
+        line, counted = line + text.data.count(b"\n", counted, cut.start), cut.start
+        own = replace(layout, offset=0, first_line=line)
+        name = f"{count}: {cut.name}" if cut.name else str(count)
+        parts.append(Part(name, cut.header, replace(text, data=text.data[cut.start : cut.stop]), own))
+    return parts
+
+
+def _row(text: Text, layout: Layout, time: int, line: bytes) -> tuple[Row, float] | None:
+    """Cells and time of a line that is a row."""
+    cells = split_line(text.decode(line), layout.delimiter)
+    value = parse_number(cells[time], layout.decimal) if len(cells) == layout.n_columns else None
+    return None if value is None or isinstance(value, CellFault) else (cells, value)
+
+
+def _by_label(
+    text: Text, layout: Layout, time: int, labels: Sequence[int], runs: Sequence[int], place: Place
+) -> list[_Cut]:
+    """Stretches of rows with the same label; empty where there is one, or each row has its own."""
+    starts: list[tuple[int, str]] = []
+    at, rows, still = layout.offset, 0, 0
+    label, last, seen = ("", ""), b"", [b""]
+    delimiter, both = layout.delimiter.encode(), [*labels, *runs]
+    for line in text.data[layout.offset :].splitlines(keepends=True):
+        raw = line.split(delimiter)
+        same = len(raw) == layout.n_columns and [raw[i] for i in both] == seen
+        row = None if same else _row(text, layout, time, line)
+        if row is not None:
+            cells, value = row
+            # a cell that is empty goes on with what stands above it
+            own = [" ".join(cells[i].strip() for i in some) for some in (labels, runs)]
+            here = (own[0] or label[0], own[1] or label[1])
+            above = None if here == label else _row(text, layout, time, last)
+            before = value if above is None else above[1]
+            if not starts or here[0] != label[0] or value < before:
+                starts.append((at if starts else layout.offset, " ".join(filter(None, here))))
+                still += above is not None and value == before
+            label, seen = here, [raw[i] for i in both] if len(raw) == layout.n_columns else [b""]
+        if same or row is not None:
+            rows, last = rows + 1, line
+        at += len(line)
+    if len(starts) * FEWEST_ROWS > rows:
+        if 3 * still > rows:
+            message = (
+                f"rows of several specimens, by column {layout.names[labels[0]]!r}, stand at each time; sort"
+                " them by specimen, then by time"
+            )
+            place.refuse("mixed_tables", message, line=layout.first_line)
+        return []
+    stops = [*(start for start, _ in starts[1:]), len(text.data)]
+    return [_Cut(start, stop, name, ()) for (start, name), stop in zip(starts, stops, strict=True)]
+
+
+def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
+    """Rows under each head behind which the time starts again."""
+    if layout.names_line is None:
+        return
+    data = text.data
+    names = data[: layout.offset].splitlines()[layout.names_line - 1].strip()
+    start, name, header = layout.offset, _title(layout.header), layout.header
+    at = layout.offset
+    while (at := data.find(b"\n" + names, at) + 1) > 0:
+        above, below = max(start, at - _NEAR_BYTES), at + len(names)
+        lines = data[above:at].splitlines(keepends=True)
+        ended = _first(text, layout, time, lines[::-1])
+        begun = _first(text, layout, time, data[below : below + _NEAR_BYTES].splitlines(keepends=True))
+        if ended is not None and begun is not None and begun[1] < ended[1]:
+            stop = at - ended[0]
+            yield _Cut(start, stop, name, header)
+            start = below + begun[0]
+            own = (split_line(text.decode(line), layout.delimiter) for line in data[stop:at].splitlines())
+            header = tuple(row for row in own if any(map(str.strip, row)))
+            name = _title(header)
+        at = below
+    yield _Cut(start, len(data), name, header)
+
+
+def _first(text: Text, layout: Layout, time: int, lines: Sequence[bytes]) -> tuple[int, float] | None:
+    """Bytes in front of the first row among some lines, and its time."""
+    passed = 0
+    for line in lines:
+        row = _row(text, layout, time, line)
+        if row is not None:
+            return passed, row[1]
+        passed += len(line)
+    return None
+
+
+def _title(header: Sequence[Row]) -> str:
+    """Name of a recording in the lines above it: its specimen, or a last line of one cell."""
+    last = [cell.strip() for cell in header[-1] if cell.strip()] if header else []
+    return specimen_in(header_entries(header)) or (last[0].rstrip(":") if len(last) == 1 else "")
