@@ -102,6 +102,12 @@ def test_a_wrong_reading_option_is_2(tmp_path, command, args, said):
     run(command, log, *args, *out, code=2, said=said)
 
 
+def test_a_reader_that_is_none_is_2_in_a_folder_that_knows_the_recording(tmp_path):
+    log = write_log(tmp_path / "log.csv")
+    run("fit", log, "--columns", "time=nope", "-o", tmp_path / "out", code=3)
+    run("fit", log, "--recipe", "nope", "-o", tmp_path / "out", code=2, said=tuple(RECIPES))
+
+
 def test_all_inputs_refused_is_3_and_the_old_set_stays(two_outs, junk):
     before = (two_outs[0] / "identification.json").read_bytes()
     ended = run("fit", junk, "-o", two_outs[0], "--json")
