@@ -24,6 +24,9 @@ PACKAGE = Path(tissueid.__file__).parent
         ([1.1e-15, 0.0, 7.4e-13], 2e-13, ["0", "0", "7.4×10⁻¹³"]),
         ([12345.6, 11900.0], 321.0, ["12346", "11900"]),
         ([3.0], None, ["3.000"]),
+        # no zero has a sign, or a power of ten
+        ([105.0, -0.2, 209.0], 62.0, ["105", "0", "209"]),
+        ([0.0, 0.0, 1.322e-9], 5e-7, ["0", "0", "1.322×10⁻⁹"]),
     ],
 )
 def test_a_value_and_its_interval_end_at_the_place_that_the_interval_supports(
@@ -39,6 +42,8 @@ def test_a_power_of_ten_can_be_read_back(exponent: int) -> None:
 
 def test_values_keep_their_power_and_errors_their_two_digits() -> None:
     assert with_error(5.174e-6, 1.12e-7) == "(5.17 ± 0.11)×10⁻⁶"
+    assert with_error(-0.001, 0.1) == "0.00 ± 0.10"
+    assert number(-0.0) == "0"
     assert with_error(None, 1.0) == "not identified"
     assert number(float("inf")) == "inf"
 

@@ -389,22 +389,22 @@ def _with_it(
     options: FitOptions,
     again: Refit,
 ) -> tuple[str | None, list[dict[str, Any]]]:
-    """A remark, and a row a parameter; no rows where the fit with the trial is not possible."""
+    """A remark, and a row a parameter; no rows where there is no fit to compare, or none with the trial."""
     if one.no_specimen:
         return None, []
     if isinstance(one.handle, Refusal):
         return f"it could not be fitted anyway: {one.handle.message}", []
-    if without is not None:
-        model = without.model
-        options = replace(options, branches=model.branches, stiffness_degree=model.stiffness_degree)
+    if without is None:
+        return "the specimen has no other trial that was fitted, so there is nothing to compare", []
+    model = without.model
+    options = replace(options, branches=model.branches, stiffness_degree=model.stiffness_degree)
     handles = [*collected.groups.get(one.specimen, ()), one.handle]
     try:
         fit = again(name, handles, options, f"again, with {one.path}")
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(one.path, one.sheet, "fitted", error).message, []
-    note = None if without is not None else "the specimen has no other trial"
-    before = {} if without is None else {estimate.name: estimate for estimate in without.parameters}
-    return note, [_difference(before.get(after.name), after) for after in fit.parameters]
+    before = {estimate.name: estimate for estimate in without.parameters}
+    return None, [_difference(before.get(after.name), after) for after in fit.parameters]
 
 
 def _difference(before: Estimate | None, after: Estimate) -> dict[str, Any]:

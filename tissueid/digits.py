@@ -50,7 +50,7 @@ def number(value: float | None, digits: int = VALUE_DIGITS) -> str:
     if value is None:
         return "–"
     if value == 0 or not math.isfinite(value):
-        return _minus(f"{value:g}")
+        return _minus(f"{value:zg}")
     power = _power(value)
     if -4 <= power < LARGE_POWER:
         return _minus(f"{value:.{max(digits - 1 - power, 0)}f}")
@@ -70,7 +70,7 @@ def together(values: Sequence[float], sd: float | None) -> list[str]:
     places = ERROR_DIGITS - 1 - _power(sd)
     if places < 0 or places > _MOST_DECIMALS:
         return [number(value) for value in values]
-    return [_minus(f"{value:.{places}f}") for value in values]
+    return [_minus(f"{value:z.{places}f}") for value in values]
 
 
 def with_error(value: float | None, stderr: float | None) -> str:
@@ -90,7 +90,7 @@ def with_error(value: float | None, stderr: float | None) -> str:
     places = ERROR_DIGITS - 1 - _power(stderr)
     if places < 0 or places > _MOST_DECIMALS:
         return f"{number(value)} ± {number(stderr, ERROR_DIGITS)}"
-    return _minus(f"{value:.{places}f} ± {stderr:.{places}f}")
+    return _minus(f"{value:z.{places}f} ± {stderr:.{places}f}")
 
 
 def typeset(text: str) -> str:

@@ -103,7 +103,7 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
     return reasons
 
 
-def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
+def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str], excluded: int = 0) -> Exit:
     """End of a run."""
     codes: set[int] = {0}
     reasons = list(refused)
@@ -111,7 +111,8 @@ def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit
         codes.add(7 if fitted else 3)
     elif not fitted:
         codes.add(3)
-        reasons.append("no recording was found")
+        none = f"nothing is left to fit: {excluded} excluded" if excluded else "no recording was found"
+        reasons.append(none)
     if missing:
         codes.add(4)
     return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
@@ -374,7 +375,9 @@ def identify(
         refused=tuple(everything),
         unfitted_cycles=tuple(collected.unfitted_cycles),
         exclusions=tuple(exclusions),
-        exit=exit_of(len(fits), [str(one) for one in everything], unmet(fits, options.required)),
+        exit=exit_of(
+            len(fits), [str(one) for one in everything], unmet(fits, options.required), len(exclusions)
+        ),
         study=record,
         provenance=run_provenance(options, inputs, record, provenance or {}),
     )

@@ -59,6 +59,9 @@ CALIBRATE = ("calibrate", "paper-a-30", "-o", "out")
         (["fti"], "Did you mean 'fit'?"),
         (["reports"], "Did you mean 'report'?"),
         (["valdate"], "Did you mean 'validate'?"),
+        (["export", ".", "--specimen", "a"], "leave it out"),
+        (["export", ".", "--format", "c-header", "--depth", "3"], "leave it out"),
+        (["export", __file__, "--format", "trials"], "from the whole output folder"),
         (["control"], "give a bundle, or --preset, and not both"),
         (["control", "--preset", "nonsense"], "there is no preset 'nonsense'"),
         ([*PRESET, "--virtual-mass", "0.3"], "variant B bears from 0.396 kg on; take 0.594 kg"),
@@ -100,6 +103,12 @@ def test_a_wrong_reading_option_is_2(tmp_path, command, args, said):
     log = write_log(tmp_path / "log.csv")
     out = ["-o", str(tmp_path / "out")] if command == "fit" else []
     run(command, log, *args, *out, code=2, said=said)
+
+
+def test_a_reader_that_is_none_is_2_in_a_folder_that_knows_the_recording(tmp_path):
+    log = write_log(tmp_path / "log.csv")
+    run("fit", log, "--columns", "time=nope", "-o", tmp_path / "out", code=3)
+    run("fit", log, "--recipe", "nope", "-o", tmp_path / "out", code=2, said=tuple(RECIPES))
 
 
 def test_all_inputs_refused_is_3_and_the_old_set_stays(two_outs, junk):

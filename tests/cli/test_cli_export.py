@@ -446,4 +446,6 @@ def test_of_several_specimens_one_is_chosen(tmp_path):
     out = written(tmp_path / "out", specimen_fit("kidney 3"), specimen_fit("spleen 1"))
     run("export", out, "--format", "c-header", code=2, said="--specimen")
     run("export", out, "--format", "c-header", "--specimen", "nobody", code=2, said="nobody")
+    single = next(out.glob("bundle-*.h5"))
+    run("export", single, "--format", "c-header", "--specimen", "nobody", code=2, said="nobody")
     assert "kidney_3_step(" in run("export", out, "--format", "c-header", "--specimen", "kidney 3").stdout

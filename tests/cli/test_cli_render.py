@@ -274,6 +274,7 @@ def test_consent_is_asked_for_where_somebody_can_answer(bundle, tmp_path):
 def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle, tmp_path):
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
     assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
+    run("render", bundle, "--replay", first, "--script", SHORT, code=2, said="leave --script or --replay out")
     in_real_time(second, bundle, "--replay", first)
     one, other = read_session_log(first), read_session_log(second)
     assert other.head["scale"]["force_scale"] == one.head["scale"]["force_scale"]

@@ -243,6 +243,15 @@ def test_a_grip_that_nobody_moves_pushes_as_long_as_the_session_lasts(bundle: Pa
     assert -0.1 < plan.script.duration_s - seconds < push_s
 
 
+@pytest.mark.parametrize(("asked", "taken"), [(1.0, 1.0), (600.0, None), (None, None)])
+def test_a_session_ends_with_its_script_or_at_the_time_that_was_said(
+    bundle: Path, asked: float | None, taken: float | None
+) -> None:
+    plan = plan_session(options(bundle, script="indent 2 mm at 60 mm/min; hold 2 s", seconds=asked))
+    assert plan.script is not None
+    assert plan.seconds == (taken or plan.script.duration_s)
+
+
 def test_a_bundle_or_a_preset_is_needed() -> None:
     with pytest.raises(UsageError, match="not both"):
         plan_session(RenderOptions(device="sim"))

@@ -101,6 +101,22 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     assert "With it" in page
 
 
+def test_a_specimen_that_is_excluded_as_a_whole_is_not_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = "[[exclude]]\nfile = 'a.csv'\nbecause = 'another tip'\n"
+    code, document = fit_lab(tmp_path, manifest, a=1.0, b=1.5)
+    assert code in (0, 4)
+    (row,) = document["study"]["exclusions"]
+    assert (row["because"], row["with_it"]) == ("another tip", [])
+    assert "no other trial that was fitted" in row["note"]
+    capsys.readouterr()
+    assert main(["fit", str(tmp_path / "lab"), "--exclude", "b*", "-o", str(tmp_path / "none")]) == 3
+    shown = capsys.readouterr()
+    assert "nothing is left to fit: 2 excluded" in shown.err
+    assert "with it" not in shown.out
+
+
 def test_a_damaged_recording_that_is_excluded_is_no_failure(tmp_path: Path) -> None:
     manifest = GROUPED + "[[exclude]]\nfile = 'a2.csv'\nbecause = 'cut off by a power failure'\n"
     folder = lab(tmp_path / "lab", manifest, a1=1.0)

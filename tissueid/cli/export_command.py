@@ -66,8 +66,15 @@ def command(flags: _ExportFlags) -> int:
     from tissueid.store.results import read_plain, read_results
     from tissueid.store.tidy import csv_bytes, tidy_table
 
-    if flags.form in ("mat", *TISSUES):
+    of_tissues = flags.form in ("mat", *TISSUES)
+    if flags.specimen is not None and not of_tissues:
+        refuse(f"--specimen chooses among tissues, and {flags.form} holds all of them; leave it out")
+    if flags.depth is not None and flags.form not in TISSUES[1:]:
+        refuse(f"--depth is that of a Prony series, as --format abaqus; leave it out of {flags.form}")
+    if of_tissues:
         return _write_tissues(flags)
+    if Path(flags.out).is_file():
+        refuse(f"{flags.out} is one file: {flags.form} is made from the whole output folder")
     document, _, posteriors = read_results(flags.out)
     if flags.form == "netcdf":
         return _write_netcdf(posteriors, flags)
@@ -127,14 +134,15 @@ def _bundles(flags: _ExportFlags) -> list[Bundle]:
     from tissueid.store.files import bundle_names
     from tissueid.store.results import read_results
 
-    path = Path(flags.out)
+    path, wanted = Path(flags.out), flags.specimen
     if path.is_file():
-        return [load_bundle(path)]
-    names = bundle_names(one.specimen for one in read_results(str(path))[0].specimens)
-    wanted = flags.specimen
-    if wanted is not None and wanted not in names:
-        refuse(f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}")
-    return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
+        files = {load_bundle(path).specimen: path}
+    else:
+        names = bundle_names(one.specimen for one in read_results(str(path))[0].specimens)
+        files = {name: path / file for name, file in names.items()}
+    if wanted is not None and wanted not in files:
+        refuse(f"--specimen {printable(wanted)}: {path} holds {', '.join(list(files)[:LISTED])}")
+    return [load_bundle(file) for name, file in files.items() if wanted in (None, name)]
 
 
 def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: _ExportFlags) -> int:

@@ -361,7 +361,8 @@ def _print_exclusion(row: Exclusion) -> None:
     for one in row.with_it:
         before = with_error(one.without, one.without_stderr)
         after = with_error(one.with_it, one.with_stderr)
-        echo(f"  {one.symbol:<6} with it {after} {one.unit} (without: {before})")
+        unit = "" if one.with_it is None else f" {one.unit}"
+        echo(f"  {one.symbol:<6} with it {after}{unit} (without: {before})")
 
 
 def print_reasons(found: Assembled, *, quiet: int) -> None:

@@ -95,6 +95,10 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
 
 def read_options(flags: ReadingFlags) -> ReadOptions:
     """Options of reading, from flags."""
+    from tissueid.ingest import known_recipe
+
+    if flags.recipe is not None:
+        known_recipe(flags.recipe)
     return recorded_options({name: getattr(flags, name) for name in READING})
 
 

@@ -9,6 +9,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.reading import (
     RECIPES,
     forget_readers,
+    known_recipe,
     match_of,
     read_each,
     read_one,
@@ -30,6 +31,7 @@ __all__ = [
     "each_input",
     "find_inputs",
     "forget_readers",
+    "known_recipe",
     "match_of",
     "read_each",
     "read_one",

@@ -112,16 +112,24 @@ def _guarded(recipe: Recipe) -> Recipe:
     return Recipe(recipe.key, recipe.description, recipe.detect, read)
 
 
+def _recipes() -> dict[str, Recipe]:
+    return {**RECIPES, **_installed_recipes()}
+
+
+def known_recipe(key: str) -> Recipe:
+    """The recipe of a name; UsageError with all of them where there is none."""
+    recipes = _recipes()
+    if key not in recipes:
+        msg = f"unknown recipe {key!r}, one of {', '.join(recipes)}"
+        raise UsageError(msg)
+    return recipes[key]
+
+
 def match_recipe(file: InputFile) -> Match:
     """The surest recipe for a file, or the one the user asked for."""
-    recipes = {**RECIPES, **_installed_recipes()}
-    wanted = file.options.recipe
-    if wanted is not None:
-        if wanted not in recipes:
-            msg = f"unknown recipe {wanted!r}, one of {', '.join(recipes)}"
-            raise UsageError(msg)
-        return Match(recipes[wanted], 1.0, "the user asked for it")
-    matches = [Match(recipe, *_detect(recipe, file)) for recipe in recipes.values()]
+    if file.options.recipe is not None:
+        return Match(known_recipe(file.options.recipe), 1.0, "the user asked for it")
+    matches = [Match(recipe, *_detect(recipe, file)) for recipe in _recipes().values()]
     best = max(matches, key=lambda match: match.confidence)
     if best.confidence > 0.0:
         return best

@@ -55,7 +55,7 @@ class RenderOptions:
     device_options: Mapping[str, Any] = field(default_factory=dict)  # for the device's class
     script: str | None = None
     program: Carried | None = None  # motion of the simulated grip, in place of a script
-    seconds: float | None = None  # length of a session without a script
+    seconds: float | None = None  # length of a session, the longest of a script
     force_scale: float | None = None
     motion_scale: float | None = None
     tip_radius_mm: float | None = None

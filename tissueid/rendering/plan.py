@@ -209,12 +209,12 @@ def _asked(options: RenderOptions) -> _Asked:
 
 
 def _seconds(options: RenderOptions, script: Script | None) -> float | None:
-    """Length of the session: of the script that was asked for, else what was said."""
+    """Length of the session: what was said, no longer than the script that was asked for."""
     if options.program is not None:
         return options.program.duration_s
     if script is None or (options.script is None and options.seconds is not None):
         return options.seconds
-    return script.duration_s
+    return min(script.duration_s, options.seconds or script.duration_s)
 
 
 def _script(asked: _Asked, first: Picked) -> Script | None:
@@ -268,7 +268,8 @@ def _must_fit(asked: _Asked, script: Script | None) -> None:
     options, name = asked.options, asked.choice.name
     simulated = name == SIMULATED
     if script is not None and not simulated:
-        msg = f"--script moves a simulated grip, and the device is {name}; add --device sim"
+        way_out = "add --device sim" if options.replay is None else "leave --script or --replay out"
+        msg = f"--script moves a simulated grip, and the device is {name}; {way_out}"
         raise UsageError(msg)
     led_by_nobody = script is None and options.program is None
     if options.virtual and (not simulated or led_by_nobody):

@@ -91,7 +91,8 @@ def _text_of(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"{printable(str(path))} can't be read: {error}"
+        reason = getattr(error, "strerror", None) or error
+        msg = f"{printable(str(path))}: can't be read ({reason}); name a TOML file, see docs/guidance.md"
         raise UsageError(msg) from error
 
 

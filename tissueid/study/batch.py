@@ -181,7 +181,8 @@ def assemble(
         for row in taken_out:
             parts.exclusions.add(row)
             found.exclusions.append(row)
-        found.exit = exit_of(found.fitted, [str(one) for one in found.refused], found.reasons)
+        refused = [str(one) for one in found.refused]
+        found.exit = exit_of(found.fitted, refused, found.reasons, len(found.exclusions))
         record = None if study is None else study_document(study, parts.names, parts.trials, parts.exclusions)
         document = {
             "schema": "tissueid/identification/1",
