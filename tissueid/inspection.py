@@ -104,7 +104,7 @@ def describe_segmented(
         "cycles": plain(cycle_rows(trial, segmentation)),
         "measured": plain(measured),
         "verdict": verdict_of(trial, segmentation, measured, earlier).as_json(),
-        "flags": [flag.as_json() for flag in flags],
+        "flags": plain(flags),
     }
 
 

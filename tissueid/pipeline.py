@@ -28,6 +28,8 @@ from tissueid.collection import (
     without_excluded,
 )
 from tissueid.decided import arithmetic_refusal
+from tissueid.documents import typed
+from tissueid.documents.identification import Exit
 from tissueid.errors import InputError, UsageError, exit_code
 from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
@@ -40,7 +42,7 @@ from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, unused_priors
 from tissueid.priors import Priors
-from tissueid.result import Exit, Identification, Refusal, SpecimenFit
+from tissueid.result import Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Axes, Source, TipShape, Trial
 
@@ -114,7 +116,7 @@ def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit
         reasons.append("no recording was found")
     if missing:
         codes.add(4)
-    return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
+    return typed({"code": exit_code(codes), "reasons": (*reasons, *missing)}, Exit)
 
 
 def run_provenance(

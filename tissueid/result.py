@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain, typed
-from tissueid.documents.identification import Model, Nrmsd
+from tissueid.documents.identification import Exit, Model, Nrmsd, Relaxation, RelaxationWindow
 from tissueid.documents.measured import Measured, Spread
-from tissueid.documents.quantities import Cycle, UnloadingMiss
+from tissueid.documents.quantities import Cycle, Quoted, UnloadingMiss
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
-from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.trial import MM_N, Axes, TipShape
 from tissueid.uncertainty import UNCERTAINTY, ParameterUncertainty, Posterior
 
@@ -43,12 +42,10 @@ class ResidualSummary:
 __all__ = [
     "Curve",
     "Estimate",
-    "Exit",
     "Identification",
     "ModelChoice",
     "Nrmsd",
     "Refusal",
-    "RelaxationRow",
     "SpecimenFit",
     "TrialFit",
 ]
@@ -201,7 +198,7 @@ class TrialFit:
             "rmse_N": self.nrmsd.rmse_N,
             **{key: getattr(self, key) for key in _OF_TRIAL},
             "measured": plain(self.measured),
-            "flags": [flag.as_json() for flag in self.flags],
+            "flags": plain(self.flags),
         }
 
 
@@ -234,7 +231,7 @@ class SpecimenFit(Shown):
     nrmsd : Nrmsd
         Over all fitted samples.
     trials : tuple of TrialFit
-    relaxation : tuple of RelaxationRow
+    relaxation : tuple of Relaxation
     relaxation_window : RelaxationWindow or None
         The one relaxation time of the publication, of the whole hold and of shorter ones.
     optimisers : mapping
@@ -251,7 +248,7 @@ class SpecimenFit(Shown):
     cycles : tuple of Cycle
     measured : tuple of Spread
         What was measured, no model, with the spread between logs.
-    quoted : QuotedNumbers or None
+    quoted : Quoted or None
     posterior : Posterior or None
         ``None`` where nothing was sampled.
     """
@@ -269,7 +266,7 @@ class SpecimenFit(Shown):
     n_samples: int
     nrmsd: Nrmsd
     trials: tuple[TrialFit, ...]
-    relaxation: tuple[RelaxationRow, ...]
+    relaxation: tuple[Relaxation, ...]
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
     tip: TipShape | None = None
@@ -280,7 +277,7 @@ class SpecimenFit(Shown):
     unloading_predicted: UnloadingMiss | None = None
     cycles: tuple[Cycle, ...] = ()
     measured: tuple[Spread, ...] = ()
-    quoted: QuotedNumbers | None = None
+    quoted: Quoted | None = None
     posterior: Posterior | None = None
 
     def parameter(self, name: str) -> Estimate:
@@ -307,19 +304,17 @@ class SpecimenFit(Shown):
                 **({} if self.tip is None else {"tip": self.tip.as_json()}),
             },
             "trials": [trial.as_json() for trial in self.trials],
-            "relaxation": [row.as_json() for row in self.relaxation],
-            "relaxation_window": (
-                None if self.relaxation_window is None else self.relaxation_window.as_json()
-            ),
+            "relaxation": plain(self.relaxation),
+            "relaxation_window": plain(self.relaxation_window),
             "cycles": plain(self.cycles),
             "measured": plain(self.measured),
-            "quoted": None if self.quoted is None else self.quoted.as_json(),
+            "quoted": plain(self.quoted),
             "unloading": None if self.unloading is None else dict(self.unloading),
             "unloading_predicted": plain(self.unloading_predicted),
             "optimisers": dict(self.optimisers),
             "selection": [dict(row) for row in self.selection],
             **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),
-            "flags": [flag.as_json() for flag in self.flags],
+            "flags": plain(self.flags),
         }
         return _in_units(document, self.axes) if self.axes.normalised else document
 
@@ -368,18 +363,6 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
-class Exit:
-    """End of a command: its exit code and the reasons, in words."""
-
-    code: int
-    reasons: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``exit`` object of the schema."""
-        return plain(self)  # type: ignore[no-any-return]
-
-
-@dataclass(frozen=True, slots=True)
 class Identification(Shown):
     """Everything ``tissueid fit`` found in one run.
 
@@ -418,5 +401,5 @@ class Identification(Shown):
             "unfitted_cycles": plain(self.unfitted_cycles),
             "study": None if self.study is None else dict(self.study),
             "provenance": dict(self.provenance),
-            "exit": self.exit.as_json(),
+            "exit": plain(self.exit),
         }

@@ -74,12 +74,12 @@ def test_tip_and_thickness_come_from_the_study_unless_they_are_given() -> None:
     (fit,) = identify(trials_of(), study=study, options=options(poisson=0.45)).specimens
     assert fit.quoted is not None
     known = fit.quoted.assumptions
-    assert (known["shape"], known["radius_mm"], known["thickness_mm"]) == ("sphere", 3.0, 12.0)
-    assert known["poisson"] == 0.45
+    assert (known.shape, known.radius_mm, known.thickness_mm) == ("sphere", 3.0, 12.0)
+    assert known.poisson == 0.45
     given = Geometry(Indenter("flat", 1.0))
     (fit,) = identify(trials_of(), study=study, options=options(geometry=given)).specimens
     assert fit.quoted is not None
-    assert fit.quoted.assumptions["shape"] == "flat"
+    assert fit.quoted.assumptions.shape == "flat"
 
 
 def test_a_normalised_recording_has_no_modulus_of_a_tip() -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from tissueid.flags import FLAGS
+from tissueid.flags import FLAGS, Flag
 
 #: JSON Schema, or a part of one
 JsonSchema = Mapping[str, Any]
@@ -48,8 +48,6 @@ class Placed(Protocol):
         """Sheet of a workbook; ``None`` where the file has none."""
 
 
-#: Members of a flag that are not among the numbers behind it.
-_SAID = ("code", "message")
 _PLAIN = {"type": ["number", "string", "boolean", "null"]}
 #: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
 FLAG_SCHEMA: JsonSchema = {
@@ -59,26 +57,9 @@ FLAG_SCHEMA: JsonSchema = {
         "code": {"enum": list(FLAGS)},
         "message": {"type": "string", "minLength": 1, "description": "One plain sentence with its numbers"},
     },
-    "required": list(_SAID),
+    "required": ["code", "message"],
     "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
 }
-
-
-class Flag:
-    """Code, sentence, and the numbers behind it, which stand beside both in the file."""
-
-    __slots__ = ("code", "message", "values")
-
-    def __init__(self, code: str, message: str, values: Mapping[str, Any]) -> None:
-        self.code = code
-        self.message = message
-        self.values = values
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Flag:
-        """Read one from its members."""
-        values = {key: value for key, value in document.items() if key not in _SAID}
-        return cls(document["code"], document["message"], values)
 
 
 _T = TypeVar("_T")
@@ -95,7 +76,7 @@ def typed(document: Any, kind: type[_T]) -> _T:
 
 def _flag(kind: type[Any], document: Any) -> Any:
     if kind is Flag and isinstance(document, Mapping):
-        return Flag.of(document)
+        return Flag.read(document)
     msg = f"a document holds no {kind.__name__}"
     raise NotImplementedError(msg)
 

@@ -135,7 +135,7 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[
         "agreement": plain(fit.agreement),
         "order": plain(fit.order),
         "confounding": plain(fit.confounding),
-        "flags": [flag.as_json() for flag in fit.flags],
+        "flags": plain(fit.flags),
         "provenance": {
             "tissueid": __version__,
             "identification_sha256": source,

@@ -119,7 +119,7 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
                 for one in run.identification.refused
             ),
         ],
-        "flags": [flag.as_json() for flag in study.flags],
+        "flags": plain(study.flags),
         "provenance": dict(run.identification.provenance),
     }
 

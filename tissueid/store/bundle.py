@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
 from tissueid.errors import BundleError
 from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
@@ -242,7 +243,7 @@ def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundl
         tip_radius_mm=fit.tip_radius_mm,
         tip=fit.tip,
         sigma_N=float(fit.sigma_N),
-        flags=tuple(flag.as_json() for flag in fit.flags),
+        flags=tuple(plain(fit.flags)),
         provenance={**provenance, "inputs": inputs},
         draws=None if posterior is None else _thinned(posterior.draws),
         units=fit.axes.as_json(),

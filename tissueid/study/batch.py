@@ -27,11 +27,13 @@ from tissueid.collection import (
     unmatched_sheets,
     without_excluded,
 )
+from tissueid.documents import plain
+from tissueid.documents.identification import Exit
 from tissueid.errors import BundleError, InputError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
-from tissueid.result import Exit, Identification, Refusal
+from tissueid.result import Identification, Refusal
 from tissueid.store.files import (
     IDENTIFICATION,
     JsonList,
@@ -88,7 +90,7 @@ class Assembled:
     #: Trials that the study does not name, of all.
     beside: int = 0
     trials: int = 0
-    exit: Exit = field(default_factory=lambda: Exit(0))
+    exit: Exit = field(default_factory=lambda: Exit(0, ()))
 
     @property
     def large(self) -> bool:
@@ -190,7 +192,7 @@ def assemble(
             "unfitted_cycles": parts.cycles,
             "study": record,
             "provenance": run_provenance(options, parts.inputs, record, provenance),
-            "exit": found.exit.as_json(),
+            "exit": plain(found.exit),
         }
         _check_frame(document)
         with replacing(found.document) as whole, whole.open("wb") as file:
