@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.documents import plain, typed
-from tissueid.documents.identification import Exit, Model, Nrmsd, Relaxation, RelaxationWindow
+from tissueid.documents import members, plain, typed
+from tissueid.documents.identification import Exit, Model, Nrmsd, Relaxation, RelaxationWindow, Validity
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, UnloadingMiss
 from tissueid.errors import InputError
@@ -297,12 +297,7 @@ class SpecimenFit(Shown):
             "nrmsd": plain(self.nrmsd),
             "sigma_N": self.sigma_N,
             "n_samples": self.n_samples,
-            "validity": {
-                "depth_mm": self.depth_mm,
-                "speeds_mm_s": list(self.speeds_mm_s),
-                "tip_radius_mm": self.tip_radius_mm,
-                **({} if self.tip is None else {"tip": self.tip.as_json()}),
-            },
+            "validity": plain(Validity(**members(self, Validity))),
             "trials": [trial.as_json() for trial in self.trials],
             "relaxation": plain(self.relaxation),
             "relaxation_window": plain(self.relaxation_window),

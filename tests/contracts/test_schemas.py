@@ -21,12 +21,11 @@ from tissueid.errors import BundleError
 from tissueid.flags import FLAGS, Flag
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.store import schema as schema_module
-from tissueid.store.files import plain_json
 from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
 
 
 def document_of(fit: SpecimenFit, *, refused: bool = False) -> dict[str, Any]:
-    return plain_json(identification([fit], refused=refused).as_json())
+    return plain(identification([fit], refused=refused).as_json())
 
 
 def run_document() -> dict[str, Any]:
@@ -117,7 +116,7 @@ def test_a_diagnostic_without_a_value_is_null_and_comes_back_as_nan() -> None:
     fit = sampled(specimen_fit())
     known = fit.parameters[0].uncertainty
     odd = replace(fit.parameters[0], uncertainty=replace(known, r_hat=float("nan"), ess_tail=float("nan")))
-    document = plain_json(odd.as_json())
+    document = plain(odd.as_json())
     assert (document["r_hat"], document["ess_tail"]) == (None, None)
     back = Estimate.from_json(document).uncertainty
     assert np.isnan(back.r_hat)

@@ -10,6 +10,7 @@ from msgspec import structs
 from report_pages import document_of, render_report
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.documents.quantities import (
     Assumptions,
     AtDepth,
@@ -24,7 +25,6 @@ from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import Indenter
 from tissueid.report.quoted_words import MOST_ROWS, cycle_table, quoted_tables
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 
 cycle_table = typed_call(cycle_table)
@@ -145,6 +145,6 @@ def test_unloading_is_told_beside_the_loops():
 
 def test_loops_of_what_could_not_be_fitted_are_shown():
     run = replace(identification([specimen_fit()]), unfitted_cycles=(loop(),))
-    made: dict[str, Any] = plain_json(run.as_json())
+    made: dict[str, Any] = plain(run.as_json())
     assert first_problem(made, "identification") is None
     assert "Loops of recordings that were not fitted" in render_report(made, curves_of_fits(run.specimens))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 
 from tissueid.flags import FLAGS, Flag
@@ -83,7 +84,12 @@ def _flag(kind: type[Any], document: Any) -> Any:
 
 def plain(document: Any) -> Any:
     """Rewrite a document, or any part of one, in plain dicts, lists and values."""
-    return _listed(msgspec.to_builtins(document, enc_hook=_members))
+    return _listed(msgspec.to_builtins(document, enc_hook=_members, str_keys=True))
+
+
+def members(one: object, kind: type[Struct]) -> dict[str, Any]:
+    """Members of a record, read off an object that has them all."""
+    return {name: getattr(one, name) for name in kind.__struct_fields__}
 
 
 def _listed(value: Any) -> Any:
@@ -98,4 +104,7 @@ def _members(value: Any) -> Any:
         return {"code": value.code, "message": value.message, **value.values}
     if isinstance(value, Mapping):
         return dict(value)
-    return value.tolist()  # numbers and arrays of numpy
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    msg = f"{type(value).__name__} has no place in JSON: {value!r}"
+    raise TypeError(msg)

@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.documents import plain
+from tissueid.documents import members, plain, typed
+from tissueid.documents.identification import Validity
 from tissueid.errors import BundleError
 from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
 from tissueid.rupture_law import RuptureLaw
-from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.files import json_bytes
 from tissueid.store.hdf5 import check_format, get_text, new_file, open_file, put_text
 from tissueid.store.schema import check
 from tissueid.trial import Axes, TipShape
@@ -160,12 +161,7 @@ class Bundle(Shown):
             "model": self.model.as_json(),
             "theta_names": list(self.theta_names),
             "parameters": [estimate.as_json() for estimate in self.parameters],
-            "validity": {
-                "depth_mm": self.depth_mm,
-                "speeds_mm_s": list(self.speeds_mm_s),
-                "tip_radius_mm": self.tip_radius_mm,
-                **({} if self.tip is None else {"tip": self.tip.as_json()}),
-            },
+            "validity": plain(Validity(**members(self, Validity))),
             "sigma_N": self.sigma_N,
             "units": dict(self.units),
             "flags": [dict(flag) for flag in self.flags],
@@ -269,7 +265,7 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
 
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
     """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
-    document = plain_json(bundle.as_json())
+    document = plain(bundle.as_json())
     _check_contents(bundle, document, where=where)
     arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
@@ -375,7 +371,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
         depth_mm=validity["depth_mm"],
         speeds_mm_s=(slowest, fastest),
         tip_radius_mm=validity["tip_radius_mm"],
-        tip=TipShape.from_json(validity["tip"]) if "tip" in validity else None,
+        tip=typed(validity["tip"], TipShape) if "tip" in validity else None,
         sigma_N=document["sigma_N"],
         flags=tuple(document["flags"]),
         provenance=document["provenance"],
@@ -383,7 +379,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
         population_mean=arrays.get("population_mean"),
         population_sd=arrays.get("population_sd"),
         units=document["units"],
-        rupture=None if document["rupture"] is None else RuptureLaw.from_json(document["rupture"]),
+        rupture=None if document["rupture"] is None else typed(document["rupture"], RuptureLaw),
     )
 
 

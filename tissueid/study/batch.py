@@ -34,15 +34,7 @@ from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
 from tissueid.result import Identification, Refusal
-from tissueid.store.files import (
-    IDENTIFICATION,
-    JsonList,
-    plain_json,
-    replacing,
-    sha256_of,
-    write_file,
-    write_json,
-)
+from tissueid.store.files import IDENTIFICATION, JsonList, replacing, sha256_of, write_file, write_json
 from tissueid.store.index import Index, JobRow
 from tissueid.store.merged import (
     LISTED,
@@ -212,7 +204,7 @@ def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusa
         raise AssertionError
 
     rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)
-    return kept, [plain_json(row) for row in rows]
+    return kept, [plain(row) for row in rows]
 
 
 def _unmatched(index: Index, study: Study | None) -> list[Refusal]:
@@ -230,7 +222,7 @@ def _check_frame(document: Mapping[str, Any]) -> None:
             return []
         if isinstance(value, Mapping):
             return {key: bare(child) for key, child in value.items()}
-        return plain_json(value)
+        return plain(value)
 
     check(bare(document), "identification", where=IDENTIFICATION)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
 from tissueid.documents.twin import Twin
@@ -31,15 +31,7 @@ from tissueid.report.page import Beside, index_row, plotly_script, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import (
-    CURVES,
-    IDENTIFICATION,
-    POSTERIORS,
-    REPORT,
-    json_bytes,
-    plain_json,
-    write_file,
-)
+from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, json_bytes, write_file
 from tissueid.store.merged import LISTED, SPECIMENS, load_record, load_specimen, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -66,7 +58,7 @@ def _row(name: str, check: Precheck, speeds_mm_s: tuple[float, float]) -> Render
     fastest_mm_s = speeds_mm_s[1] * check.scaling.motion
     return RenderedDevice(
         name=name,
-        scale=typed(plain_json(check.as_json()), Scale),
+        scale=typed(plain(check.as_json()), Scale),
         travel_mm=check.depth_mm * check.scaling.motion,
         room_mm=MM_PER_M * check.demands.travel_m,
         fastest_hand_mm_s=fastest_mm_s,
@@ -151,7 +143,7 @@ def fit_with_page(payload: bytes) -> bytes:
 
 
 def report_page(
-    plain: Mapping[str, Any],
+    written: Mapping[str, Any],
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior],
     *,
@@ -161,11 +153,11 @@ def report_page(
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
-    ``plain``: identification.json; ``graded``: it knows of the study; ``**more``: of
+    ``written``: identification.json; ``graded``: it knows of the study; ``**more``: of
     :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
-    document = typed(plain, Identification)
+    document = typed(written, Identification)
     return render_report(
         document,
         curves,
@@ -175,7 +167,7 @@ def report_page(
             completeness_of_result(document.study) if graded else None,
             () if twin is None else twin_sections(twin),
         ),
-        digest=hashlib.sha256(json_bytes(plain)).hexdigest(),
+        digest=hashlib.sha256(json_bytes(written)).hexdigest(),
         **more,
     )
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
@@ -277,7 +278,7 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
             "radius_m": radius_m,
             "force_field": "force_N",
             "position_field": "position_m",
-            **head["tissues"][0].get("tip", TipShape("sphere").as_json()),
+            **head["tissues"][0].get("tip", plain(TipShape("sphere"))),
         },
     ]
     if head["environment"] == "guidance":
