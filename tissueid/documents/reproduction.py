@@ -96,9 +96,9 @@ class Figure(Document, frozen=True):
     caption: str
     x_title: str
     y_title: str
-    x_log: bool
-    drawing: Literal["schematic", "block-diagram"] | None
     traces: tuple[Trace, ...]
+    drawing: Literal["schematic", "block-diagram"] | None
+    x_log: bool
 
 
 class Reproduction(Document, frozen=True):
