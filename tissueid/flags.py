@@ -369,7 +369,13 @@ class Flag:
         if code not in FLAGS:
             msg = f"unknown flag code {code!r}"
             raise ValueError(msg)
-        self.code, self.message, self.values = code, message, values
+        self.code, self.message, self.values = code, message, dict(values)
+
+    def __repr__(self) -> str:
+        return f"Flag({self.code!r}, {self.message!r}, {self.values!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flag) and repr(self) == repr(other)
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Flag:

@@ -28,8 +28,8 @@ from tissueid.collection import (
     without_excluded,
 )
 from tissueid.decided import arithmetic_refusal
-from tissueid.documents import typed
-from tissueid.documents.identification import Exit
+from tissueid.documents import members, typed
+from tissueid.documents.identification import Exit, TipGeometry
 from tissueid.errors import InputError, UsageError, exit_code
 from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
@@ -44,7 +44,7 @@ from tissueid.model.grammar import KELVIN_VOIGT, candidates, unused_priors
 from tissueid.priors import Priors
 from tissueid.result import Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.trial import Axes, Source, TipShape, Trial
+from tissueid.trial import Axes, Source, Trial
 
 #: Libraries whose version may change a number.
 LIBRARIES = ("emcee", "lmfit", "numba", "numpy", "scipy")
@@ -301,7 +301,7 @@ def _fit_all(
         radius_mm, tip = radii.pop() if len(radii) == 1 else None, None
         if own.geometry is not None:
             said = own.geometry.indenter
-            radius_mm, tip = radius_mm or said.radius_mm, TipShape(said.shape, said.half_angle_deg)
+            radius_mm, tip = radius_mm or said.radius_mm, typed(members(said, TipGeometry), TipGeometry)
         fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=collected.axes[specimen])
         fits.append(study_flags(fit, collected, study))
     progress("fitted", total, total)

@@ -11,14 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.documents import members, plain, typed
-from tissueid.documents.identification import Exit, Model, Nrmsd, Relaxation, RelaxationWindow, Validity
+from tissueid.documents import members, plain
+from tissueid.documents.identification import (
+    Exit,
+    Model,
+    Nrmsd,
+    Relaxation,
+    RelaxationWindow,
+    TipGeometry,
+    Validity,
+)
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, UnloadingMiss
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
-from tissueid.trial import MM_N, Axes, TipShape
+from tissueid.trial import MM_N, Axes
 from tissueid.uncertainty import UNCERTAINTY, ParameterUncertainty, Posterior
 
 
@@ -137,11 +145,6 @@ class ModelChoice:
         nodes = {key: known[key] or () for key in ("inside_s", "outside_s")}
         return cls(**known | nodes | {"name": found.name or ""})
 
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:
-        """A choice from the ``model`` object of the schema."""
-        return cls.of(typed(found, Model))
-
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
         found = plain(self)
@@ -222,7 +225,7 @@ class SpecimenFit(Shown):
     speeds_mm_s : tuple of float
         Slowest and fastest fitted loading speed.
     tip_radius_mm : float or None
-    tip : TipShape or None
+    tip : TipGeometry or None
         Shape of the tip, where it was stated.
     sigma_N : float
         Residual standard deviation [N].
@@ -269,7 +272,7 @@ class SpecimenFit(Shown):
     relaxation: tuple[Relaxation, ...]
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
-    tip: TipShape | None = None
+    tip: TipGeometry | None = None
     relaxation_window: RelaxationWindow | None = None
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N

@@ -72,14 +72,6 @@ class Axes:
         return f"1{text}" if text == "" or text.startswith("/") else text
 
 
-@dataclass(frozen=True, slots=True)
-class TipShape:
-    """Shape of a tool's tip; its radius stands beside it."""
-
-    shape: str  # {"sphere", "flat", "cone"}
-    half_angle_deg: float | None = None  # of a cone, between its axis and its side
-
-
 #: A displacement and a force.
 MM_N = Axes()
 

@@ -12,6 +12,7 @@ import pytest
 
 from tissueid import collection, read_trials
 from tissueid.documents import plain
+from tissueid.documents.identification import TipGeometry
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_trial
 from tissueid.measured.geometry import stated_geometry
@@ -21,7 +22,7 @@ from tissueid.segment import SegmentOptions
 from tissueid.store.files import json_bytes
 from tissueid.store.schema import first_problem
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
-from tissueid.trial import Source, TipShape, Trial
+from tissueid.trial import Source, Trial
 
 QUICK = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
 
@@ -163,7 +164,7 @@ def test_the_tip_that_a_study_states_is_kept_with_its_shape(holds: list[Trial]) 
     stated = stated_geometry({"shape": "flat", "radius_mm": 3.0}, None, 0.5)
     options = replace(QUICK, fit=replace(QUICK.fit, geometry=stated))
     (fit,) = identify(holds, options=options).specimens
-    assert (fit.tip_radius_mm, fit.tip) == (3.0, TipShape("flat"))
+    assert (fit.tip_radius_mm, fit.tip) == (3.0, TipGeometry("flat", None))
     document = plain(fit.as_json())
     assert document["validity"]["tip"] == {"shape": "flat", "half_angle_deg": None}
     assert identify(holds, options=QUICK).specimens[0].tip is None

@@ -123,27 +123,27 @@ class _Assembly:
         for job in self.index.jobs("done"):
             path = specimen_path(self.out, job.key)
             record = load_record(path)
-            fitted = record["fitted"]
+            fitted = record.fitted
             if fitted is not None:
                 found.fitted += 1
                 self.specimens.add(fitted)
                 self.names.append(job.specimen)
                 if not found.large:
-                    self.files[job.specimen], self.inputs_of[job.specimen] = path, record["inputs"]
-            for name, target in (
-                ("unfitted_cycles", self.cycles),
-                ("inputs", self.inputs),
-                ("trials", self.trials),
-                ("exclusions", self.exclusions),
+                    self.files[job.specimen], self.inputs_of[job.specimen] = path, record.inputs
+            for rows, target in (
+                (record.unfitted_cycles, self.cycles),
+                (record.inputs, self.inputs),
+                (record.trials, self.trials),
+                (record.exclusions, self.exclusions),
             ):
-                for row in record[name]:
+                for row in rows:
                     target.add(row)
-            for row in record["refused"]:
+            for row in record.refused:
                 self.refuse(Refusal(row["path"], row["sheet"], **row["error"]))
-            found.exclusions += record["exclusions"]
-            found.reasons += record["reasons"]
-            found.trials += len(record["trials"])
-            found.beside += sum(not row["listed"] for row in record["trials"])
+            found.exclusions += record.exclusions
+            found.reasons += record.reasons
+            found.trials += len(record.trials)
+            found.beside += sum(not row["listed"] for row in record.trials)
             digest, size = self.index.result(job.key) or ("", 0)
             yield ListedSpecimen(job.specimen, path.name, fitted is not None, digest, size)
 
@@ -401,7 +401,7 @@ class _Cohort:
         own: dict[int, LawOrder] = {}
         tables, laws = [], candidates(self.request.options.fit.model or KELVIN_VOIGT).choose
         for job in self.index.jobs("done"):
-            fitted = load_record(specimen_path(self.run.out, job.key))["fitted"]
+            fitted = load_record(specimen_path(self.run.out, job.key)).fitted
             if fitted is not None and fitted["selection"]:
                 own[job.position] = LawOrder.of_fit(fitted)
                 tables.append(scores_of(fitted, laws=laws))

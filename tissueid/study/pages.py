@@ -117,16 +117,16 @@ def page_path(out: Path, file: str) -> Path:
 def specimen_page(payload: bytes) -> bytes:
     """The task: the bytes of a specimen's file in, its page out; empty where nothing was fitted."""
     record, curves, posterior = load_specimen(io.BytesIO(payload))
-    if record["fitted"] is None:
+    if record.fitted is None:
         return b""
     document = {
         "schema": "tissueid/identification/1",
-        "specimens": [record["fitted"]],
-        "refused": record["refused"],
-        "unfitted_cycles": record["unfitted_cycles"],
+        "specimens": [record.fitted],
+        "refused": record.refused,
+        "unfitted_cycles": record.unfitted_cycles,
         "study": None,
-        "provenance": record["provenance"] | {"inputs": record["inputs"]},
-        "exit": {"code": 0, "reasons": record["reasons"]},
+        "provenance": record.provenance | {"inputs": record.inputs},
+        "exit": {"code": 0, "reasons": record.reasons},
     }
     posteriors = () if posterior is None else (posterior,)
     return report_page(document, curves, posteriors, script_file=_LIBRARY, graded=False).encode("utf-8")
@@ -225,7 +225,7 @@ def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
     rows = []
     for one in read_listed(run.path(LISTED)):
         record = load_record(run.out / SPECIMENS / one.file)
-        if record["fitted"] is not None:
+        if record.fitted is not None:
             page = page_path(run.out, one.file).relative_to(run.out).as_posix()
-            rows.append(index_row(typed(record["fitted"], Specimen), page))
+            rows.append(index_row(typed(record.fitted, Specimen), page))
     return render_index(rows, refused, created=created)
