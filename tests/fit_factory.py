@@ -11,17 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissueid.documents.identification import Exit, Relaxation
 from tissueid.flags import Flag
 from tissueid.pipeline import IdentifyOptions
 from tissueid.result import (
     Curve,
     Estimate,
-    Exit,
     Identification,
     ModelChoice,
     Nrmsd,
     Refusal,
-    RelaxationRow,
     ResidualSummary,
     SpecimenFit,
     TrialFit,
@@ -138,7 +137,7 @@ def specimen_fit(
     parameters.append(
         Estimate("viscosity_N_s_per_mm", "eta", "N s/mm", 9.0, 0.11, identified=True, detail={})
     )
-    row = RelaxationRow(
+    row = Relaxation(
         path=fits[0].path,
         sheet=sheet,
         window_s=(12.0, 24.0),

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, TypeVar, get_type_hints
 
-from tissueid.documents import typed
-from tissueid.store.files import plain_json
+from tissueid.documents import plain, typed
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -22,7 +21,7 @@ def typed_call(function: _F) -> _F:
         given = signature.bind(*args, **more)
         for name, value in given.arguments.items():
             if _plain(value):
-                given.arguments[name] = typed(plain_json(value), hints[name])
+                given.arguments[name] = typed(plain(value), hints[name])
         return function(*given.args, **given.kwargs)
 
     return call  # type: ignore[return-value]

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
-from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
+from tissueid.documents import members, plain
+from tissueid.documents.identification import Calibration, Frame, StatedSpecimen, StatedTrial
 from tissueid.documents.quantities import Cycle
 from tissueid.errors import InputError
 from tissueid.inference.frame_effect import beyond_calibration, frame_flags
@@ -327,7 +328,7 @@ def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions:
         "sha256": study.sha256,
         "study": dict(study.about),
         "tip": dict(study.tip),
-        "calibration": calibration | {"frame": None if frame is None else frame.as_json()},
+        "calibration": calibration | {"frame": None if frame is None else plain(members(frame, Frame))},
         "priors": study.priors.as_json(),
         **({} if study.population is None else {"population": study.population.as_json()}),
         "specimens": [_specimen_row(study, name) for name in shown],

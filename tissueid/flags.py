@@ -8,7 +8,6 @@ written from this table by ``scripts/write-docs``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -361,24 +360,30 @@ _RANK = {code: rank for rank, code in enumerate(FLAGS)}
 _LEVEL = {code: level for level, kinds in HARM.items() for code in kinds}
 
 
-@dataclass(frozen=True, slots=True)
 class Flag:
-    """One remark."""
+    """One remark: code, plain sentence, and the numbers behind it, which stand beside both in a file."""
 
-    code: str  # key of :data:`FLAGS`
-    message: str  # one plain sentence with its numbers
-    #: The numbers behind the sentence; they appear beside ``code`` and ``message`` in JSON.
-    values: Mapping[str, Any] = field(default_factory=dict)
+    __slots__ = ("code", "message", "values")
 
-    def __post_init__(self) -> None:
-        if self.code not in FLAGS:
-            msg = f"unknown flag code {self.code!r}"
+    def __init__(self, code: str, message: str, values: Mapping[str, Any] = MappingProxyType({})) -> None:
+        if code not in FLAGS:
+            msg = f"unknown flag code {code!r}"
             raise ValueError(msg)
-        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        self.code, self.message, self.values = code, message, dict(values)
 
-    def as_json(self) -> dict[str, Any]:
-        """``{"code", "message", ...values}``."""
-        return {"code": self.code, "message": self.message, **self.values}
+    def __repr__(self) -> str:
+        return f"Flag({self.code!r}, {self.message!r}, {self.values!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flag) and repr(self) == repr(other)
+
+    @classmethod
+    def read(cls, document: Mapping[str, Any]) -> Flag:
+        """Read one from its members; a code of a later version is kept."""
+        flag = cls.__new__(cls)
+        flag.values = dict(document)
+        flag.code, flag.message = flag.values.pop("code"), flag.values.pop("message")
+        return flag
 
 
 def flag_level(code: str) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
-from tissueid.documents import plain
+from tissueid.documents import members, plain
+from tissueid.documents.inspect import Contact, Corner, Event
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.flags import Flag
 from tissueid.manifest import Study
@@ -23,10 +24,8 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-#: What is told of a source, a contact and a corner.
+#: What is told of a source.
 _READ = ("recipe", "recipe_reason", "recipe_confidence", "encoding", "delimiter", "decimal")
-_CONTACT = ("displacement_mm", "sd_mm", "baseline_N", "in_record")
-_CORNER = ("phase", "time_s", "duration_s", "overshoot_mm", "ringing_swings", "ringing_period_s")
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
@@ -94,17 +93,14 @@ def describe_segmented(
         "compression_sign": segmentation.compression_sign,
         "force_sign": segmentation.force_sign,
         "force_noise_N": segmentation.force_noise_N,
-        "contact": None if contact is None else {key: getattr(contact, key) for key in _CONTACT},
+        "contact": None if contact is None else members(contact, Contact),
         "phases": [_phase(trial, phase) for phase in segmentation.phases],
-        "corners": [{key: getattr(corner, key) for key in _CORNER} for corner in segmentation.corners],
-        "events": [
-            {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
-            for event in segmentation.events
-        ],
+        "corners": [members(corner, Corner) for corner in segmentation.corners],
+        "events": plain([members(event, Event) for event in segmentation.events]),
         "cycles": plain(cycle_rows(trial, segmentation)),
         "measured": plain(measured),
-        "verdict": verdict_of(trial, segmentation, measured, earlier).as_json(),
-        "flags": [flag.as_json() for flag in flags],
+        "verdict": plain(verdict_of(trial, segmentation, measured, earlier)),
+        "flags": plain(flags),
     }
 
 

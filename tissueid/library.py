@@ -26,7 +26,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.collection import TrialCache, collect, display_names
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import Specimen
 from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageError
 from tissueid.flags import Flag
@@ -45,7 +45,7 @@ from tissueid.report.specimen_lines import specimen_lines
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
-from tissueid.store.files import TEMPORARY_PREFIX, plain_json, replace_file
+from tissueid.store.files import TEMPORARY_PREFIX, replace_file
 from tissueid.trial import Trial
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
@@ -196,9 +196,7 @@ class _Reported:
     result: SpecimenFit
 
     def __str__(self) -> str:
-        return "\n".join(
-            line.text for line in specimen_lines(typed(plain_json(self.result.as_json()), Specimen))
-        )
+        return "\n".join(line.text for line in specimen_lines(typed(plain(self.result.as_json()), Specimen)))
 
     def _repr_html_(self) -> str:
         return html_of(self.result)

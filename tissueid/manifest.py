@@ -45,17 +45,6 @@ class FrameCurve:
         for name in ("force_N", "compliance_mm_per_N", "covariance"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
-    def as_json(self) -> dict[str, Any]:
-        """The ``frame`` of ``study.calibration`` in identification.json."""
-        return {
-            "path": self.path,
-            "sha256": self.sha256,
-            "force_N": self.force_N.tolist(),
-            "compliance_mm_per_N": self.compliance_mm_per_N.tolist(),
-            "covariance": self.covariance.tolist(),
-            "range_N": None if self.range_N is None else list(self.range_N),
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class Calibration:

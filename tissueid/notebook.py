@@ -15,6 +15,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 
 if TYPE_CHECKING:
+    from tissueid.flags import Flag
     from tissueid.manifest import Study
     from tissueid.result import Estimate, Identification, SpecimenFit
     from tissueid.store.bundle import Bundle
@@ -152,19 +153,10 @@ def _parameters(
     return table(caption, headings, [_estimate_row(one, believed=believed, unit=unit) for one in parameters])
 
 
-def _flags(flags: Sequence[Any]) -> str:
-    """Remarks as a list; a bundle holds them as mappings."""
-    if not flags:
-        return ""
-    told = [
-        (one["code"], one["message"]) if isinstance(one, Mapping) else (one.code, one.message)
-        for one in flags
-    ]
-    return (
-        "<ul>"
-        + "".join(f"<li>{escape(text)} <code>{escape(code)}</code></li>" for code, text in told)
-        + "</ul>"
-    )
+def _flags(flags: Sequence[Flag]) -> str:
+    """Remarks as a list."""
+    told = (f"<li>{escape(one.message)} <code>{escape(one.code)}</code></li>" for one in flags)
+    return f"<ul>{''.join(told)}</ul>" if flags else ""
 
 
 def _alarmed(fit: SpecimenFit) -> bool:
@@ -271,7 +263,7 @@ def _bundle(held: Bundle) -> str:
     draws = "no draws" if held.draws is None else f"{len(held.draws):,} draws"
     valid = f"valid to {held.depth_mm:.3g} mm and from {slow:.3g} to {fast:.3g} mm/s"
     caption = f"{held.specimen}: {kind}, {valid}{tip}; {draws}"
-    alarm = any(flag["code"] == "misfit" for flag in held.flags)
+    alarm = any(flag.code == "misfit" for flag in held.flags)
     return _parameters(caption, held.parameters, believed=not alarm) + _flags(held.flags)
 
 

@@ -28,6 +28,8 @@ from tissueid.collection import (
     without_excluded,
 )
 from tissueid.decided import arithmetic_refusal
+from tissueid.documents import members, typed
+from tissueid.documents.identification import Exit, TipGeometry
 from tissueid.errors import InputError, UsageError, exit_code
 from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
@@ -40,9 +42,9 @@ from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, unused_priors
 from tissueid.priors import Priors
-from tissueid.result import Exit, Identification, Refusal, SpecimenFit
+from tissueid.result import Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.trial import Axes, Source, TipShape, Trial
+from tissueid.trial import Axes, Source, Trial
 
 #: Libraries whose version may change a number.
 LIBRARIES = ("emcee", "lmfit", "numba", "numpy", "scipy")
@@ -115,7 +117,7 @@ def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str], exclude
         reasons.append(none)
     if missing:
         codes.add(4)
-    return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
+    return typed({"code": exit_code(codes), "reasons": (*reasons, *missing)}, Exit)
 
 
 def run_provenance(
@@ -300,7 +302,7 @@ def _fit_all(
         radius_mm, tip = radii.pop() if len(radii) == 1 else None, None
         if own.geometry is not None:
             said = own.geometry.indenter
-            radius_mm, tip = radius_mm or said.radius_mm, TipShape(said.shape, said.half_angle_deg)
+            radius_mm, tip = radius_mm or said.radius_mm, typed(members(said, TipGeometry), TipGeometry)
         fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=collected.axes[specimen])
         fits.append(study_flags(fit, collected, study))
     progress("fitted", total, total)

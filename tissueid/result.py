@@ -11,15 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
-from tissueid.documents import plain, typed
-from tissueid.documents.identification import Model, Nrmsd
+from tissueid.documents import members, plain
+from tissueid.documents.identification import (
+    Exit,
+    Model,
+    Nrmsd,
+    Relaxation,
+    RelaxationWindow,
+    TipGeometry,
+    Validity,
+)
 from tissueid.documents.measured import Measured, Spread
-from tissueid.documents.quantities import Cycle, UnloadingMiss
+from tissueid.documents.quantities import Cycle, Quoted, UnloadingMiss
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
-from tissueid.quantities import QuotedNumbers, RelaxationRow, RelaxationWindow
-from tissueid.trial import MM_N, Axes, TipShape
+from tissueid.trial import MM_N, Axes
 from tissueid.uncertainty import UNCERTAINTY, ParameterUncertainty, Posterior
 
 
@@ -43,12 +50,10 @@ class ResidualSummary:
 __all__ = [
     "Curve",
     "Estimate",
-    "Exit",
     "Identification",
     "ModelChoice",
     "Nrmsd",
     "Refusal",
-    "RelaxationRow",
     "SpecimenFit",
     "TrialFit",
 ]
@@ -140,11 +145,6 @@ class ModelChoice:
         nodes = {key: known[key] or () for key in ("inside_s", "outside_s")}
         return cls(**known | nodes | {"name": found.name or ""})
 
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:
-        """A choice from the ``model`` object of the schema."""
-        return cls.of(typed(found, Model))
-
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
         found = plain(self)
@@ -201,7 +201,7 @@ class TrialFit:
             "rmse_N": self.nrmsd.rmse_N,
             **{key: getattr(self, key) for key in _OF_TRIAL},
             "measured": plain(self.measured),
-            "flags": [flag.as_json() for flag in self.flags],
+            "flags": plain(self.flags),
         }
 
 
@@ -225,7 +225,7 @@ class SpecimenFit(Shown):
     speeds_mm_s : tuple of float
         Slowest and fastest fitted loading speed.
     tip_radius_mm : float or None
-    tip : TipShape or None
+    tip : TipGeometry or None
         Shape of the tip, where it was stated.
     sigma_N : float
         Residual standard deviation [N].
@@ -234,7 +234,7 @@ class SpecimenFit(Shown):
     nrmsd : Nrmsd
         Over all fitted samples.
     trials : tuple of TrialFit
-    relaxation : tuple of RelaxationRow
+    relaxation : tuple of Relaxation
     relaxation_window : RelaxationWindow or None
         The one relaxation time of the publication, of the whole hold and of shorter ones.
     optimisers : mapping
@@ -251,7 +251,7 @@ class SpecimenFit(Shown):
     cycles : tuple of Cycle
     measured : tuple of Spread
         What was measured, no model, with the spread between logs.
-    quoted : QuotedNumbers or None
+    quoted : Quoted or None
     posterior : Posterior or None
         ``None`` where nothing was sampled.
     """
@@ -269,10 +269,10 @@ class SpecimenFit(Shown):
     n_samples: int
     nrmsd: Nrmsd
     trials: tuple[TrialFit, ...]
-    relaxation: tuple[RelaxationRow, ...]
+    relaxation: tuple[Relaxation, ...]
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
-    tip: TipShape | None = None
+    tip: TipGeometry | None = None
     relaxation_window: RelaxationWindow | None = None
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
@@ -280,7 +280,7 @@ class SpecimenFit(Shown):
     unloading_predicted: UnloadingMiss | None = None
     cycles: tuple[Cycle, ...] = ()
     measured: tuple[Spread, ...] = ()
-    quoted: QuotedNumbers | None = None
+    quoted: Quoted | None = None
     posterior: Posterior | None = None
 
     def parameter(self, name: str) -> Estimate:
@@ -300,26 +300,19 @@ class SpecimenFit(Shown):
             "nrmsd": plain(self.nrmsd),
             "sigma_N": self.sigma_N,
             "n_samples": self.n_samples,
-            "validity": {
-                "depth_mm": self.depth_mm,
-                "speeds_mm_s": list(self.speeds_mm_s),
-                "tip_radius_mm": self.tip_radius_mm,
-                **({} if self.tip is None else {"tip": self.tip.as_json()}),
-            },
+            "validity": plain(Validity(**members(self, Validity))),
             "trials": [trial.as_json() for trial in self.trials],
-            "relaxation": [row.as_json() for row in self.relaxation],
-            "relaxation_window": (
-                None if self.relaxation_window is None else self.relaxation_window.as_json()
-            ),
+            "relaxation": plain(self.relaxation),
+            "relaxation_window": plain(self.relaxation_window),
             "cycles": plain(self.cycles),
             "measured": plain(self.measured),
-            "quoted": None if self.quoted is None else self.quoted.as_json(),
+            "quoted": plain(self.quoted),
             "unloading": None if self.unloading is None else dict(self.unloading),
             "unloading_predicted": plain(self.unloading_predicted),
             "optimisers": dict(self.optimisers),
             "selection": [dict(row) for row in self.selection],
             **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),
-            "flags": [flag.as_json() for flag in self.flags],
+            "flags": plain(self.flags),
         }
         return _in_units(document, self.axes) if self.axes.normalised else document
 
@@ -368,18 +361,6 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
-class Exit:
-    """End of a command: its exit code and the reasons, in words."""
-
-    code: int
-    reasons: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``exit`` object of the schema."""
-        return plain(self)  # type: ignore[no-any-return]
-
-
-@dataclass(frozen=True, slots=True)
 class Identification(Shown):
     """Everything ``tissueid fit`` found in one run.
 
@@ -418,5 +399,5 @@ class Identification(Shown):
             "unfitted_cycles": plain(self.unfitted_cycles),
             "study": None if self.study is None else dict(self.study),
             "provenance": dict(self.provenance),
-            "exit": self.exit.as_json(),
+            "exit": plain(self.exit),
         }

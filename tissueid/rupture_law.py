@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from tissueid.documents import plain, typed
+from tissueid.documents import plain
 
 #: Unit of a threshold, by criterion.
 THRESHOLD_UNITS: Mapping[str, str] = MappingProxyType(
@@ -55,8 +55,3 @@ class RuptureLaw:
     def as_json(self) -> dict[str, Any]:
         """The ``rupture`` object of ``schemas/bundle.schema.json``."""
         return plain(self) | {"unit": self.unit}  # type: ignore[no-any-return]
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> RuptureLaw:
-        """Inverse of :meth:`as_json`."""
-        return typed(document, cls)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -70,23 +70,6 @@ class Axes:
             text = re.sub(r"/mm(\^\d+)?\b", "", text)
             text = re.sub(r"\s?\bmm\b(\^\d+)?", "", text).strip()
         return f"1{text}" if text == "" or text.startswith("/") else text
-
-
-@dataclass(frozen=True, slots=True)
-class TipShape:
-    """Shape of a tool's tip; its radius stands beside it."""
-
-    shape: str  # {"sphere", "flat", "cone"}
-    half_angle_deg: float | None = None  # of a cone, between its axis and its side
-
-    def as_json(self) -> dict[str, Any]:
-        """``tip`` of a validity and of a session's tissues."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """Inverse of :meth:`as_json`."""
-        return cls(**document)
 
 
 #: A displacement and a force.

@@ -13,13 +13,14 @@ import pytest
 from command_line import run, start
 
 from tissueid.cli.devices_command import HANDS
+from tissueid.documents import devices
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration
 from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.hand import PRESETS
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.measure import ArmEstimate, LinkReport, Weighing
+from tissueid.haptics.measure import ArmEstimate, Weighing
 from tissueid.store.schema import first_problem
 
 
@@ -169,7 +170,7 @@ def test_test_measures_the_link(port, configuration):
 
 @pytest.mark.parametrize(("delay", "code"), [(1.62, 0), (11.0, 5)])
 def test_delay_is_kept_where_it_makes_sense(delay, code, port, configuration, monkeypatch):
-    found = LinkReport(5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
+    found = devices.Test("falcon", 5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
     monkeypatch.setattr("tissueid.haptics.measure.measure_link", lambda *_: found)
     ended = run("devices", "test", "--port", port, "--save", code=code, shown="10 unanswered, 0 damaged")
     if code == 0:

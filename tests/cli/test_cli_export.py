@@ -23,11 +23,12 @@ from rendered_tissues import PAPER_A, bundle_of
 from scipy.io import loadmat
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.documents.identification import Calibration, StatedSpecimen
 from tissueid.errors import UsageError
 from tissueid.result import SpecimenFit
 from tissueid.store.bundle import write_bundle
-from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.files import json_bytes
 from tissueid.store.outputs import OutputSet
 from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
 from tissueid.uncertainty import netcdf_bytes
@@ -45,7 +46,7 @@ POSTERIOR_ENDS = ("_mean", "_sd", "_ci95_low", "_ci95_high", "_ci95_total_low", 
 
 
 def document(fits: tuple[SpecimenFit, ...] = FITS) -> dict[str, Any]:
-    found: dict[str, Any] = plain_json(identification(fits, refused=True).as_json())
+    found: dict[str, Any] = plain(identification(fits, refused=True).as_json())
     return found
 
 

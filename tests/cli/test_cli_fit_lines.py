@@ -13,6 +13,7 @@ from posterior_factory import sampled
 from typed_call import typed_call
 
 from tissueid.cli.fit_command import _print_specimens
+from tissueid.documents import plain
 from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
 from tissueid.report.specimen_lines import (
     MOST_WARNINGS,
@@ -138,7 +139,7 @@ CODES = ("corner_slow", "preload", "clipped_force", "gap", "units_assumed", "mis
 def document(name: str = "cow", codes: tuple[str, ...] = CODES, **options: Any) -> dict[str, Any]:
     fit = replace(sampled(specimen_fit()), flags=(), specimen=name, **options)
     found: dict[str, Any] = fit.as_json()
-    flags = [Flag(code, f"{code} was seen at 3 s").as_json() for code in codes]
+    flags = plain([Flag(code, f"{code} was seen at 3 s") for code in codes])
     found["trials"] = [{**found["trials"][0], "flags": flags, "sheet": name}]
     return found
 

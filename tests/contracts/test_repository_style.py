@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tissueid.documents import plain, typed
 from tissueid.flags import Flag
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -67,6 +68,14 @@ def test_every_public_list_names_what_the_module_has() -> None:
 def test_unknown_flag_is_refused() -> None:
     with pytest.raises(ValueError, match="unknown flag code 'nonsense'"):
         Flag("nonsense", "no such thing")
+
+
+def test_a_flag_of_a_later_version_is_read_and_flags_are_what_they_say() -> None:
+    later = {"code": "of a later version", "message": "m", "size_mm": 2.0}
+    assert plain(typed(later, Flag)) == later
+    assert Flag("gap", "m", {"gap_s": 2.0}) == Flag.read({"code": "gap", "message": "m", "gap_s": 2.0})
+    assert Flag("gap", "m") != Flag("gap", "m", {"gap_s": 2.0})
+    assert repr(Flag("gap", "m", {"gap_s": 2.0})) == "Flag('gap', 'm', {'gap_s': 2.0})"
 
 
 def test_pinned_versions_carry_no_addresses() -> None:

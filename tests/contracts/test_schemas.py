@@ -15,17 +15,17 @@ from jsonschema import Draft202012Validator
 from msgspec import structs
 from posterior_factory import sampled
 
+from tissueid.documents import plain
 from tissueid.documents.schemas import ROOTS, schema_of
 from tissueid.errors import BundleError
 from tissueid.flags import FLAGS, Flag
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.store import schema as schema_module
-from tissueid.store.files import plain_json
 from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
 
 
 def document_of(fit: SpecimenFit, *, refused: bool = False) -> dict[str, Any]:
-    return plain_json(identification([fit], refused=refused).as_json())
+    return plain(identification([fit], refused=refused).as_json())
 
 
 def run_document() -> dict[str, Any]:
@@ -116,7 +116,7 @@ def test_a_diagnostic_without_a_value_is_null_and_comes_back_as_nan() -> None:
     fit = sampled(specimen_fit())
     known = fit.parameters[0].uncertainty
     odd = replace(fit.parameters[0], uncertainty=replace(known, r_hat=float("nan"), ess_tail=float("nan")))
-    document = plain_json(odd.as_json())
+    document = plain(odd.as_json())
     assert (document["r_hat"], document["ess_tail"]) == (None, None)
     back = Estimate.from_json(document).uncertainty
     assert np.isnan(back.r_hat)
@@ -171,9 +171,7 @@ def test_a_wrong_value_is_refused_with_its_pointer(pointer: str, value: Any) -> 
 
 
 def test_a_flag_carries_numbers_beside_its_message() -> None:
-    assert (
-        first_problem(Flag("gap", "a gap of 2 s", {"gap_s": 2.0, "rows": [3, 4]}).as_json(), "flag") is None
-    )
+    assert first_problem(plain(Flag("gap", "a gap of 2 s", {"gap_s": 2.0, "rows": [3, 4]})), "flag") is None
     assert first_problem({"code": "gap", "message": "m", "deep": {"a": 1}}, "flag") is not None
 
 

@@ -35,7 +35,7 @@ def find(numbers, name, **at):
     (one,) = [
         one
         for one in numbers
-        if one.name == name and all(one.at.get(key) == value for key, value in at.items())
+        if one.name == name and all(getattr(one.at, key) == value for key, value in at.items())
     ]
     return one
 
@@ -85,7 +85,7 @@ def test_errors_of_model_numbers_are_their_spread():
 def test_measured_and_modelled_fractions_agree(fit):
     model = find(fit.quoted.model, "fraction_relaxed", path="ramp", time_s=1.0)
     holds = [hold for trial in fit.trials for hold in trial.measured.holds if hold.push is not None]
-    nearest = min(holds, key=lambda one: abs(one.push.depth_mm - float(model.at["depth_mm"])))
+    nearest = min(holds, key=lambda one: abs(one.push.depth_mm - model.at.depth_mm))
     measured = 1.0 - nearest.at(1.0).after_stop_N / nearest.push.peak.force_N
     # 0.2 N of noise on a peak of some 90 N: 3 sd of a single sample
     assert measured == pytest.approx(model.value, abs=6e-3)
@@ -98,7 +98,7 @@ def test_nothing_is_said_beyond_the_hold_nor_between_two_samples(fit):
         late = find(fit.quoted.model, "fraction_relaxed", path=path, time_s=10.0)
         assert late.value is None
         assert "were seen" in late.reason
-    frequencies = {one.at["frequency_Hz"] for one in fit.quoted.model if one.name == "tan_delta"}
+    frequencies = {one.at.frequency_Hz for one in fit.quoted.model if one.name == "tan_delta"}
     assert frequencies == {0.1, 0.3, 1.0, 3.0}
     asked = fitted(frequencies_Hz=(1.0, 50.0)).quoted.model
     assert find(asked, "tan_delta", frequency_Hz=1.0).value is not None
@@ -128,7 +128,7 @@ def test_what_the_data_do_not_determine_is_null_with_its_reason(recipe, name, at
 def test_without_a_hold_the_ramp_s_relaxation_is_not_invented():
     plan = small_recipe(branches=(TRUE,))
     quoted = fitted(recipe=replace(plan, logs=plan.logs[:3])).quoted
-    assert all(one.value is None for one in quoted.model if one.at.get("path") == "ramp")
+    assert all(one.value is None for one in quoted.model if one.at.path == "ramp")
     assert quoted.spectra == ()
 
 
@@ -159,7 +159,7 @@ def test_moduli_are_forces_over_the_tip_s_geometry(fit):
             assert one.unit == "kPa"
     (out,) = [flag for flag in fit.flags if flag.code == "modulus_out_of_range"]
     assert out.values["formulas"] == ["hayes", "dimitriadis", "hertz", "sneddon"]
-    assert fit.quoted.assumptions["poisson"] == 0.5
+    assert fit.quoted.assumptions.poisson == 0.5
 
 
 def test_drainage_under_a_small_tip_is_warned_of(fit):
@@ -200,8 +200,8 @@ def scattered(times: np.ndarray, sd: float = 0.05) -> list[float]:
 )
 def test_the_slope_decides(depths: list[float], times: list[float], verdict: str) -> None:
     slope, flags = depth_test(BALL, list(depths), times)
-    assert slope.at["verdict"] == verdict
-    assert slope.at["low"] <= slope.value <= slope.at["high"]
+    assert slope.at.verdict == verdict
+    assert slope.at.low <= slope.value <= slope.at.high
     assert [flag.code for flag in flags] == ["poroelastic"] * (verdict == "drainage")
 
 

@@ -10,10 +10,11 @@ import pytest
 from pushed import pushed
 
 from tissueid.documents import plain, typed
+from tissueid.documents.inspect import Verdict
 from tissueid.documents.measured import MeasuredPush
 from tissueid.ingest.quality import quality_flags
 from tissueid.measured import measure
-from tissueid.measured.verdict import Verdict, verdict_of
+from tissueid.measured.verdict import verdict_of
 from tissueid.segment import segment
 from tissueid.trial import Trial
 
@@ -79,7 +80,7 @@ def test_each_reason_is_said_with_its_number(case: str) -> None:
     assert found.level == level, found
     assert re.fullmatch(words, found.reason), found.reason
     assert len(found.reason.split()) <= 25
-    assert found.as_json() == {"level": level, "reason": found.reason}
+    assert plain(found) == {"level": level, "reason": found.reason}
 
 
 KEPT: dict[str, dict[str, Any]] = {
@@ -96,7 +97,7 @@ KEPT: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("case", KEPT)
 def test_what_is_sound_is_kept_without_a_reason(case: str) -> None:
-    assert judged(pushed(**KEPT[case])) == Verdict("good")
+    assert judged(pushed(**KEPT[case])) == Verdict("good", None)
 
 
 @pytest.mark.parametrize(
@@ -116,9 +117,9 @@ def test_softer_than_the_last_push_by_more_than_they_spread(
     earlier = tuple(shown(gain=gain, seed=number) for number, gain in enumerate(gains))
     found = judged(pushed(gain=now, seed=9), earlier)
     assert found.level == ("good" if said is None else "look"), found
-    assert found.reason.startswith(said or "")
+    assert (found.reason or "").startswith(said or "")
 
 
 def test_pushes_of_another_depth_or_speed_are_not_compared() -> None:
     earlier = (shown(depth_mm=2.0), shown(speed=8.0))
-    assert judged(pushed(gain=0.5), earlier) == Verdict("good")
+    assert judged(pushed(gain=0.5), earlier) == Verdict("good", None)

@@ -12,6 +12,8 @@ from passive_tissues import walked
 from scipy.integrate import quad
 from scipy.special import exp1
 
+from tissueid.documents import typed
+from tissueid.documents.identification import Model
 from tissueid.model import grammar
 from tissueid.model.base import ContactPath, ParameterSpec, scaled_theta
 from tissueid.model.channels import nodes_for
@@ -172,7 +174,7 @@ def test_gains_of_the_machine_scale_by_units():
 
 def test_a_model_is_rebuilt_from_what_a_file_holds():
     choice = ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung", (RESOLUTION, WINDOW))
-    again = rebuilt(ModelChoice.from_json(choice.as_json()), 8.0)
+    again = rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), 8.0)
     assert again == model("power*fung")
     assert rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == kelvin_voigt(2, 1, 8.0)
     with pytest.raises(ValueError, match="are missing"):

@@ -13,6 +13,8 @@ from passive_tissues import (
     walked,
 )
 
+from tissueid.documents import typed
+from tissueid.documents.identification import Model
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import ModelNameError, candidates, described, known_laws, parsed, rebuilt
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -156,7 +158,7 @@ def test_stiffness_is_the_slope_of_a_small_sudden_move():
 def test_it_is_built_again_from_its_nodes_and_refuses_negative_weights():
     choice = ModelChoice("yardstick", 4, 3, 2, "shared", "yardstick", (0.02, 1.2), INSIDE_S, OUTSIDE_S)
     model, theta = drawn()
-    again = rebuilt(ModelChoice.from_json(choice.as_json()), DEPTH_MM)
+    again = rebuilt(ModelChoice.of(typed(choice.as_json(), Model)), DEPTH_MM)
     assert again.parameter_names == model.parameter_names
     assert len(model.parameters) == INSIDE * (1 + len(INSIDE_S)) + OUTSIDE * len(OUTSIDE_S)
     assert again.is_passive(theta)

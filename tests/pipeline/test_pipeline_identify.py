@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 from tissueid import collection, read_trials
+from tissueid.documents import plain
+from tissueid.documents.identification import TipGeometry
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_trial
 from tissueid.measured.geometry import stated_geometry
 from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, identify
 from tissueid.result import Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.files import json_bytes
 from tissueid.store.schema import first_problem
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
-from tissueid.trial import Source, TipShape, Trial
+from tissueid.trial import Source, Trial
 
 QUICK = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
 
@@ -98,7 +100,7 @@ def test_a_trial_without_contact_is_refused_and_the_others_are_fitted(holds: lis
     assert [(one.path, one.code) for one in found.refused] == [("air.csv", "no_contact")]
     assert [len(one.trials) for one in found.specimens] == [len(holds)]
     assert found.exit.code == 7
-    assert first_problem(plain_json(found.as_json()), "identification") is None
+    assert first_problem(plain(found.as_json()), "identification") is None
 
 
 def test_nothing_to_fit_is_3() -> None:
@@ -123,7 +125,7 @@ def test_more_parameters_than_residuals_are_no_bug() -> None:
         options = IdentifyOptions(fit=FitOptions(branches=branches, stiffness_degree=2))
         found = identify([Trial("few", time, depth, force)], options=options)
         assert found.exit.code == 4
-        assert first_problem(plain_json(found.as_json()), "identification") is None
+        assert first_problem(plain(found.as_json()), "identification") is None
 
 
 def test_a_force_that_rises_at_the_very_end_is_no_bug() -> None:
@@ -162,8 +164,8 @@ def test_the_tip_that_a_study_states_is_kept_with_its_shape(holds: list[Trial]) 
     stated = stated_geometry({"shape": "flat", "radius_mm": 3.0}, None, 0.5)
     options = replace(QUICK, fit=replace(QUICK.fit, geometry=stated))
     (fit,) = identify(holds, options=options).specimens
-    assert (fit.tip_radius_mm, fit.tip) == (3.0, TipShape("flat"))
-    document = plain_json(fit.as_json())
+    assert (fit.tip_radius_mm, fit.tip) == (3.0, TipGeometry("flat", None))
+    document = plain(fit.as_json())
     assert document["validity"]["tip"] == {"shape": "flat", "half_angle_deg": None}
     assert identify(holds, options=QUICK).specimens[0].tip is None
 

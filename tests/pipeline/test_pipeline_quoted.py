@@ -10,6 +10,7 @@ import pytest
 from closed_forms import ramp_hold_state
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import ReadOptions, read_trials
@@ -21,7 +22,6 @@ from tissueid.report import render_report
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate
 from tissueid.trial import Axes, Trial
@@ -47,7 +47,7 @@ def options(**fit: object) -> IdentifyOptions:
 def test_document_of_a_whole_run_is_valid_and_drawn() -> None:
     tip = Geometry(Indenter("flat", 2.0), thickness_mm=15.0)
     run = identify(trials_of(), options=options(unloading=True, geometry=tip, depths_mm=(2.0,)))
-    document = plain_json(run.as_json())
+    document = plain(run.as_json())
     check(document, "identification", where="test")
     (specimen,) = document["specimens"]
     assert specimen["unloading"]["converged"]
@@ -74,12 +74,12 @@ def test_tip_and_thickness_come_from_the_study_unless_they_are_given() -> None:
     (fit,) = identify(trials_of(), study=study, options=options(poisson=0.45)).specimens
     assert fit.quoted is not None
     known = fit.quoted.assumptions
-    assert (known["shape"], known["radius_mm"], known["thickness_mm"]) == ("sphere", 3.0, 12.0)
-    assert known["poisson"] == 0.45
+    assert (known.shape, known.radius_mm, known.thickness_mm) == ("sphere", 3.0, 12.0)
+    assert known.poisson == 0.45
     given = Geometry(Indenter("flat", 1.0))
     (fit,) = identify(trials_of(), study=study, options=options(geometry=given)).specimens
     assert fit.quoted is not None
-    assert fit.quoted.assumptions["shape"] == "flat"
+    assert fit.quoted.assumptions.shape == "flat"
 
 
 def test_a_normalised_recording_has_no_modulus_of_a_tip() -> None:
@@ -107,7 +107,7 @@ def test_loops_of_a_recording_that_cannot_be_fitted_are_kept() -> None:
     run = identify([cut_loops()], options=IdentifyOptions(segment=stated))
     assert run.exit.code == 3
     assert [one.code for one in run.refused] == ["too_few_samples"]
-    check(plain_json(run.as_json()), "identification", where="test")
+    check(plain(run.as_json()), "identification", where="test")
     # F falls from 10 x to 8 x in the first step back: the peak is that of loading
     second = run.unfitted_cycles[1]
     assert second.peak_force_N.value == pytest.approx(40.0, rel=0.01)
@@ -155,7 +155,7 @@ def ramp_hold(axes: Axes, *, name: str = "fibre") -> Trial:
 def test_units_of_a_normalised_specimen_follow_to_json_report_and_bundle(tmp_path: Path) -> None:
     other = identify([ramp_hold(Axes("1", "N"))])
     found = identify([ramp_hold(STRAIN_STRESS)])
-    document = plain_json(found.as_json())
+    document = plain(found.as_json())
     check(document, "identification", where="test")
     specimen = document["specimens"][0]
     assert specimen["units"] == {"length": "1", "force": "MPa", "time": "s"}
@@ -232,7 +232,7 @@ def test_an_axis_that_does_not_exist_is_refused() -> None:
 
 def test_specimens_in_different_units_are_not_compared_in_one_column() -> None:
     found = identify([ramp_hold(STRAIN_STRESS), ramp_hold(Axes(), name="meat")])
-    page = render_report(plain_json(found.as_json()), [])
+    page = render_report(plain(found.as_json()), [])
     overview = page.split('<table class="overview">')[1].split("</table>")[0]
     assert "[N/mm]" not in overview
     assert "MPa·s" in overview

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, UNITS, members
 
+from tissueid.documents import plain
 from tissueid.errors import UsageError
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
@@ -17,7 +18,6 @@ from tissueid.population.members import Member, TrialRow, common_model, design_o
 from tissueid.population.sampler import SamplerOptions
 from tissueid.result import Curve, ModelChoice
 from tissueid.store.bundle import load_bundle, write_bundle
-from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 
 SHORT = SamplerOptions(settle=150, sweeps=400, blocks=2)
@@ -30,7 +30,7 @@ def found() -> CohortFit:
 
 @pytest.mark.slow
 def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
-    document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
+    document = plain(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
     assert first_problem(document, "population") is None
     assert document["specimens_used"] == [f"head {k}" for k in range(1, 9)]
     assert [row["name"] for row in document["population"]["quantities"]] == list(COORDINATES.names)
@@ -58,7 +58,7 @@ def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
 
 @pytest.mark.slow
 def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_path: Path) -> None:
-    document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
+    document = plain(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
     bundle = population_bundle(found, document)
     assert bundle is not None
     write_bundle(bundle, tmp_path / "population.h5")
@@ -157,7 +157,7 @@ def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: s
     # quantities scatter by 10 %, so does the force of the typical tissue
     assert np.median(errors) < 0.15
     document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
-    assert first_problem(plain_json(document), "population") is None
+    assert first_problem(plain(document), "population") is None
     bundle = population_bundle(found, document)
     assert bundle is not None
     write_bundle(bundle, tmp_path / "population.h5")

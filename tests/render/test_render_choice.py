@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rendered_tissues import PAPER_A, bundle_of
 
+from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import surface as srf
@@ -28,7 +29,6 @@ from tissueid.rendering.tissue_block import (
     surface_remarks,
     travel_behind,
 )
-from tissueid.trial import TipShape
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)
 
@@ -127,7 +127,7 @@ def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path):
 def test_a_cone_that_the_bundle_states_is_a_tip_without_a_radius():
     plane = parse_surface("plane")
     assert "with which tip" in surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
-    cone = replace(PAPER_A, tip_radius_mm=None, tip=TipShape("cone", 30.0))
+    cone = replace(PAPER_A, tip_radius_mm=None, tip=TipGeometry("cone", 30.0))
     assert surface_remarks(cone, plane, None) == []
 
 

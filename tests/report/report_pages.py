@@ -11,10 +11,10 @@ import pytest
 from fit_factory import identification
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.report import render_report
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
 render_report = typed_call(render_report)
@@ -22,12 +22,12 @@ render_report = typed_call(render_report)
 
 def document_of(*fits: SpecimenFit, refused: bool = False) -> dict[str, Any]:
     """identification.json of these fits."""
-    return plain_json(identification(fits, refused=refused).as_json())
+    return plain(identification(fits, refused=refused).as_json())
 
 
 def specimen_of(fit: SpecimenFit) -> dict[str, Any]:
     """A fit as one of the specimens of identification.json."""
-    return plain_json(fit.as_json())
+    return plain(fit.as_json())
 
 
 def payload_of(html: str, name: str) -> Any:

@@ -40,7 +40,6 @@ from tissueid.selfcheck.records import Record
 from tissueid.selfcheck.tissue import tissue_check
 from tissueid.selfcheck.verdicts import Asked as AskedCheck
 from tissueid.selfcheck.verdicts import check_document
-from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 from tissueid.synth import recipe
 
@@ -63,7 +62,7 @@ def tissue(name: str, scale: float) -> Compared:
 
 def contrast(*tissues: Compared) -> dict[str, Any]:
     found = tissues or (tissue("kidney", 1.0), tissue("liver", 1.5))
-    return plain_json(contrast_document(found, clamp_N=5.0))
+    return plain(contrast_document(found, clamp_N=5.0))
 
 
 @cache
@@ -74,7 +73,7 @@ def design(machine_name: str = "paper-a") -> dict[str, Any]:
     asked = Asked(wants=wants, max_depth_mm=8.0, max_force_N=machine.max_force_N)
     other = against(given.name, given_protocol(given), machine, tissues, asked)
     plan = planned(machine, tissues, asked, lambda _message, _done, _total: None)
-    return plain_json(design_document(plan, machine, tissues, asked, given=other, specimens=17))
+    return plain(design_document(plan, machine, tissues, asked, given=other, specimens=17))
 
 
 @cache
@@ -91,7 +90,7 @@ def reproduction() -> dict[str, Any]:
     ]
     run = {"schema": "tissueid/reproduction/1", "tissueid": "0", "seed": 1, "seconds": 1.0, "papers": papers}
     found = {"readings": readings.as_json(), "items": plain(items), "figures": plain(figures)}
-    return plain_json({**run, **found, "lost": ["everything"]})
+    return plain({**run, **found, "lost": ["everything"]})
 
 
 @cache
@@ -99,7 +98,7 @@ def rupture(speeds: tuple[float, ...] = ()) -> dict[str, Any]:
     tested = {"speeds": speeds} if speeds else {"stop_mm": 6.0}
     failures = known_cohort("work", 0.05, [12], threshold=typical_threshold("work"), **tested)
     run = RuptureRun(rupture_study(failures, weight=1.5, asked="auto"), identification([]), ())
-    return plain_json(as_document(run, {one.specimen: f"bundle-{one.specimen}.h5" for one in failures}))
+    return plain(as_document(run, {one.specimen: f"bundle-{one.specimen}.h5" for one in failures}))
 
 
 NAMES = ("relaxation_time_s", "viscosity_N_s_per_mm", "force_N at 4 mm, 2.9 mm/s")
@@ -126,7 +125,7 @@ def selfcheck(*, narrow: bool = False) -> dict[str, Any]:
         for i, (z, rank) in enumerate(zip(rng.standard_normal((100, 3)), ranks, strict=True))
     ]
     asked = AskedCheck("recipe", "paper-a-hold-100Hz", "paper-a", 100, 7)
-    return plain_json(check_document(asked, protocol, tissue_check(protocol, centre), records)[0])
+    return plain(check_document(asked, protocol, tissue_check(protocol, centre), records)[0])
 
 
 def contrast_words(found: dict[str, Any]) -> Sequence[str]:

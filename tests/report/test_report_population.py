@@ -9,7 +9,7 @@ from fit_factory import identification
 from report_pages import self_contained, wait_for_figures
 from typed_call import typed_call
 
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import Identification
 from tissueid.population.cohort import CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle
@@ -21,7 +21,6 @@ from tissueid.report.population_page import (
     render_population,
 )
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
 members_of = typed_call(members_of)
@@ -35,14 +34,14 @@ pytestmark = pytest.mark.needs_jit
 @pytest.fixture(scope="module")
 def found():
     fits = cohort_fits(6)
-    document = plain_json(identification(fits).as_json()) | {"study": study_of(fits)}
+    document = plain(identification(fits).as_json()) | {"study": study_of(fits)}
     options = CohortOptions(group_by="sex", sampler=SamplerOptions(settle=100, sweeps=250, blocks=1))
     results = [
         (entry, curves_of_fits([one]), posteriors_of_fits([one])[0])
         for entry, one in zip(typed(document, Identification).specimens, fits, strict=True)
     ]
     fit = cohort(members_of(document, results), options)
-    told: dict[str, Any] = plain_json(as_document(fit, options, source="0" * 64))
+    told: dict[str, Any] = plain(as_document(fit, options, source="0" * 64))
     bundle = population_bundle(fit, told)
     assert bundle is not None
     return told, bundle

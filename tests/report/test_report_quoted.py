@@ -10,11 +10,21 @@ from msgspec import structs
 from report_pages import document_of, render_report
 from typed_call import typed_call
 
-from tissueid.documents.quantities import AtDepth, Cycle, Measure, Spectrum
-from tissueid.quantities import Quantity, QuotedNumbers
+from tissueid.documents import plain
+from tissueid.documents.quantities import (
+    Assumptions,
+    AtDepth,
+    Conditions,
+    Cycle,
+    Measure,
+    Quantity,
+    Quoted,
+    Spectrum,
+)
+from tissueid.measured.geometry import Geometry
+from tissueid.model.moduli import Indenter
 from tissueid.report.quoted_words import MOST_ROWS, cycle_table, quoted_tables
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
 
 cycle_table = typed_call(cycle_table)
@@ -35,42 +45,41 @@ def loop(number: int = 1, **changes: Any) -> Cycle:
     return structs.replace(one, **changes)
 
 
-def numbers() -> QuotedNumbers:
-    step: dict[str, float | str] = {"path": "step", "depth_mm": 4.0}
-    ramp: dict[str, float | str] = {"path": "ramp", "depth_mm": 4.0, "speed_mm_s": 2.0}
-    swing: dict[str, float | str] = {"frequency_Hz": 1.0, "depth_mm": 2.0}
+def numbers() -> Quoted:
+    step = Conditions(path="step", depth_mm=4.0)
+    ramp = Conditions(path="ramp", depth_mm=4.0, speed_mm_s=2.0)
+    swing = Conditions(frequency_Hz=1.0, depth_mm=2.0)
+    deep = Conditions(depth_mm=4.0)
     late = "later than the 12 s that were seen"
     model = [
-        Quantity("fraction_relaxed", "1", {**step, "time_s": 1.0}, 0.2387, 0.0042),
-        Quantity("fraction_relaxed", "1", {**step, "time_s": 100.0}, None, None, late),
-        Quantity("peak_to_plateau", "1", step, 1.8, 0.01),
-        Quantity("fraction_relaxed", "1", {**ramp, "time_s": 1.0}, 0.1746, 0.0026),
-        Quantity("fraction_relaxed", "1", {**ramp, "time_s": 100.0}, None, None, late),
-        Quantity("peak_to_plateau", "1", ramp, 1.4, 0.01),
-        Quantity("storage_stiffness", "N/mm", swing, 19.85, 0.16),
-        Quantity("loss_stiffness", "N/mm", swing, 3.716, 0.033),
-        Quantity("tan_delta", "1", swing, 0.18722, 0.0023),
-        Quantity("dissipated_energy", "mJ", {**swing, "amplitude_mm": 0.4}, 1.867, 0.017),
+        Quantity("fraction_relaxed", "1", structs.replace(step, time_s=1.0), 0.2387, 0.0042, None),
+        Quantity("fraction_relaxed", "1", structs.replace(step, time_s=100.0), None, None, late),
+        Quantity("peak_to_plateau", "1", step, 1.8, 0.01, None),
+        Quantity("fraction_relaxed", "1", structs.replace(ramp, time_s=1.0), 0.1746, 0.0026, None),
+        Quantity("fraction_relaxed", "1", structs.replace(ramp, time_s=100.0), None, None, late),
+        Quantity("peak_to_plateau", "1", ramp, 1.4, 0.01, None),
+        Quantity("storage_stiffness", "N/mm", swing, 19.85, 0.16, None),
+        Quantity("loss_stiffness", "N/mm", swing, 3.716, 0.033, None),
+        Quantity("tan_delta", "1", swing, 0.18722, 0.0023, None),
+        Quantity("dissipated_energy", "mJ", structs.replace(swing, amplitude_mm=0.4), 1.867, 0.017, None),
     ]
     for name in ("equilibrium", "instantaneous"):
-        model.append(Quantity(f"{name}_secant", "N/mm", {"depth_mm": 4.0}, 20.8, 0.1))
-        model.append(Quantity(f"{name}_tangent", "N/mm", {"depth_mm": 4.0}, 27.2, 0.1))
-    at: dict[str, float | str] = {"formula": "hertz", "doi": "10.1515/crll.1882.92.156", "depth_mm": 4.0}
-    return QuotedNumbers(
+        model.append(Quantity(f"{name}_secant", "N/mm", deep, 20.8, 0.1, None))
+        model.append(Quantity(f"{name}_tangent", "N/mm", deep, 27.2, 0.1, None))
+    at = Conditions(formula="hertz", doi="10.1515/crll.1882.92.156", depth_mm=4.0)
+    return Quoted(
         window_s=12.0,
         resolution_s=0.02,
+        noise="white",
         model=tuple(model),
         moduli=(
-            Quantity("modulus_equilibrium", "kPa", at, 33.78, 0.18),
+            Quantity("modulus_equilibrium", "kPa", at, 33.78, 0.18, None),
             Quantity("modulus_instantaneous", "kPa", at, None, None, "the data do not determine it"),
         ),
         spectra=(
             Spectrum("lab/hold.csv", None, 1.0, 13.0, 5.0, (0.2, 0.5, 3.0), (3.0, 1.0, 4.0), 0.01, 0.02),
         ),
-        assumptions={
-            "shape": "sphere", "radius_mm": 3.0, "half_angle_deg": None, "thickness_mm": None, "poisson": 0.5,
-            "support": "half-space",
-        },
+        assumptions=Geometry(Indenter("sphere", 3.0)).stated(),
     )  # fmt: skip
 
 
@@ -95,7 +104,7 @@ def test_document_with_every_quoted_number_is_valid_and_its_page_has_them():
 
 
 def test_without_a_tip_the_stiffness_is_called_structural():
-    made, curves = document(quoted=replace(numbers(), moduli=(), assumptions={}))
+    made, curves = document(quoted=structs.replace(numbers(), moduli=(), assumptions=Assumptions()))
     assert "no modulus is given" in render_report(made, curves)
 
 
@@ -109,7 +118,7 @@ def test_a_run_without_quoted_numbers_has_no_such_section():
 
 
 def test_spectrum_is_told_by_decades():
-    tables = {table.title: table for table in quoted_tables(numbers().as_json())}
+    tables = {table.title: table for table in quoted_tables(numbers())}
     spectrum = tables["Relaxation spectrum"]
     assert spectrum.heads == ("Hold of", "0.1 to 1 s", "1 to 10 s", "Plateau [N]")
     assert spectrum.rows == (("hold.csv", "50", "50", "5.00"),)
@@ -136,6 +145,6 @@ def test_unloading_is_told_beside_the_loops():
 
 def test_loops_of_what_could_not_be_fitted_are_shown():
     run = replace(identification([specimen_fit()]), unfitted_cycles=(loop(),))
-    made: dict[str, Any] = plain_json(run.as_json())
+    made: dict[str, Any] = plain(run.as_json())
     assert first_problem(made, "identification") is None
     assert "Loops of recordings that were not fitted" in render_report(made, curves_of_fits(run.specimens))

@@ -7,10 +7,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from tissueid.documents import plain
+from tissueid.documents.reproduction import Item
 from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.document import reproduction
 from tissueid.reproduce.hip import guidance_forces, restitutions
-from tissueid.reproduce.published import SADEGHNEJAD, Item, Kind, Ledger, Readings
+from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings
 from tissueid.reproduce.recordings import Effort, identified_table
 from tissueid.reproduce.relaxation import hold_exponential, settling_force
 from tissueid.reproduce.speeds import (
@@ -21,7 +23,6 @@ from tissueid.reproduce.speeds import (
     read_branch,
     rupture_force,
 )
-from tissueid.store.files import plain_json
 from tissueid.store.schema import check
 from tissueid.synth.recipe import Branch
 
@@ -161,7 +162,7 @@ def test_table_2_comes_back_from_the_whole_protocol() -> None:
 
 @pytest.mark.slow
 def test_everything_comes_out_as_it_must() -> None:
-    document = plain_json(reproduction(("sadeghnejad", "pires"), Readings(), Effort()))
+    document = plain(reproduction(("sadeghnejad", "pires"), Readings(), Effort()))
     check(document, "reproduction", where="reproduction.json")
     rows = {one["item"]: one for one in document["items"]}
     for depth, peak, tau in (

@@ -15,11 +15,11 @@ import pytest
 from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
 from posterior_factory import sampled
 
+from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError
 from tissueid.model.base import ContactPath
 from tissueid.rupture_law import RuptureLaw
 from tissueid.store.bundle import MOST_DRAWS, Bundle, bundle_from_fit, load_bundle, write_bundle
-from tissueid.trial import TipShape
 
 PROVENANCE = identification([specimen_fit()]).provenance
 LAW = RuptureLaw("weighted-force", 88.5, 1.5, 0.08, 0.15, 90.0, (80.0, 101.0), 0.2)
@@ -51,10 +51,10 @@ def test_everything_comes_back_exactly(written: Path) -> None:
 
 def test_a_stated_tip_comes_back_and_none_is_left_out(tmp_path: Path) -> None:
     assert "tip" not in a_bundle().as_json()["validity"]
-    fit = replace(specimen_fit(), tip=TipShape("cone", 30.0))
+    fit = replace(specimen_fit(), tip=TipGeometry("cone", 30.0))
     write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
     back = load_bundle(tmp_path / "b.h5")
-    assert (back.tip, back.draws) == (TipShape("cone", 30.0), None)
+    assert (back.tip, back.draws) == (TipGeometry("cone", 30.0), None)
 
 
 def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path: Path) -> None:

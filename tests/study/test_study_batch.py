@@ -14,10 +14,10 @@ from study_folder import QUICK
 
 import tissueid
 from tissueid.cli.main import main
+from tissueid.documents import plain
 from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions
 from tissueid.store.bundle import load_bundle
-from tissueid.store.files import plain_json
 from tissueid.store.index import read_status
 from tissueid.store.results import each_result, read_results
 from tissueid.study import batch, pages
@@ -62,7 +62,7 @@ def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort: Path)
     with contextlib.chdir(cohort):
         expected = tissueid.identify(tissueid.read_trials("lab"), options=options)
     found = json.loads((cohort / "out" / "identification.json").read_bytes())
-    document = plain_json(expected.as_json())
+    document = plain(expected.as_json())
     for key in ("specimens", "refused", "unfitted_cycles", "study", "exit"):
         assert found[key] == document[key], key
     assert found["provenance"] | {"reading": None} == document["provenance"] | {"reading": None}

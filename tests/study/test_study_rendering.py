@@ -10,6 +10,7 @@ from fit_factory import THETA, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
+from tissueid.documents import plain
 from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
 from tissueid.haptics.limits import GuardLimits
 from tissueid.ingest.stated import unit_of
@@ -18,7 +19,6 @@ from tissueid.rendering.precheck import Demands, check_before_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.report.rendering_words import NORMALISED
 from tissueid.result import SpecimenFit
-from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.study.completeness import ITEMS, completeness_of_result
 from tissueid.study.pages import rendering_of
@@ -30,7 +30,7 @@ rendering_of = typed_call(rendering_of)
 
 def rendering(fit: SpecimenFit) -> Any:
     posteriors = posteriors_of_fits([fit])
-    found = rendering_of(plain_json(fit.as_json()), posteriors[0] if posteriors else None)
+    found = rendering_of(plain(fit.as_json()), posteriors[0] if posteriors else None)
     assert found is not None
     return found
 

@@ -23,7 +23,7 @@ from tissueid.cli.output import (
 )
 from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_options
 from tissueid.digits import with_error
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
 from tissueid.errors import UsageError
 
@@ -77,7 +77,6 @@ def command(flags: _CompareFlags) -> int:
         return compare_recordings(flags)
     from tissueid.contrast.decision import contrast_document
     from tissueid.measured.spread import measured_pairs
-    from tissueid.store.files import plain_json
 
     both = [tissue for path in flags.paths for tissue in _tissues(Path(path), flags.interval)]
     if len(both) < 2:
@@ -92,17 +91,17 @@ def command(flags: _CompareFlags) -> int:
     except UsageError:
         # models that share no speed can't be compared; what was measured at any time may
         if not flags.as_json and not flags.quiet:
-            echo_lines(_measured_lines(typed(plain_json(measured), tuple[MeasuredPair, ...])))
+            echo_lines(_measured_lines(typed(plain(measured), tuple[MeasuredPair, ...])))
         raise
     whole = found | ({"measured": measured} if measured else {})
-    plain, document = checked(whole, "contrast", Contrast, where="contrast.json")
+    written, document = checked(whole, "contrast", Contrast, where="contrast.json")
     if flags.output is not None:
-        _write(plain, document, Path(flags.output), quiet=flags.quiet)
-    tell(flags, plain, _lines(document))
+        _write(written, document, Path(flags.output), quiet=flags.quiet)
+    tell(flags, written, _lines(document))
     return 0
 
 
-def _write(plain: Any, document: Contrast, target: Path, *, quiet: int) -> None:
+def _write(written: Any, document: Contrast, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
     from tissueid.report.contrast_page import render_contrast
     from tissueid.store.files import json_bytes
@@ -110,7 +109,7 @@ def _write(plain: Any, document: Contrast, target: Path, *, quiet: int) -> None:
     if target.suffix not in {".json", ".html"}:
         target = made_folder(target) / "contrast.html"
     page = render_contrast(document, created=created_now())
-    write_output(target.with_suffix(".json"), json_bytes(plain))
+    write_output(target.with_suffix(".json"), json_bytes(written))
     write_output(target.with_suffix(".html"), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
@@ -218,7 +217,7 @@ def _is_fit(path: Path) -> bool:
 def compare_recordings(flags: _CompareFlags) -> int:
     """Say what recordings showed beside each other, no model: each path is one side."""
     from tissueid.measured.spread import measured_pairs
-    from tissueid.store.files import json_bytes, plain_json
+    from tissueid.store.files import json_bytes
 
     if len(flags.paths) < 2:
         refuse("one side is nothing to compare: name a second recording or folder")
@@ -230,7 +229,7 @@ def compare_recordings(flags: _CompareFlags) -> int:
     }
     if flags.output is not None:
         write_output(Path(flags.output).with_suffix(".json"), json_bytes(written), quiet=flags.quiet)
-    pairs = typed(plain_json(written), MeasuredContrast).pairs
+    pairs = typed(plain(written), MeasuredContrast).pairs
     tell(flags, written, (line for pair in pairs for line in ("", *measured_pair_lines(pair))))
     return 0
 

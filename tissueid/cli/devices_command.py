@@ -17,7 +17,7 @@ import click
 from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
 from tissueid.cli.output import note, refuse, tell
 from tissueid.digits import with_error
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.devices import Info
 from tissueid.errors import DeviceError
 
@@ -254,7 +254,6 @@ def test(flags: _TestFlags) -> int:
         refuse(f"--save keeps the calibration of a real device, and the device is {made.name}")
     with opened(made) as device:
         report = measure_link(device, flags.seconds)
-    document = {"name": device.name, **asdict(report)}
     median, high, largest = report.round_trip_ms
     unanswered = report.commands - report.replies
     lines = [
@@ -263,7 +262,7 @@ def test(flags: _TestFlags) -> int:
         f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself",
         f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies",
     ]
-    tell(flags, document, lines)
+    tell(flags, plain(report), lines)
     if flags.save:
         save(device, flags, delay_ticks=report.delay_ticks, delay_measured=True)
     return 0

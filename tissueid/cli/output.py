@@ -184,11 +184,10 @@ def refusing(path: str | Path, done: str, way_out: str) -> Iterator[None]:
 
 def checked(written: Any, schema: str, kind: type[_T], *, where: str) -> tuple[Any, _T]:
     """A document in plain values, held against its schema, and the same as its type."""
-    from tissueid.documents import typed
-    from tissueid.store.files import plain_json
+    from tissueid.documents import plain, typed
     from tissueid.store.schema import check
 
-    document = plain_json(written)
+    document = plain(written)
     check(document, schema, where=where)
     return document, typed(document, kind)
 

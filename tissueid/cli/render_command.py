@@ -425,11 +425,10 @@ def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:
 
 def summary_lines(outcome: Outcome) -> list[str]:
     """The session in a few lines."""
-    from tissueid.documents import typed
+    from tissueid.documents import plain, typed
     from tissueid.documents.session import Summary
-    from tissueid.store.files import plain_json
 
-    summary = typed(plain_json(outcome.summary), Summary)
+    summary = typed(plain(outcome.summary), Summary)
     period = summary.period_us
     ended = (
         f"{outcome.message}; {summary.seconds:.1f} s, {summary.ticks} ticks, "

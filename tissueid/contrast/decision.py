@@ -18,7 +18,19 @@ from scipy.stats import chi2
 from tissueid import __version__
 from tissueid.arrays import FloatArray
 from tissueid.documents import plain
-from tissueid.documents.contrast import Common, Difference, Limit, Noticed, Number, Quantiles
+from tissueid.documents.contrast import (
+    Common,
+    Curve,
+    Difference,
+    Hold,
+    Limit,
+    Loading,
+    Noticed,
+    Number,
+    Pair,
+    Quantiles,
+    Tissue,
+)
 from tissueid.errors import UsageError
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import force_after_ramp
@@ -186,15 +198,13 @@ POINTS = 61
 #: A hold is drawn for so many of the longest median relaxation time of all, and from so small a part of it.
 HOLD_TAUS = 5.0
 HOLD_FROM = 1e-3
-_NAMES = ("low", "median", "high")
 
 
-def force_curves(tissues: list[Compared], common: Common) -> list[dict[str, Any]]:
+def force_curves(tissues: list[Compared], common: Common) -> list[Curve]:
     """Curves of every tissue on the same depths, speeds and times.
 
-    Returns ``loading``, one a speed: ``speed_mm_s``, ``depth_mm`` and the 2.5, 50 and 97.5 % quantiles of the
-    force [N] as ``low``, ``median``, ``high``; ``hold``: the same over ``time_s`` after the end of the
-    fastest common ramp to the common depth.
+    Bands are the 2.5, 50 and 97.5 % quantiles of the force [N]; holds follow the end of the fastest common
+    ramp to the common depth.
     """
     depth = np.linspace(0.0, common.depth_mm, POINTS)
     speeds = list(dict.fromkeys(common.speeds_mm_s))
@@ -210,7 +220,7 @@ def _longest(tissue: Compared) -> float:
     return float(np.median([tissue.model.times(theta).max() for theta in tissue.draws[:MOST_DRAWS]]))
 
 
-def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> dict[str, Any]:
+def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> Curve:
     draws = tissue.some_draws()
     ramps = np.empty((len(speeds), len(draws), depth.size))
     holds = np.empty((len(draws), time.size))
@@ -219,20 +229,19 @@ def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: F
             ramps[place, row] = loading_force(tissue.model, theta, depth, speed_mm_s=speed)
         still = float(tissue.model.static_force(theta, depth[-1:])[0])
         holds[row] = still + tissue.model.relaxing(theta, float(depth[-1]), time, speeds[-1])
-    return {
-        "name": tissue.name,
-        "loading": [
-            {"speed_mm_s": speed, "depth_mm": depth.tolist(), **_band(ramps[place])}
-            for place, speed in enumerate(speeds)
-        ],
-        "hold": {"time_s": time.tolist(), **_band(holds)},
-    }
+    loading = tuple(
+        Loading(speed, tuple(depth.tolist()), *_band(ramps[place])) for place, speed in enumerate(speeds)
+    )
+    return Curve(tissue.name, loading, Hold(tuple(time.tolist()), *_band(holds)))
 
 
-def _band(forces: FloatArray) -> dict[str, list[float]]:
-    return {
-        name: row.tolist() for name, row in zip(_NAMES, np.quantile(forces, CENTRAL, axis=0), strict=True)
-    }
+def _band(forces: FloatArray) -> list[tuple[float, ...]]:
+    return [tuple(row.tolist()) for row in np.quantile(forces, CENTRAL, axis=0)]
+
+
+def _told(one: Compared) -> Tissue:
+    order = (one.model.branches, one.model.stiffness_degree)
+    return Tissue(one.name, *order, len(one.draws), "total" if one.total else "statistical")
 
 
 def contrast_document(
@@ -257,31 +266,16 @@ def contrast_document(
     scale = min(scales)
     pairs = []
     for i, j in combinations(range(len(tissues)), 2):
-        pairs.append(
-            {
-                "one": tissues[i].name,
-                "other": tissues[j].name,
-                "difference": plain(difference(draws[i], draws[j])),
-                "numbers": plain(rows(draws[i], draws[j])),
-                "noticed": plain(noticed(draws[i], draws[j], force_scale=scale)),
-            }
-        )
+        one, other = draws[i], draws[j]
+        told = (difference(one, other), rows(one, other), noticed(one, other, force_scale=scale))
+        pairs.append(Pair(tissues[i].name, tissues[j].name, *told))
     return {
         "schema": "tissueid/contrast/1",
         "tissueid": __version__,
         "level": LEVEL,
         "common": plain(common),
         "device": {"clamp_N": clamp_N, "force_scale": scale},
-        "tissues": [
-            {
-                "name": tissue.name,
-                "branches": tissue.model.branches,
-                "stiffness_degree": tissue.model.stiffness_degree,
-                "draws": len(tissue.draws),
-                "interval": "total" if tissue.total else "statistical",
-            }
-            for tissue in tissues
-        ],
-        "curves": force_curves(list(tissues), common),
-        "pairs": pairs,
+        "tissues": plain([_told(tissue) for tissue in tissues]),
+        "curves": plain(force_curves(list(tissues), common)),
+        "pairs": plain(pairs),
     }

@@ -14,7 +14,9 @@ from tissueid.design.machine import Machine
 from tissueid.design.plan import Against, Judged, Plan
 from tissueid.design.precision import Asked, Indentation
 from tissueid.design.tissues import Tissues
-from tissueid.documents import plain
+from tissueid.documents import members, plain
+from tissueid.documents.design import Indentation as Told
+from tissueid.documents.design import Number, Planned, Precision, Protocol, Tissue
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
@@ -63,58 +65,38 @@ def remarks_on(best: Judged, machine: Machine, tissues: Tissues, asked: Asked) -
     return out
 
 
-#: What is said of a setting, and of the limits that were asked for.
-CHANNEL = ("words", "rate_Hz", "noise_N", "noise_correlation_s", "filter_s")
+#: Limits that were asked for.
 LIMITS = (
     "assurance", "max_depth_mm", "max_force_N", "budget_s", "recovery_s", "setup_s", "repeats", "max_logs",
     "gain_sd",
 )  # fmt: skip
 
 
-def _protocol(one: Judged, asked: Asked, specimens: int) -> dict[str, Any]:
+def _protocol(one: Judged, asked: Asked, specimens: int) -> Protocol:
     rows = zip(one.protocol.items(), one.log_seconds, one.peak_N, strict=True)
     found = zip(asked.wants, one.median, one.assured, strict=True)
-    return {
-        "reached": one.reached,
-        "seconds": one.seconds,
-        "total_seconds": specimens * one.seconds,
-        "logs": one.logs,
-        "setting": {key: getattr(one.setting, key) for key in CHANNEL},
-        "indentations": [
-            {
-                "words": test.words,
-                "speed_mm_min": test.speed_mm_min,
-                "depth_mm": test.depth_mm,
-                "hold_s": test.hold_s,
-                "repeats": count,
-                "seconds": seconds,
-                "peak_force_N": peak,
-            }
+    return Protocol(
+        reached=one.reached,
+        seconds=one.seconds,
+        total_seconds=specimens * one.seconds,
+        logs=one.logs,
+        setting=Planned(**members(one.setting, Planned)),
+        indentations=tuple(
+            Told(test.words, test.speed_mm_min, test.depth_mm, test.hold_s, count, seconds, peak)
             for (test, count), seconds, peak in rows
-        ],
-        "precision": [
-            {"name": want.name, "wanted": want.share, "median": median, "assured": assured}
-            for want, median, assured in found
-        ],
-        "worst": one.worst,
-    }
+        ),
+        precision=tuple(Precision(want.name, want.share, median, assured) for want, median, assured in found),
+        worst=one.worst,
+    )
 
 
-def _tissue(tissues: Tissues) -> dict[str, Any]:
-    numbers = []
+def _tissue(tissues: Tissues) -> Tissue:
+    model, numbers = tissues.model, []
     for name, values in tissues.numbers().items():
         low, middle, high = np.quantile(values, (0.025, 0.5, 0.975))
-        numbers.append({"name": name, "median": middle, "low": low, "high": high})
-    return {
-        "name": tissues.name,
-        "words": tissues.words,
-        "draws": tissues.theta.shape[0],
-        "law": tissues.model.name,
-        "branches": tissues.model.branches,
-        "stiffness_degree": tissues.model.stiffness_degree,
-        "depth_mm": tissues.model.depth_mm,
-        "numbers": numbers,
-    }
+        numbers.append(Number(name, middle, low, high))
+    order = (model.name, model.branches, model.stiffness_degree, model.depth_mm)
+    return Tissue(tissues.name, tissues.words, tissues.theta.shape[0], *order, tuple(numbers))
 
 
 def design_document(
@@ -129,7 +111,7 @@ def design_document(
     """The document of ``schemas/design.schema.json``."""
     return {
         "schema": "tissueid/design/1",
-        "tissue": _tissue(tissues),
+        "tissue": plain(_tissue(tissues)),
         "machine": asdict(machine),
         "asked": {
             "wants": plain(asked.wants),
@@ -142,14 +124,16 @@ def design_document(
             "limits": plain(plan.limits),
             "remarks": remarks_on(plan.best, machine, tissues, asked),
         },
-        "protocols": [_protocol(one, asked, specimens) for one in plan.ranked],
+        "protocols": plain([_protocol(one, asked, specimens) for one in plan.ranked]),
         "against": given
         and {
             "name": given.name,
             "obstacle": given.obstacle or None,
-            "protocol": given.judged and _protocol(given.judged, asked, specimens),
+            "protocol": given.judged and plain(_protocol(given.judged, asked, specimens)),
         },
-        "front": [{"factor": factor, **_protocol(one, asked, specimens)} for factor, one in plan.front],
+        "front": [
+            {"factor": factor, **plain(_protocol(one, asked, specimens))} for factor, one in plan.front
+        ],
         "work": {"paths": plan.paths, "protocols": plan.protocols},
     }
 

@@ -1,5 +1,5 @@
 """Documents: files and the output of ``--json``, as types."""
 
-from tissueid.documents.base import plain, typed
+from tissueid.documents.base import members, plain, typed
 
-__all__ = ["plain", "typed"]
+__all__ = ["members", "plain", "typed"]

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 
-from tissueid.flags import FLAGS
+from tissueid.flags import FLAGS, Flag
 
 #: JSON Schema, or a part of one
 JsonSchema = Mapping[str, Any]
@@ -48,8 +49,6 @@ class Placed(Protocol):
         """Sheet of a workbook; ``None`` where the file has none."""
 
 
-#: Members of a flag that are not among the numbers behind it.
-_SAID = ("code", "message")
 _PLAIN = {"type": ["number", "string", "boolean", "null"]}
 #: JSON Schema of a flag: which numbers stand behind its sentence depends on its code.
 FLAG_SCHEMA: JsonSchema = {
@@ -59,26 +58,9 @@ FLAG_SCHEMA: JsonSchema = {
         "code": {"enum": list(FLAGS)},
         "message": {"type": "string", "minLength": 1, "description": "One plain sentence with its numbers"},
     },
-    "required": list(_SAID),
+    "required": ["code", "message"],
     "additionalProperties": {"anyOf": [_PLAIN, {"type": "array", "items": _PLAIN}]},
 }
-
-
-class Flag:
-    """Code, sentence, and the numbers behind it, which stand beside both in the file."""
-
-    __slots__ = ("code", "message", "values")
-
-    def __init__(self, code: str, message: str, values: Mapping[str, Any]) -> None:
-        self.code = code
-        self.message = message
-        self.values = values
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Flag:
-        """Read one from its members."""
-        values = {key: value for key, value in document.items() if key not in _SAID}
-        return cls(document["code"], document["message"], values)
 
 
 _T = TypeVar("_T")
@@ -95,14 +77,19 @@ def typed(document: Any, kind: type[_T]) -> _T:
 
 def _flag(kind: type[Any], document: Any) -> Any:
     if kind is Flag and isinstance(document, Mapping):
-        return Flag.of(document)
+        return Flag.read(document)
     msg = f"a document holds no {kind.__name__}"
     raise NotImplementedError(msg)
 
 
 def plain(document: Any) -> Any:
     """Rewrite a document, or any part of one, in plain dicts, lists and values."""
-    return _listed(msgspec.to_builtins(document, enc_hook=_members))
+    return _listed(msgspec.to_builtins(document, enc_hook=_members, str_keys=True))
+
+
+def members(one: object, kind: type[Struct]) -> dict[str, Any]:
+    """Members of a record, read off an object that has them all."""
+    return {name: getattr(one, name) for name in kind.__struct_fields__}
 
 
 def _listed(value: Any) -> Any:
@@ -117,4 +104,7 @@ def _members(value: Any) -> Any:
         return {"code": value.code, "message": value.message, **value.values}
     if isinstance(value, Mapping):
         return dict(value)
-    return value.tolist()  # numbers and arrays of numpy
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    msg = f"{type(value).__name__} has no place in JSON: {value!r}"
+    raise TypeError(msg)

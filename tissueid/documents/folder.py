@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, Flag, NonNegative, Positive, PositiveCount, Text
+from tissueid.documents.base import Count, Document, NonNegative, Positive, PositiveCount, Text
 from tissueid.documents.identification import Estimate, Model, Provenance, Validity
 from tissueid.documents.inspect import Units
 from tissueid.documents.rupture import Law
+from tissueid.flags import Flag
 
 
 class File(Document, frozen=True):

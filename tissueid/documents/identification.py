@@ -9,7 +9,6 @@ from msgspec import Meta, field
 from tissueid.documents.base import (
     Count,
     Document,
-    Flag,
     Fraction,
     JsonSchema,
     NonNegative,
@@ -22,6 +21,7 @@ from tissueid.documents.inspect import Refusal, Units
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, Unloading, UnloadingMiss
 from tissueid.documents.study import Population, Priors, Study, Tip
+from tissueid.flags import Flag
 
 
 class Model(Document, frozen=True):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, OfSheet, PositiveCount, Text
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, OfSheet, PositiveCount, Text
 from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle
+from tissueid.flags import Flag
 
 #: Why an input was refused: REFUSAL_CODES of tissueid.ingest.refusals, and those that only a fit finds
 #: (no_contact, too_few_samples, fit_failed, mixed_axes, frame_range), or that end a job.

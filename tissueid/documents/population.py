@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, Positive
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive
+from tissueid.flags import Flag
 
 
 class LeftOut(Document, frozen=True):

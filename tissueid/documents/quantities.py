@@ -1,4 +1,8 @@
-"""Cycles, functionals, spectra and moduli: parts of identification.json and inspect."""
+"""Cycles, functionals, spectra and moduli: parts of identification.json and inspect.
+
+Every number stands with its standard error, and where it can't be given it is null with the reason: nothing
+is extrapolated silently.  Standard errors are those of white force noise.
+"""
 
 from __future__ import annotations
 
@@ -66,16 +70,16 @@ class Conditions(Document, frozen=True):
 
     path: str | None = None  # ideal step, or ramp as recorded
     formula: str | None = None
+    doi: str | None = None  # of the formula
+    frequency_Hz: float | None = None
     depth_mm: float | None = None
     speed_mm_s: float | None = None
     time_s: float | None = None
-    frequency_Hz: float | None = None
     amplitude_mm: float | None = None
     holds: float | None = None  # of the depth test: how many
     low: float | None = None  # of the depth test: its 95 % interval
     high: float | None = None
     verdict: str | None = None  # of the depth test
-    doi: str | None = None  # of the formula
 
 
 class Assumptions(Document, frozen=True):

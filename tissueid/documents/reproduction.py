@@ -8,11 +8,14 @@ from msgspec import Meta
 
 from tissueid.documents.base import Count, Document, JsonSchema, NonNegative
 
+#: First author of a paper.
+PaperName = Literal["sadeghnejad", "pires"]
+
 
 class Paper(Document, frozen=True):
     """Source paper."""
 
-    name: Literal["sadeghnejad", "pires"]
+    name: PaperName
     words: str
     places: tuple[str, ...]  # Tables and figures in the order of a page
 
@@ -43,7 +46,7 @@ class Item(Document, frozen=True):
     }
 
     item: str
-    paper: Literal["sadeghnejad", "pires"]
+    paper: PaperName
     where: str
     words: str
     unit: str
@@ -58,6 +61,11 @@ class Item(Document, frozen=True):
     assumed: tuple[str, ...]
     instrument: str | None  # Could an instrument alone give this?
     note: str | None
+
+    def __post_init__(self) -> None:
+        if self.kind in ("reproduced", "given") and self.published is None:
+            msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
+            raise ValueError(msg)
 
 
 class Band(Document, frozen=True):
@@ -81,16 +89,16 @@ class Figure(Document, frozen=True):
     """Redrawn figure."""
 
     key: str
-    paper: Literal["sadeghnejad", "pires"]
+    paper: PaperName
     where: str
     title: str
     kind: Kind
     caption: str
     x_title: str
     y_title: str
-    x_log: bool
-    drawing: Literal["schematic", "block-diagram"] | None
     traces: tuple[Trace, ...]
+    drawing: Literal["schematic", "block-diagram"] | None
+    x_log: bool
 
 
 class Reproduction(Document, frozen=True):

@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from tissueid.documents.base import Count, Document, Flag, Fraction, NonNegative, Positive, PositiveCount
+from tissueid.documents.base import Count, Document, Fraction, NonNegative, Positive, PositiveCount
 from tissueid.documents.identification import Provenance
 from tissueid.documents.population import Confounding
+from tissueid.flags import Flag
 
 Criterion = Literal["work", "weighted-force", "stored-energy", "depth"]
 Unit = Literal["N mm", "N", "mm"]

@@ -15,7 +15,8 @@ from typing import Any
 
 import msgspec
 
-from tissueid.documents.base import FLAG_SCHEMA, Flag
+from tissueid.documents.base import FLAG_SCHEMA
+from tissueid.flags import Flag
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: Root type of every schema, as MODULE.TYPE of this package; where several are given, a document is one of

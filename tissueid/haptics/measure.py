@@ -18,6 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.devices import Test
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.guard import velocity_step
@@ -105,24 +106,12 @@ USUAL_SHARE = 0.95
 UNSEEN_TICKS = 0.5
 
 
-@dataclass(frozen=True)
-class LinkReport:
-    """Result of :func:`measure_link`."""
+def measure_link(device: HapticDevice, duration_s: float = 5.0) -> Test:
+    """Send zero force and wait for the answer, over and over; DeviceError where none comes, or it is lost.
 
-    duration_s: float
-    #: Sent, and answered.
-    commands: int
-    replies: int
-    damaged: int  # replies that began and were none
-    rate_hz: float  # replies a second when each command waits for its answer
-    round_trip_ms: tuple[float, float, float]  # median, 95 % and largest time from a command to its answer
-    #: From a position to the force it causes, in a loop of 1 kHz that reads at each tick what was answered to
-    #: the last: whole ticks until the answer, plus :data:`UNSEEN_TICKS`; the slowest 5 % are left out.
-    delay_ticks: float
-
-
-def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
-    """Send zero force and wait for the answer, over and over; DeviceError where none comes, or it is lost."""
+    The delay is from a position to the force it causes, in a loop of 1 kHz that reads at each tick what was
+    answered to the last; the slowest 5 % are left out.
+    """
     zero = np.zeros(3)
     trips: list[float] = []
     commands = damaged = 0
@@ -146,7 +135,8 @@ def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
     median, high, largest = np.quantile(trips, [0.5, 0.95, 1.0])
     usual = sorted(trips)[: math.ceil(USUAL_SHARE * len(trips))]
     ticks = np.mean([max(1, math.ceil(trip / TICK_S)) for trip in usual])
-    return LinkReport(
+    return Test(
+        name=device.name,
         duration_s=elapsed,
         commands=commands,
         replies=len(trips),

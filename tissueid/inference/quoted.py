@@ -7,14 +7,16 @@ a time that grows as its radius squared (doi 10.1063/1.3370354).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import t
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.quantities import Assumptions, Conditions, Quantity, Quoted
 from tissueid.flags import Flag
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
@@ -24,7 +26,7 @@ from tissueid.measured.geometry import Geometry
 from tissueid.model import functionals
 from tissueid.model.channels import ChannelModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
-from tissueid.quantities import DEPTH_TEST, Quantity, QuotedNumbers
+from tissueid.quantities import DEPTH_TEST
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].
 FREQUENCIES_HZ = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -90,7 +92,7 @@ class _Quoter:
         self,
         name: str,
         unit: str,
-        at: dict[str, float | str],
+        at: Conditions,
         function: Callable[[ChannelModel, FloatArray], float],
         reason: str = "",
     ) -> Quantity:
@@ -106,7 +108,7 @@ class _Quoter:
             return Quantity(name, unit, at, None, None, "no finite value")
         if not width <= (MAX_FRACTION_WIDTH if fraction else MAX_WIDTH):
             return Quantity(name, unit, at, None, None, "the data do not determine it")
-        return Quantity(name, unit, at, value, stderr)
+        return Quantity(name, unit, at, value, stderr, None)
 
 
 #: Force of a tissue a time after a push, and two numbers of a tissue.
@@ -140,12 +142,11 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         return functionals.force_after_ramp(model, theta, depth, hold.speed_mm_s, time)
 
     for path, force, reason in (("step", step, ""), ("ramp", ramp, no_ramp)):
-        at: dict[str, float | str] = {"path": path, "depth_mm": depth}
-        if path == "ramp" and not reason:
-            at["speed_mm_s"] = hold.speed_mm_s
+        speed = hold.speed_mm_s if path == "ramp" and not reason else None
+        at = Conditions(path=path, depth_mm=depth, speed_mm_s=speed)
         for time in TIMES_S:
             why = reason or supported.no_time(time)
-            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, partial(_lost, force, time), why)
+            yield quote("fraction_relaxed", "1", replace(at, time_s=time), partial(_lost, force, time), why)
         yield quote("peak_to_plateau", "1", at, partial(_over_rest, force, depth), reason or flat)
 
 
@@ -167,7 +168,7 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
         why = supported.no_frequency(f)
         if why and not frequencies:
             continue
-        at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
+        at = Conditions(frequency_Hz=f, depth_mm=depth)
         both = partial(functionals.complex_stiffness, depth_mm=depth, frequency_Hz=f)
         energy = partial(
             functionals.dissipated_per_cycle, depth_mm=depth, amplitude_mm=amplitude, frequency_Hz=f
@@ -175,7 +176,7 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
         yield quote("storage_stiffness", "N/mm", at, partial(_part, both, 0), why)
         yield quote("loss_stiffness", "N/mm", at, partial(_part, both, 1), why)
         yield quote("tan_delta", "1", at, partial(_tangent, both), why)
-        yield quote("dissipated_energy", "mJ", {**at, "amplitude_mm": amplitude}, energy, why)
+        yield quote("dissipated_energy", "mJ", replace(at, amplitude_mm=amplitude), energy, why)
 
 
 def _part(of: Pair, which: int, model: ChannelModel, theta: FloatArray) -> float:
@@ -200,7 +201,8 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
         for word, function in kinds:
             both = partial(function, depth_mm=depth)
             for which, form in enumerate(("secant", "tangent")):
-                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, partial(_part, both, which))
+                at = Conditions(depth_mm=depth)
+                yield quote(f"{word}_{form}", "N/mm", at, partial(_part, both, which))
 
 
 def model_numbers(
@@ -215,7 +217,7 @@ def model_numbers(
     )
 
 
-def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
+def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
     """The same numbers; shares that relax have half the range over laws as good in quadrature."""
     alike = [one for one in rivals if one.as_good]
     if not alike:
@@ -225,18 +227,16 @@ def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
         if one.name != "fraction_relaxed" or one.value is None or one.stderr is None:
             rows.append(one)
             continue
-        depth, time = float(one.at["depth_mm"]), float(one.at["time_s"])
-        speed = float(one.at["speed_mm_s"]) if "speed_mm_s" in one.at else None
-        values = [one.value, *(_share(rival, depth, speed, time) for rival in alike)]
+        values = [one.value, *(_share(rival, one.at) for rival in alike)]
         form = max(0.5 * float(np.ptp(values)), LEAST_FORM)
         rows.append(replace(one, stderr=float(np.hypot(one.stderr, form))))
     return replace(numbers, model=tuple(rows))
 
 
-def _share(rival: Rival, depth: float, speed: float | None, time: float) -> float:
+def _share(rival: Rival, at: Conditions) -> float:
     """Share of the peak that a rival's tissue loses."""
-    model, theta = rival.model, rival.theta
-    peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, np.array([0.0, time]), speed)
+    model, theta, depth, times = rival.model, rival.theta, at.depth_mm or 0.0, np.array([0.0, at.time_s])
+    peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, times, at.speed_mm_s)
     return float(1.0 - later / peak)
 
 
@@ -247,7 +247,7 @@ def quoted_numbers(
     step_s: float,
     duration_s: float,
     frequencies_Hz: Sequence[float] = (),
-) -> QuotedNumbers:
+) -> Quoted:
     """Functionals and spectra of one specimen; moduli are added by whoever knows a tip."""
     most = max((one.longest_s for one in holds), default=0.0)
     # of holds equally long the deepest: the same protocol ends a sample earlier or later
@@ -255,11 +255,14 @@ def quoted_numbers(
     longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
     window = longest.longest_s or duration_s
     supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
-    return QuotedNumbers(
+    return Quoted(
         window_s=window,
         resolution_s=2.0 * step_s,
+        noise="white",
         model=model_numbers(tissue, supported, frequencies_Hz),
+        moduli=(),
         spectra=tuple(one for hold in holds for one in hold.spectra),
+        assumptions=Assumptions(),
     )
 
 
@@ -275,7 +278,7 @@ def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
 def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
     """Moduli of a tissue at rest and at once by one formula, at one depth."""
     quote = _Quoter(tissue, unknown_parameters(tissue))
-    at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
+    at = Conditions(formula=formula, doi=FORMULAS[formula], depth_mm=depth)
     reason = "" if contact else f"{formula} has no solution here: the contact is too wide for the layer"
     return [
         quote(name, "kPa", at, partial(_modulus, contact, force, depth), reason)
@@ -304,8 +307,8 @@ def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
 
 
 def with_moduli(
-    quoted: QuotedNumbers, tissue: TissueEstimate, geometry: Geometry | None
-) -> tuple[QuotedNumbers, list[Flag]]:
+    quoted: Quoted, tissue: TissueEstimate, geometry: Geometry | None
+) -> tuple[Quoted, list[Flag]]:
     """The same numbers with the moduli for a tip, where there is one, and what is to be said of them."""
     if geometry is None:
         return quoted, []
@@ -328,7 +331,7 @@ def with_moduli(
         values = {"formulas": list(outside), "depth_mm": full}
         words = f"at {full:.3g} mm {formula} is outside its range: {limits[0]}{more}"
         flags.append(Flag("modulus_out_of_range", words, values))
-    return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags
+    return replace(quoted, moduli=tuple(rows), assumptions=geometry.stated()), flags
 
 
 #: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.
@@ -355,14 +358,14 @@ def depth_test(
     if not np.isfinite(radius).all() or radius.max() < FEWEST_RATIO * radius.min():
         return None, ()
     deepest = float(max(depths_mm))
-    at: dict[str, float | str] = {"depth_mm": deepest, "holds": float(len(depths_mm))}
+    at = Conditions(depth_mm=deepest, holds=float(len(depths_mm)))
     tip = geometry.indenter.radius_mm
     if geometry.indenter.shape == "sphere" and tip is not None and deepest > BURIED * tip:
         reason = f"the tip is buried: {deepest:.3g} mm of depth, {tip:.3g} mm of radius"
         return Quantity(DEPTH_TEST, "1", at, None, None, reason), ()
     slope, error, half = _slope(np.log(radius), np.log(tau_s))
     verdict = _verdict(slope - half, slope + half)
-    at |= {"low": slope - half, "high": slope + half, "verdict": verdict}
+    at = replace(at, low=slope - half, high=slope + half, verdict=verdict)
     flags: tuple[Flag, ...] = ()
     if verdict == "drainage":
         words = (
@@ -370,7 +373,7 @@ def depth_test(
             f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
         )
         flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
-    return Quantity(DEPTH_TEST, "1", at, slope, error), flags
+    return Quantity(DEPTH_TEST, "1", at, slope, error, None), flags
 
 
 def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:

@@ -16,6 +16,7 @@ import lmfit
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import RelaxationWindow
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified, badness, refit
 from tissueid.inference.logs import LogHandle, blocks_of
@@ -24,7 +25,7 @@ from tissueid.inference.optimum import about_mean, free_of, minimise, prior_cost
 from tissueid.inference.prior import PriorRows, prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Point, System
-from tissueid.quantities import RelaxationWindow
+from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 
 #: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
 AGREE_VALUE, AGREE_SD = 1e-6, 0.1
@@ -239,6 +240,7 @@ def relaxation_window(
         stderr_s=tuple((np.exp(ln_tau) * error).tolist()),
         slope=slope,
         slope_stderr=slope_error,
+        effective=slope > max(EFFECTIVE_SLOPE, EFFECTIVE_SD * slope_error),
     )
 
 

@@ -8,10 +8,12 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.identification import NoiseFit
+from tissueid.documents.identification import NoiseFit, RelaxationWindow
+from tissueid.documents.quantities import Quoted
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
@@ -36,7 +38,6 @@ from tissueid.model.channels import DampedModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, parsed
 from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
-from tissueid.quantities import QuotedNumbers, RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
 
 __all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_with_state"]
@@ -103,7 +104,7 @@ class FittedSpecimen:
     tissue: TissueEstimate
     told: Summaries  # of the second pass over the logs
     #: What is derived from a tissue, with errors of that tissue's covariance, and flags of it.
-    quoted: Callable[[TissueEstimate], tuple[QuotedNumbers, list[Flag]]] = field(repr=False)
+    quoted: Callable[[TissueEstimate], tuple[Quoted, list[Flag]]] = field(repr=False)
     #: The same at another point, with other parameters and noise.
     moved: Callable[[Point], FittedSpecimen] = field(repr=False)
 
@@ -277,7 +278,7 @@ class _Found:
             *_machine_flags(found, point),
         )
 
-    def _quoted(self, told: Summaries, tissue: TissueEstimate) -> tuple[QuotedNumbers, list[Flag]]:
+    def _quoted(self, told: Summaries, tissue: TissueEstimate) -> tuple[Quoted, list[Flag]]:
         """Numbers that are derived from a tissue, with errors of its covariance, and flags of them."""
         geometry = self.options.geometry
         slope, drains = depth_test(geometry, *_equal_holds(told))
@@ -288,9 +289,9 @@ class _Found:
         numbers, said = with_moduli(with_form(plain, self.identified.rivals), tissue, geometry)
         if slope is None:
             return numbers, said
-        decided = slope.at.get("verdict") in {"viscous", "drainage"}
+        decided = slope.at.verdict in {"viscous", "drainage"}
         kept = [flag for flag in said if not (decided and flag.code == "poroelastic")]
-        return replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
+        return structs.replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
 
     def _told(self, here: TissueEstimate, told: Summaries) -> SpecimenFit:
         """The numbers of the fit; what is quoted and to be said of them is added."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.identification import NoiseFit
+from tissueid.documents.identification import NoiseFit, Relaxation
 from tissueid.documents.measured import Measured
 from tissueid.documents.quantities import Cycle, Measure
 from tissueid.inference.estimates import REFERENCE_DEPTH, TissueEstimate
@@ -29,7 +29,6 @@ from tissueid.measured.geometry import TipOf
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.model.channels import ChannelModel
 from tissueid.own_process import threads
-from tissueid.quantities import RelaxationRow
 from tissueid.result import Nrmsd, ResidualSummary, TrialFit
 from tissueid.trial import Segmentation, Trial, contact_frame
 
@@ -154,7 +153,7 @@ class Look(NamedTuple):
 
     cycles: tuple[Cycle, ...]
     measured: Measured | None
-    relaxation: tuple[RelaxationRow, ...]
+    relaxation: tuple[Relaxation, ...]
     holds: HoldNumbers
 
 

@@ -14,11 +14,16 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.measured import MeasuredModulus
+from tissueid.documents.quantities import Assumptions
 from tissueid.model.moduli import FORMULAS, Contact, Indenter, contact_of, formulas_for
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Soft wet tissue hardly changes its volume in seconds.
 DEFAULT_POISSON = 0.5
+
+
+class StatedAssumptions(Assumptions, frozen=True, omit_defaults=False):
+    """Assumptions under a known tip: what it does not have is null in the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +60,12 @@ class Geometry:
         body = "deep" if self.thickness_mm is None else f"{self.thickness_mm:g} mm thick"
         return f"{tip.shape} of {size}, tissue {body}, Poisson's ratio {self.poisson:g}"
 
-    def as_json(self) -> dict[str, float | str | None]:
+    def stated(self) -> StatedAssumptions:
         """Assumptions of the moduli."""
-        layer = "bonded layer" if self.bonded else "slipping layer"
-        return {
-            "shape": self.indenter.shape,
-            "radius_mm": self.indenter.radius_mm,
-            "half_angle_deg": self.indenter.half_angle_deg,
-            "thickness_mm": self.thickness_mm,
-            "poisson": self.poisson,
-            "support": "half-space" if self.thickness_mm is None else layer,
-        }
+        tip, layer = self.indenter, "bonded layer" if self.bonded else "slipping layer"
+        support = "half-space" if self.thickness_mm is None else layer
+        size = (tip.radius_mm, tip.half_angle_deg, self.thickness_mm)
+        return StatedAssumptions(tip.shape, *size, self.poisson, support)
 
 
 def stated_geometry(tip: Mapping[str, Any], thickness_mm: float | None, poisson: float) -> Geometry | None:

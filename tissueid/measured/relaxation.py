@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import Relaxation
 from tissueid.flags import Flag
 from tissueid.measured.exponentials import ExponentialSums, curve_of
 from tissueid.measured.pushes import peak_of, usable_until
-from tissueid.quantities import RelaxationRow
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 MIN_SAMPLES = 8
@@ -87,15 +87,13 @@ def _flags(found: Ladder, tau: float, time: FloatArray, range_N: float, noise_N:
     return flags
 
 
-def _row(
-    trial: Trial, force: FloatArray, noise_N: float, window: slice, peak_N: float
-) -> RelaxationRow | None:
+def _row(trial: Trial, force: FloatArray, noise_N: float, window: slice, peak_N: float) -> Relaxation | None:
     time, window_force = trial.time_s[window], force[window]
     found = hold_ladder(time, window_force, MAX_EXPONENTIALS)
     if found is None:
         return None
     single, range_N = found.single_s, float(np.ptp(window_force))
-    return RelaxationRow(
+    return Relaxation(
         path=trial.source.path,
         sheet=trial.source.sheet,
         window_s=(float(time[0]), float(time[-1])),
@@ -108,7 +106,7 @@ def _row(
     )
 
 
-def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[RelaxationRow, ...]:
+def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[Relaxation, ...]:
     """One row for every hold in contact; none where there is no hold."""
     if segmentation.contact is None:
         return ()

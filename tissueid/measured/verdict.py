@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from tissueid.documents.inspect import Verdict
 from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
 from tissueid.flags import Flag, warning_line
 from tissueid.measured.spread import ramp_reason
@@ -33,18 +32,6 @@ LEAST_SOFTER, SOFTER_SD = 0.02, 2.0
 UNKNOWN_SPREAD, KNOWN_FROM = 0.1, 3
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Verdict after a push."""
-
-    level: str  # of :data:`LEVELS`: keep it, stop and look, push again
-    reason: str = ""  # with its number; empty where there is nothing to say
-
-    def as_json(self) -> dict[str, Any]:
-        """``{"level", "reason"}``."""
-        return {"level": self.level, "reason": self.reason or None}
-
-
 def verdict_of(
     trial: Trial,
     segmentation: Segmentation,
@@ -59,7 +46,7 @@ def verdict_of(
         return Verdict("repeat", _told(flags[again]))
     if found := next(_doubts(trial, measured, earlier, flags), None):
         return Verdict("look", found)
-    return Verdict("good", _no_air(segmentation.contact, measured.push, flags))
+    return Verdict("good", _no_air(segmentation.contact, measured.push, flags) or None)
 
 
 def _doubts(

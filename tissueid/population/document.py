@@ -135,7 +135,7 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[
         "agreement": plain(fit.agreement),
         "order": plain(fit.order),
         "confounding": plain(fit.confounding),
-        "flags": [flag.as_json() for flag in fit.flags],
+        "flags": plain(fit.flags),
         "provenance": {
             "tissueid": __version__,
             "identification_sha256": source,
@@ -187,7 +187,7 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         ),
         tip_radius_mm=tips.pop() if len(tips) == 1 else None,
         sigma_N=float(np.median([one.sigma_N for one in fit.members])),
-        flags=tuple(document["flags"]),
+        flags=fit.flags,
         provenance={"tissueid": said["tissueid"], "versions": {}, "options": options, "inputs": []},
         draws=theta,
         population_mean=mean,

@@ -16,6 +16,7 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
 from tissueid.errors import UsageError, printable
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
@@ -227,7 +228,7 @@ def _tissue_entries(plan: SessionPlan, hashes: tuple[str | None, ...]) -> list[d
             "depth_mm": each.tissue.model.depth_mm,
             "fastest_mm_s": each.tissue.speeds_mm_s[1],
             "tip_radius_mm": each.tissue.tip_radius_mm,
-            **({} if each.tissue.tip is None else {"tip": each.tissue.tip.as_json()}),
+            **({} if each.tissue.tip is None else {"tip": plain(each.tissue.tip)}),
             "block": plan.blocks[label].tolist(),
         }
         for label, (each, digest) in enumerate(zip(plan.picked, hashes, strict=True))

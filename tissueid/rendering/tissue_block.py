@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError, printable
 from tissueid.haptics.device import Capabilities
 from tissueid.model.channels import ChannelModel
@@ -20,7 +21,6 @@ from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
 from tissueid.rendering import surface as srf
 from tissueid.rupture_law import RuptureLaw
-from tissueid.trial import TipShape
 
 Vector = tuple[float, float, float]
 
@@ -119,7 +119,7 @@ class Tissue:
     theta: FloatArray  # (p,)
     speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed [mm/s]
     tip_radius_mm: float | None = None  # of the tip it was identified with
-    tip: TipShape | None = None  # shape of that tip, where it was stated
+    tip: TipGeometry | None = None  # shape of that tip, where it was stated
     name: str = ""  # for print; empty where it must not be told
     rupture: RuptureLaw | None = None  # when it breaks
 

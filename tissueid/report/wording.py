@@ -11,10 +11,10 @@ from markupsafe import Markup, escape
 from msgspec.structs import replace
 
 from tissueid.digits import number, together, typeset, with_error
-from tissueid.documents.base import Flag, Placed
+from tissueid.documents.base import Placed
 from tissueid.documents.identification import Estimate, Relaxation, Specimen, Trial, Validity
 from tissueid.documents.inspect import Units
-from tissueid.flags import FLAGS, flag_level, harm_rank
+from tissueid.flags import FLAGS, Flag, flag_level, harm_rank
 from tissueid.quantity_words import QUANTITIES
 from tissueid.trial import Axes
 

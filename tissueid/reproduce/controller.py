@@ -8,24 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from tissueid.documents.control import Measures
+from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.rendering.control.document import measured
 from tissueid.rendering.control.settings import ControlSettings, Mechanics, virtual_mass_bound
 from tissueid.rendering.control.simulation import ControlRun, simulate
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
-from tissueid.reproduce.published import (
-    SADEGHNEJAD,
-    Figure,
-    Item,
-    Kind,
-    Ledger,
-    Readings,
-    Said,
-    Trace,
-)
+from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said
 from tissueid.reproduce.recordings import Effort
 from tissueid.reproduce.speeds import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
 
@@ -149,7 +142,7 @@ def _figures(drawn: Mapping[str, ControlRun]) -> list[Figure]:
     position, velocity, error = [], [], []
     for name, run in drawn.items():
         time = _listed(run.time_s[use])
-        error.append(Trace(name, time, _listed(run.error_mm[use])))
+        error.append(Trace(name, time, _listed(run.error_mm[use]), "line", None))
         if not name.startswith(VARIANTS[-1]):
             continue
         pairs = (
@@ -157,9 +150,9 @@ def _figures(drawn: Mapping[str, ControlRun]) -> list[Figure]:
             ("device", run.position_m, run.velocity_m_s),
         )
         for who, place, speed in pairs:
-            style = "line" if who == "tool" else "dash"
-            position.append(Trace(f"{name}, {who}", time, _listed(1e3 * place[use, 0]), style))
-            velocity.append(Trace(f"{name}, {who}", time, _listed(1e3 * speed[use, 0]), style))
+            style: Literal["line", "dash"] = "line" if who == "tool" else "dash"
+            position.append(Trace(f"{name}, {who}", time, _listed(1e3 * place[use, 0]), style, None))
+            velocity.append(Trace(f"{name}, {who}", time, _listed(1e3 * speed[use, 0]), style, None))
     parts = (
         ("a", "position", "Position [mm]", position),
         ("a-error", "error of the position", "Error [mm]", error),
@@ -175,7 +168,9 @@ def _figures(drawn: Mapping[str, ControlRun]) -> list[Figure]:
             "The hand's push, the gains and the virtual tool are assumed; the paper prints none.",
             "Time [s]",
             title,
-            tuple(traces),
+            x_log=False,
+            drawing=None,
+            traces=tuple(traces),
         )
         for part, words, title, traces in parts
     ]

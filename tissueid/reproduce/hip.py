@@ -9,23 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step, pack_impact
 from tissueid.model.restitution import damping_factor
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.guidance import hyperboloid_constants
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
-from tissueid.reproduce.published import (
-    PIRES,
-    Figure,
-    Item,
-    Kind,
-    Ledger,
-    Readings,
-    Said,
-    Trace,
-    near,
-    points,
-)
+from tissueid.reproduce.published import PIRES, Kind, Ledger, Readings, Said, near, points
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
 #: A free mass [kg] at this speed [mm/s] on a Hertz contact [N/mm^1.5], in steps [s] that converge to 1 %.
@@ -90,9 +80,9 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
     traces = []
     for name, column in (("impedance", 0), ("surface", 1)):
         for height in HEIGHTS_MM:
-            style = "line" if column == 0 else "dash"
+            style: Literal["line", "dash"] = "line" if column == 0 else "dash"
             force = points(swept[height][:, column], 5)
-            traces.append(Trace(f"{name}, {height:g} mm", tuple(error.tolist()), force, style))
+            traces.append(Trace(f"{name}, {height:g} mm", tuple(error.tolist()), force, style, None))
     slopes = [float(swept[height][1, 0] / (1e-3 * error[1])) for height in HEIGHTS_MM]
     inside = max(
         float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
@@ -108,7 +98,9 @@ def guidance_forces(readings: Readings) -> tuple[list[Item], Figure]:
         f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
         "Radial error [mm]",
         "Force [N]",
-        tuple(traces),
+        x_log=False,
+        drawing=None,
+        traces=tuple(traces),
     )
     return items, figure
 

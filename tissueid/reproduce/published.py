@@ -8,31 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Final, TypeVar
 
+from msgspec import structs
+
+from tissueid.documents import reproduction as documents
+from tissueid.documents.reproduction import Item, PaperName
 from tissueid.errors import UsageError, printable
 
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
 
 
-class Kind(StrEnum):
+class Kind:
     """Ground of a recomputed number."""
 
     #: Printed, and computed from what the paper states without the number itself.
-    REPRODUCED = "reproduced"
+    REPRODUCED: Final = "reproduced"
     #: Computed from what the paper states, which prints no number to stand beside it.
-    RECOMPUTED = "recomputed"
+    RECOMPUTED: Final = "recomputed"
     #: Printed as an input: put in, not computed.
-    GIVEN = "given"
+    GIVEN: Final = "given"
     #: The number itself, or what was made from it, is among the inputs.
-    ROUND_TRIP = "round trip"
+    ROUND_TRIP: Final = "round trip"
     #: An input is printed by no paper.
-    ASSUMED = "assumed"
+    ASSUMED: Final = "assumed"
     #: Its inputs are lost, or were never printed.
-    NOT_REPRODUCIBLE = "not reproducible"
+    NOT_REPRODUCIBLE: Final = "not reproducible"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,33 +95,6 @@ def _pair(value: Value) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
-    """One row: published beside recomputed."""
-
-    item: str  # stable key, as ``table-1/tau-2mm``
-    paper: str
-    where: str  # table, figure or section of the paper
-    words: str
-    unit: str
-    published: Value | None  # ``None`` where the paper prints no number
-    recomputed: Value | None
-    interval: Interval  # 99 % interval
-    agrees: bool | None  # ``None`` where there is nothing to compare
-    kind: Kind
-    rule: str | None  # how agreement was decided
-    reading: str | None  # interpretations of lost equations it rests on
-    inputs: tuple[str, ...]  # published numbers that it was computed from
-    assumed: tuple[str, ...]  # inputs that no paper prints
-    instrument: str | None  # could an instrument alone give this?
-    note: str | None
-
-    def __post_init__(self) -> None:
-        if self.kind in (Kind.REPRODUCED, Kind.GIVEN) and self.published is None:
-            msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
-            raise ValueError(msg)
-
-
-@dataclass(frozen=True, slots=True)
 class Said:
     """Words of a row of which the paper prints no number, and its unit."""
 
@@ -126,38 +102,10 @@ class Said:
     unit: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Trace:
-    """One line of a figure."""
-
-    name: str
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-    style: str = "line"  # {"line", "dash", "points"}
-    band: Mapping[str, tuple[float, ...]] | None = None  # edges beside y, ``low`` and ``high``
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A figure of a paper, drawn again."""
-
-    key: str  # as ``figure-2``
-    paper: str
-    where: str
-    title: str
-    kind: Kind
-    caption: str  # what was computed from what, and what can't be read off it
-    x_title: str = ""
-    y_title: str = ""
-    traces: tuple[Trace, ...] = ()  # empty for a drawing
-    drawing: str | None = None  # name of a drawing of the page: a schematic or a block diagram
-    x_log: bool = False
-
-
 #: Sadeghnejad et al., endoscopic sinus surgery: sheep orbital floor, indentation and relaxation.
-SADEGHNEJAD = "sadeghnejad"
+SADEGHNEJAD: Final = "sadeghnejad"
 #: Pires et al., hip resurfacing: haptic guidance with a Novint Falcon.
-PIRES = "pires"
+PIRES: Final = "pires"
 
 _T = TypeVar("_T")
 
@@ -210,7 +158,7 @@ PUBLISHED: Numbers = MappingProxyType(_catalogue())
 class Ledger:
     """Hands out the inputs of one computation and remembers them."""
 
-    paper: str
+    paper: PaperName
     where: str  # place of its rows in the paper, where no number is printed
     _used: list[str] = field(default_factory=list)
     _assumed: list[str] = field(default_factory=list)
@@ -277,7 +225,7 @@ class Ledger:
             note=note,
         )
 
-    def _kind(self, beside: str, recomputed: object) -> Kind:
+    def _kind(self, beside: str, recomputed: object) -> documents.Kind:
         if recomputed is None:
             return Kind.NOT_REPRODUCIBLE
         if beside in self._used:
@@ -288,7 +236,8 @@ class Ledger:
 
     def given(self, key: str, words: str, note: str) -> Item:
         """A printed number that is an input: nothing is computed beside it."""
-        return replace(self.item(key, None, said=Said(words), note=note), kind=Kind.GIVEN)
+        row = self.item(key, None, said=Said(words), note=note)
+        return Item(**structs.asdict(row) | {"kind": Kind.GIVEN})
 
     def claim(
         self, key: str, said: Said, value: float, holds: Callable[[float], bool], rule: str,
@@ -296,7 +245,7 @@ class Ledger:
     ) -> Item:  # fmt: skip
         """A sentence of the paper without a number, and whether what is computed bears it out."""
         row = self.item(key, value, said=said, note=note)
-        return replace(row, agrees=holds(value), rule=rule)
+        return structs.replace(row, agrees=holds(value), rule=rule)
 
 
 #: Reading -> choice -> what it takes the paper to say; the first choice is the default.

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.errors import NotIdentifiedError
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -22,13 +23,10 @@ from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.reproduce.published import (
     SADEGHNEJAD,
-    Figure,
-    Item,
     Kind,
     Ledger,
     Readings,
     Said,
-    Trace,
     overlaps,
     points,
     within_interval,
@@ -257,8 +255,8 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
         depth = points(curve.depth_mm[use])
         predicted = _predicted(fits, k, curve)[use]
         name = fits[k].specimen
-        traces.append(Trace(name, depth, points(curve.force_N[use], 3), "points"))
-        traces.append(Trace(f"{name}, predicted", depth, points(predicted, 3), "dash"))
+        traces.append(Trace(name, depth, points(curve.force_N[use], 3), "points", None))
+        traces.append(Trace(f"{name}, predicted", depth, points(predicted, 3), "dash", None))
     return Figure(
         "figure-5",
         SADEGHNEJAD,
@@ -269,5 +267,7 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
         "paper's own recordings are not published.",
         "Displacement [mm]",
         "Force [N]",
-        tuple(traces),
+        x_log=False,
+        drawing=None,
+        traces=tuple(traces),
     )

@@ -6,22 +6,19 @@ settled and the load channel followed with its filter: the instrument alone may 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.reproduce.published import (
     SADEGHNEJAD,
-    Figure,
-    Item,
     Kind,
     Ledger,
     Readings,
     Said,
-    Trace,
     near,
     points,
     rounded,
@@ -212,7 +209,7 @@ def _trace(depth: int, trial: Trial) -> Trace:
     fine = np.arange(max(corner - DRAWN // 4, 0), min(corner + DRAWN // 4, trial.time_s.size))
     coarse = np.linspace(0, trial.time_s.size - 1, DRAWN // 2).astype(int)
     kept = np.union1d(fine, coarse)
-    return Trace(f"{depth} mm", points(trial.time_s[kept], 5), points(trial.force_N[kept]))
+    return Trace(f"{depth} mm", points(trial.time_s[kept], 5), points(trial.force_N[kept]), "line", None)
 
 
 def _figure(traces: list[Trace]) -> Figure:
@@ -226,5 +223,7 @@ def _figure(traces: list[Trace]) -> Figure:
         "over some 60 ms after the ramp; the recordings of the paper are not published.",
         "Time [s]",
         "Force [N]",
-        tuple(traces),
+        x_log=False,
+        drawing=None,
+        traces=tuple(traces),
     )

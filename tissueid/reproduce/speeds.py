@@ -10,20 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents.reproduction import Figure, Item, Trace
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.rupture import hardening_ratio, rupture_at_speed
-from tissueid.reproduce.published import (
-    SADEGHNEJAD,
-    Figure,
-    Item,
-    Kind,
-    Ledger,
-    Readings,
-    Said,
-    Trace,
-    points,
-)
+from tissueid.reproduce.published import SADEGHNEJAD, Kind, Ledger, Readings, Said, points
 from tissueid.synth.recipe import Branch
 
 #: Depths of the relaxation tests and speeds of the indentations, section II.A of the paper.
@@ -123,7 +114,7 @@ def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
         )
     )
     traces = tuple(
-        Trace(f"{speed:.0f} mm/min", points(depth), points(curve))
+        Trace(f"{speed:.0f} mm/min", points(depth), points(curve), "line", None)
         for speed, curve in zip(SPEEDS_MM_MIN, curves, strict=True)
     )
     caption = (
@@ -139,7 +130,9 @@ def force_displacement(readings: Readings) -> tuple[list[Item], Figure]:
         caption,
         "Displacement [mm]",
         "Force [N]",
-        traces,
+        x_log=False,
+        drawing=None,
+        traces=traces,
     )
     return items, figure
 
@@ -201,7 +194,7 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
                 "where it is above 1",
             )
         )
-        traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks)))
+        traces.append(Trace(words, SPEEDS_MM_MIN, points(peaks), "line", None))
     items.append(_by_seven(readings))
     figure = Figure(
         "figure-4",
@@ -214,7 +207,9 @@ def peak_against_speed(readings: Readings) -> tuple[list[Item], Figure]:
         "contradicts the model's own source, by which the absorbed energy falls with speed.",
         "Speed [mm/min]",
         "Peak force [N]",
-        tuple(traces),
+        x_log=False,
+        drawing=None,
+        traces=tuple(traces),
     )
     return items, figure
 

@@ -16,7 +16,7 @@ from tissueid.rupture.failures import Failure
 from tissueid.rupture.run import RuptureRun
 from tissueid.rupture.study import RuptureStudy
 from tissueid.store.bundle import bundle_from_fit, write_bundle
-from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes, plain_json
+from tissueid.store.files import IDENTIFICATION, bundle_names, json_bytes
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
 
@@ -119,7 +119,7 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
                 for one in run.identification.refused
             ),
         ],
-        "flags": [flag.as_json() for flag in study.flags],
+        "flags": plain(study.flags),
         "provenance": dict(run.identification.provenance),
     }
 
@@ -148,7 +148,7 @@ def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
         found = run()
         specimens = found.identification.specimens
         by_specimen = bundle_names(fit.specimen for fit in specimens)
-        document: dict[str, Any] = plain_json(as_document(found, by_specimen))
+        document: dict[str, Any] = plain(as_document(found, by_specimen))
         check(document, "rupture", where=RUPTURE)
         files.write(RUPTURE, json_bytes(document))
         for fit in specimens:

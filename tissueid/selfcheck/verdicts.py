@@ -21,8 +21,9 @@ from scipy.stats import binom
 
 from tissueid import PosteriorOptions, __version__
 from tissueid.arrays import FloatArray, IntArray
-from tissueid.documents import plain
-from tissueid.documents.selfcheck import Coverage, Inside, Parameter
+from tissueid.documents import members, plain
+from tissueid.documents import selfcheck as documents
+from tissueid.documents.selfcheck import Coverage, Inside, Parameter, Prior
 from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.protocol import Protocol
 from tissueid.selfcheck.records import DRAWS, Record
@@ -240,25 +241,18 @@ class Asked:
     seed: int
 
 
-def _priors(check: TissueCheck) -> list[dict[str, Any]]:
+def _priors(check: TissueCheck) -> list[Prior]:
     words = prior_words(
         check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
     )
-    stated = set(check.stated)
-    return [{"name": name, "prior": said, "stated": name in stated} for name, said in words.items()]
+    return [Prior(name, said, name in check.stated) for name, said in words.items()]
 
 
-def _protocol(protocol: Protocol) -> dict[str, Any]:
-    return {
-        "words": protocol.words,
-        "logs": len(protocol.logs),
-        "samples": protocol.samples,
-        "step_s": protocol.step_s,
-        "duration_s": protocol.duration_s,
-        "depth_mm": protocol.depth_mm,
-        "speeds_mm_s": list(protocol.speeds_mm_s),
-        "contact_sd_mm": max(log.contact_sd_mm for log in protocol.logs),
-    }
+def _protocol(protocol: Protocol) -> documents.Protocol:
+    logs, contact_sd_mm = protocol.logs, max(log.contact_sd_mm for log in protocol.logs)
+    times, (slow, fast) = (protocol.step_s, protocol.duration_s), protocol.speeds_mm_s
+    size = (len(logs), protocol.samples, *times, protocol.depth_mm)
+    return documents.Protocol(protocol.words, *size, (slow, fast), contact_sd_mm)
 
 
 def check_document(
@@ -269,21 +263,17 @@ def check_document(
     good = [record for record in records if record.failed is None]
     return {
         "schema": "tissueid/selfcheck/1",
-        "source": {"kind": asked.kind, "path": asked.path, "specimen": asked.specimen},
+        "source": members(asked, documents.Source),
         "model": {
             "branches": check.model.branches,
             "stiffness_degree": check.model.stiffness_degree,
             "static_pooling": check.pooling,
             "depth_mm": check.model.depth_mm,
         },
-        "noise": {
-            "model": check.noise_model,
-            "white_share": check.white_share,
-            "reference_step_s": check.reference_step_s,
-        },
+        "noise": plain(documents.Noise(check.noise_model, check.white_share, check.reference_step_s)),
         "interval": "total" if check.defects else "statistical",
-        "protocol": _protocol(protocol),
-        "priors": _priors(check),
+        "protocol": plain(_protocol(protocol)),
+        "priors": plain(_priors(check)),
         "simulations": {
             "asked": asked.simulations,
             "done": len(records),

@@ -27,14 +27,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import members, plain, typed
+from tissueid.documents.folder import Bundle as Document
+from tissueid.documents.identification import TipGeometry, Validity
 from tissueid.errors import BundleError
+from tissueid.flags import Flag
 from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
 from tissueid.rupture_law import RuptureLaw
-from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.files import json_bytes
 from tissueid.store.hdf5 import check_format, get_text, new_file, open_file, put_text
 from tissueid.store.schema import check
-from tissueid.trial import Axes, TipShape
+from tissueid.trial import Axes
 
 if TYPE_CHECKING:
     from tissueid.model.channels import ChannelModel
@@ -72,11 +76,11 @@ class Bundle(Shown):
     speeds_mm_s : tuple of float
         Slowest and fastest loading speed it was fitted to [mm/s].
     tip_radius_mm : float or None
-    tip : TipShape or None
+    tip : TipGeometry or None
         Shape of the tip, where it was stated.
     sigma_N : float
         Residual standard deviation [N].
-    flags : tuple of mapping
+    flags : tuple of Flag
     provenance : mapping
         Input hashes, versions, options, seed.
     draws : ndarray, shape (n, p), or None
@@ -99,9 +103,9 @@ class Bundle(Shown):
     speeds_mm_s: tuple[float, float]
     tip_radius_mm: float | None
     sigma_N: float
-    flags: tuple[Mapping[str, Any], ...]
+    flags: tuple[Flag, ...]
     provenance: Mapping[str, Any]
-    tip: TipShape | None = None
+    tip: TipGeometry | None = None
     draws: FloatArray | None = None
     population_mean: FloatArray | None = None
     population_sd: FloatArray | None = None
@@ -159,15 +163,10 @@ class Bundle(Shown):
             "model": self.model.as_json(),
             "theta_names": list(self.theta_names),
             "parameters": [estimate.as_json() for estimate in self.parameters],
-            "validity": {
-                "depth_mm": self.depth_mm,
-                "speeds_mm_s": list(self.speeds_mm_s),
-                "tip_radius_mm": self.tip_radius_mm,
-                **({} if self.tip is None else {"tip": self.tip.as_json()}),
-            },
+            "validity": plain(Validity(**members(self, Validity))),
             "sigma_N": self.sigma_N,
             "units": dict(self.units),
-            "flags": [dict(flag) for flag in self.flags],
+            "flags": plain(self.flags),
             "provenance": dict(self.provenance),
             "rupture": None if self.rupture is None else self.rupture.as_json(),
         }
@@ -242,7 +241,7 @@ def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundl
         tip_radius_mm=fit.tip_radius_mm,
         tip=fit.tip,
         sigma_N=float(fit.sigma_N),
-        flags=tuple(flag.as_json() for flag in fit.flags),
+        flags=fit.flags,
         provenance={**provenance, "inputs": inputs},
         draws=None if posterior is None else _thinned(posterior.draws),
         units=fit.axes.as_json(),
@@ -268,7 +267,7 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
 
 def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
     """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
-    document = plain_json(bundle.as_json())
+    document = plain(bundle.as_json())
     _check_contents(bundle, document, where=where)
     arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
@@ -362,27 +361,19 @@ def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
 
 def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:
     """The bundle that a document of this schema version and its arrays describe, not yet checked."""
-    validity = document["validity"]
-    slowest, fastest = validity["speeds_mm_s"]
+    found = typed(document, Document)
     return Bundle(
-        specimen=document["specimen"],
-        model=ModelChoice.from_json(document["model"]),
-        theta_names=tuple(document["theta_names"]),
-        theta=arrays["theta"],
-        covariance=arrays["covariance"],
+        specimen=found.specimen,
+        model=ModelChoice.of(found.model),
+        theta_names=found.theta_names,
         parameters=tuple(Estimate.from_json(estimate) for estimate in document["parameters"]),
-        depth_mm=validity["depth_mm"],
-        speeds_mm_s=(slowest, fastest),
-        tip_radius_mm=validity["tip_radius_mm"],
-        tip=TipShape.from_json(validity["tip"]) if "tip" in validity else None,
-        sigma_N=document["sigma_N"],
-        flags=tuple(document["flags"]),
+        **members(found.validity, Validity),
+        sigma_N=found.sigma_N,
+        flags=found.flags,
         provenance=document["provenance"],
-        draws=arrays.get("draws"),
-        population_mean=arrays.get("population_mean"),
-        population_sd=arrays.get("population_sd"),
         units=document["units"],
-        rupture=None if document["rupture"] is None else RuptureLaw.from_json(document["rupture"]),
+        rupture=None if found.rupture is None else typed(document["rupture"], RuptureLaw),
+        **arrays,
     )
 
 

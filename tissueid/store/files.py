@@ -27,7 +27,7 @@ from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Self
 
-import numpy as np
+from tissueid.documents import plain
 
 #: Leftovers of killed writers start with this and may be deleted.
 TEMPORARY_PREFIX = ".tmp-"
@@ -86,24 +86,6 @@ def write_file(path: Path, content: bytes) -> None:
         return
     with replacing(path) as temporary:
         temporary.write_bytes(content)
-
-
-def plain_json(value: Any) -> Any:
-    """Rewrite a value in plain dicts, lists and Python numbers; TypeError for what JSON has no word for."""
-    if value is None or isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain_json(child) for key, child in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_json(child) for child in value]
-    if isinstance(value, np.ndarray):
-        return plain_json(value.tolist())
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, (int, float)):
-        return value
-    msg = f"{type(value).__name__} has no place in JSON: {value!r}"
-    raise TypeError(msg)
 
 
 def json_bytes(document: Any) -> bytes:
@@ -174,7 +156,7 @@ _SPOOL_BYTES = 1 << 20
 
 def _spelled(value: Any, level: int) -> bytes:
     """A value as it stands ``level`` levels deep in a document; a line break is never inside a string."""
-    text = json.dumps(plain_json(value), ensure_ascii=False, indent=_INDENT, allow_nan=False)
+    text = json.dumps(plain(value), ensure_ascii=False, indent=_INDENT, allow_nan=False)
     return text.replace("\n", "\n" + " " * (_INDENT * level)).encode("utf-8")
 
 

@@ -30,6 +30,7 @@ from typing import IO, Any
 import h5py
 import numpy as np
 
+from tissueid.documents import plain, typed
 from tissueid.errors import BundleError
 from tissueid.store.bundle import SPECIMEN_GROUP, Bundle, load_bundle, put_bundle, write_bundle
 from tissueid.store.curves import TrialCurve, get_curves, put_curves, write_curves
@@ -42,14 +43,27 @@ SPECIMEN_SCHEMA_VERSION = 1
 _FORMAT = "tissueid/specimen"
 
 
+@dataclass(frozen=True, slots=True)
+class SpecimenRecord:
+    """Entries of identification.json that a specimen brings, as they are written."""
+
+    specimen: str  # name as shown
+    fitted: dict[str, Any] | None  # ``None`` where no model was
+    refused: list[dict[str, Any]]
+    unfitted_cycles: list[dict[str, Any]]
+    inputs: list[dict[str, Any]]
+    provenance: dict[str, Any]
+    reasons: list[str]  # why its exit code is not 0
+    #: Rows of the study.
+    trials: list[dict[str, Any]]
+    exclusions: list[dict[str, Any]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenResult:
     """Result of one job."""
 
-    #: ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
-    #: ``unfitted_cycles``, ``inputs``, ``provenance``, ``reasons`` (why its exit code is not 0), ``trials``
-    #: and ``exclusions`` (rows of the study).
-    record: dict[str, Any]
+    record: SpecimenRecord
     bundle: Bundle | None = None
     curves: tuple[TrialCurve, ...] = ()
     posterior: StoredPosterior | None = None
@@ -64,7 +78,7 @@ def specimen_bytes(result: SpecimenResult) -> bytes:
         group = file.create_group(SPECIMEN_GROUP)
         group.attrs["format"] = _FORMAT
         group.attrs["schema_version"] = np.int64(SPECIMEN_SCHEMA_VERSION)
-        put_text(group, "record", json_bytes(result.record))
+        put_text(group, "record", json_bytes(plain(result.record)))
         if result.curves:
             put_curves(group.create_group("curves"), result.curves)
         if result.posterior is not None:
@@ -85,22 +99,24 @@ def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
         yield group
 
 
-def load_record(path: Path) -> dict[str, Any]:
+def load_record(path: Path) -> SpecimenRecord:
     """The JSON of a specimen's file alone; BundleError if it is missing, damaged or another kind of file."""
     with _opened(path) as group:
-        record: dict[str, Any] = json.loads(get_text(group, "record"))
-    return record
+        return _record(group)
+
+
+def _record(group: Any) -> SpecimenRecord:
+    return typed(json.loads(get_text(group, "record")), SpecimenRecord)
 
 
 def load_specimen(
     path: Path | IO[bytes],
-) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
+) -> tuple[SpecimenRecord, tuple[TrialCurve, ...], StoredPosterior | None]:
     """Record, curves and draws of a specimen's file, or of its bytes; BundleError as :func:`load_record`."""
     with _opened(path) as group:
         curves = get_curves(group["curves"]) if "curves" in group else ()
         posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()
-        record = json.loads(get_text(group, "record"))
-        return record, curves, posteriors[0] if posteriors else None
+        return _record(group), curves, posteriors[0] if posteriors else None
 
 
 #: Folder of the files of specimens, in the output folder.

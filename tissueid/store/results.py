@@ -96,7 +96,7 @@ def each_result(
     for one in read_listed(run.folder / LISTED):
         if one.fitted:
             record, curves, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
-            yield typed(record["fitted"], Specimen), curves, posterior
+            yield typed(record.fitted, Specimen), curves, posterior
 
 
 def _of_merged(

@@ -31,8 +31,9 @@ import h5py
 import numpy as np
 
 from tissueid.arrays import RecordArray
+from tissueid.documents import plain
 from tissueid.errors import BundleError
-from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.files import json_bytes
 from tissueid.store.hdf5 import HDF5_ERRORS, check_format, get_text, new_file, put_text
 from tissueid.store.schema import check
 
@@ -67,7 +68,7 @@ def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
 
     Raises BundleError: the head does not follow its schema.
     """
-    document = plain_json(
+    document = plain(
         {
             **head,
             "schema": f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}",
@@ -132,7 +133,7 @@ def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> 
     """
     head, start, record = _raw_layout(raw)
     count = (raw.stat().st_size - start) // record.itemsize
-    document = plain_json({**head, "summary": summary})
+    document = plain({**head, "summary": summary})
     check(document, "session", where=str(target))
     text = json_bytes(document)
     digest = hashlib.sha256(_seal(text, record, count))

@@ -17,7 +17,7 @@ from typing import Any
 
 from msgspec.structs import fields
 
-from tissueid.documents.base import Flag, Placed
+from tissueid.documents.base import Placed
 from tissueid.documents.identification import (
     Exclusion,
     Identification,
@@ -28,6 +28,7 @@ from tissueid.documents.identification import (
 )
 from tissueid.documents.inspect import Refusal
 from tissueid.documents.quantities import Cycle, Measure
+from tissueid.flags import Flag
 
 _PARAMETERS = (
     *("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3"),

@@ -27,20 +27,14 @@ from tissueid.collection import (
     unmatched_sheets,
     without_excluded,
 )
+from tissueid.documents import plain
+from tissueid.documents.identification import Exit
 from tissueid.errors import BundleError, InputError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.pipeline import IdentifyOptions, exit_of, identify, run_provenance
-from tissueid.result import Exit, Identification, Refusal
-from tissueid.store.files import (
-    IDENTIFICATION,
-    JsonList,
-    plain_json,
-    replacing,
-    sha256_of,
-    write_file,
-    write_json,
-)
+from tissueid.result import Identification, Refusal
+from tissueid.store.files import IDENTIFICATION, JsonList, replacing, sha256_of, write_file, write_json
 from tissueid.store.index import Index, JobRow
 from tissueid.store.merged import (
     LISTED,
@@ -88,7 +82,7 @@ class Assembled:
     #: Trials that the study does not name, of all.
     beside: int = 0
     trials: int = 0
-    exit: Exit = field(default_factory=lambda: Exit(0))
+    exit: Exit = field(default_factory=lambda: Exit(0, ()))
 
     @property
     def large(self) -> bool:
@@ -129,27 +123,27 @@ class _Assembly:
         for job in self.index.jobs("done"):
             path = specimen_path(self.out, job.key)
             record = load_record(path)
-            fitted = record["fitted"]
+            fitted = record.fitted
             if fitted is not None:
                 found.fitted += 1
                 self.specimens.add(fitted)
                 self.names.append(job.specimen)
                 if not found.large:
-                    self.files[job.specimen], self.inputs_of[job.specimen] = path, record["inputs"]
-            for name, target in (
-                ("unfitted_cycles", self.cycles),
-                ("inputs", self.inputs),
-                ("trials", self.trials),
-                ("exclusions", self.exclusions),
+                    self.files[job.specimen], self.inputs_of[job.specimen] = path, record.inputs
+            for rows, target in (
+                (record.unfitted_cycles, self.cycles),
+                (record.inputs, self.inputs),
+                (record.trials, self.trials),
+                (record.exclusions, self.exclusions),
             ):
-                for row in record[name]:
+                for row in rows:
                     target.add(row)
-            for row in record["refused"]:
+            for row in record.refused:
                 self.refuse(Refusal(row["path"], row["sheet"], **row["error"]))
-            found.exclusions += record["exclusions"]
-            found.reasons += record["reasons"]
-            found.trials += len(record["trials"])
-            found.beside += sum(not row["listed"] for row in record["trials"])
+            found.exclusions += record.exclusions
+            found.reasons += record.reasons
+            found.trials += len(record.trials)
+            found.beside += sum(not row["listed"] for row in record.trials)
             digest, size = self.index.result(job.key) or ("", 0)
             yield ListedSpecimen(job.specimen, path.name, fitted is not None, digest, size)
 
@@ -191,7 +185,7 @@ def assemble(
             "unfitted_cycles": parts.cycles,
             "study": record,
             "provenance": run_provenance(options, parts.inputs, record, provenance),
-            "exit": found.exit.as_json(),
+            "exit": plain(found.exit),
         }
         _check_frame(document)
         with replacing(found.document) as whole, whole.open("wb") as file:
@@ -211,7 +205,7 @@ def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusa
         raise AssertionError
 
     rows = exclusion_rows(collected, {}, (), IdentifyOptions().fit, never)
-    return kept, [plain_json(row) for row in rows]
+    return kept, [plain(row) for row in rows]
 
 
 def _unmatched(index: Index, study: Study | None) -> list[Refusal]:
@@ -229,7 +223,7 @@ def _check_frame(document: Mapping[str, Any]) -> None:
             return []
         if isinstance(value, Mapping):
             return {key: bare(child) for key, child in value.items()}
-        return plain_json(value)
+        return plain(value)
 
     check(bare(document), "identification", where=IDENTIFICATION)
 
@@ -408,7 +402,7 @@ class _Cohort:
         own: dict[int, LawOrder] = {}
         tables, laws = [], candidates(self.request.options.fit.model or KELVIN_VOIGT).choose
         for job in self.index.jobs("done"):
-            fitted = load_record(specimen_path(self.run.out, job.key))["fitted"]
+            fitted = load_record(specimen_path(self.run.out, job.key)).fitted
             if fitted is not None and fitted["selection"]:
                 own[job.position] = LawOrder.of_fit(fitted)
                 tables.append(scores_of(fitted, laws=laws))

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.population import Population
 from tissueid.errors import NotIdentifiedError, printable
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
@@ -16,7 +16,7 @@ from tissueid.population.document import as_document, members_of, population_bun
 from tissueid.population.members import thawed_among_fresh
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
-from tissueid.store.files import IDENTIFICATION, json_bytes, plain_json, sha256_of
+from tissueid.store.files import IDENTIFICATION, json_bytes, sha256_of
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import each_result, read_identification
 from tissueid.store.schema import check
@@ -59,7 +59,7 @@ def write_population(
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
         source = sha256_of(out / IDENTIFICATION)
-        document: dict[str, Any] = plain_json(as_document(fit, options, source=source))
+        document: dict[str, Any] = plain(as_document(fit, options, source=source))
         if fit.population is None:
             raise NotIdentifiedError(_no_population(document))
         check(document, "population", where=_DOCUMENT)

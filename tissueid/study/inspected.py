@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.errors import UsageError
@@ -17,7 +17,6 @@ from tissueid.inspection import as_decided, describe_segmented, measured_of, seg
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
-from tissueid.store.files import plain_json
 from tissueid.trial import Segmentation, Trial
 
 if TYPE_CHECKING:
@@ -143,10 +142,10 @@ class Inspection:
         measured = measured_of(trial, divided, study)
         earlier = self._earlier.get(trial.specimen, [])
         described = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
-        plain = plain_json(described)
-        document = typed(plain, InspectedTrial)
+        printed = plain(described)
+        document = typed(printed, InspectedTrial)
         drawn = self._page_of(trial, divided, document, study) if self._drawn else None
-        return _Made(document, plain, measured, drawn)
+        return _Made(document, printed, measured, drawn)
 
     def _page_of(
         self, trial: Trial, divided: Segmentation, document: InspectedTrial, study: Study | None

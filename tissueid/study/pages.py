@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.documents import typed
+from tissueid.documents import plain, typed
 from tissueid.documents.identification import Identification, Specimen
 from tissueid.documents.session import Scale
 from tissueid.documents.twin import Twin
@@ -31,15 +31,7 @@ from tissueid.report.page import Beside, index_row, plotly_script, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import (
-    CURVES,
-    IDENTIFICATION,
-    POSTERIORS,
-    REPORT,
-    json_bytes,
-    plain_json,
-    write_file,
-)
+from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, json_bytes, write_file
 from tissueid.store.merged import LISTED, SPECIMENS, load_record, load_specimen, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -66,7 +58,7 @@ def _row(name: str, check: Precheck, speeds_mm_s: tuple[float, float]) -> Render
     fastest_mm_s = speeds_mm_s[1] * check.scaling.motion
     return RenderedDevice(
         name=name,
-        scale=typed(plain_json(check.as_json()), Scale),
+        scale=typed(plain(check.as_json()), Scale),
         travel_mm=check.depth_mm * check.scaling.motion,
         room_mm=MM_PER_M * check.demands.travel_m,
         fastest_hand_mm_s=fastest_mm_s,
@@ -125,16 +117,16 @@ def page_path(out: Path, file: str) -> Path:
 def specimen_page(payload: bytes) -> bytes:
     """The task: the bytes of a specimen's file in, its page out; empty where nothing was fitted."""
     record, curves, posterior = load_specimen(io.BytesIO(payload))
-    if record["fitted"] is None:
+    if record.fitted is None:
         return b""
     document = {
         "schema": "tissueid/identification/1",
-        "specimens": [record["fitted"]],
-        "refused": record["refused"],
-        "unfitted_cycles": record["unfitted_cycles"],
+        "specimens": [record.fitted],
+        "refused": record.refused,
+        "unfitted_cycles": record.unfitted_cycles,
         "study": None,
-        "provenance": record["provenance"] | {"inputs": record["inputs"]},
-        "exit": {"code": 0, "reasons": record["reasons"]},
+        "provenance": record.provenance | {"inputs": record.inputs},
+        "exit": {"code": 0, "reasons": record.reasons},
     }
     posteriors = () if posterior is None else (posterior,)
     return report_page(document, curves, posteriors, script_file=_LIBRARY, graded=False).encode("utf-8")
@@ -151,7 +143,7 @@ def fit_with_page(payload: bytes) -> bytes:
 
 
 def report_page(
-    plain: Mapping[str, Any],
+    written: Mapping[str, Any],
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior],
     *,
@@ -161,11 +153,11 @@ def report_page(
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
-    ``plain``: identification.json; ``graded``: it knows of the study; ``**more``: of
+    ``written``: identification.json; ``graded``: it knows of the study; ``**more``: of
     :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
-    document = typed(plain, Identification)
+    document = typed(written, Identification)
     return render_report(
         document,
         curves,
@@ -175,7 +167,7 @@ def report_page(
             completeness_of_result(document.study) if graded else None,
             () if twin is None else twin_sections(twin),
         ),
-        digest=hashlib.sha256(json_bytes(plain)).hexdigest(),
+        digest=hashlib.sha256(json_bytes(written)).hexdigest(),
         **more,
     )
 
@@ -233,7 +225,7 @@ def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
     rows = []
     for one in read_listed(run.path(LISTED)):
         record = load_record(run.out / SPECIMENS / one.file)
-        if record["fitted"] is not None:
+        if record.fitted is not None:
             page = page_path(run.out, one.file).relative_to(run.out).as_posix()
-            rows.append(index_row(typed(record["fitted"], Specimen), page))
+            rows.append(index_row(typed(record.fitted, Specimen), page))
     return render_index(rows, refused, created=created)

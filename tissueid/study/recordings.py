@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from tissueid.documents import members, plain
+from tissueid.documents.identification import Frame
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest import ReadOptions, each_input, read_each, read_one
 from tissueid.ingest.manifest import MANIFEST, read_study
@@ -193,7 +195,7 @@ def facts_of(part: Study) -> dict[str, Any]:
     return {
         "tip": dict(part.tip),
         "calibration": dict(part.calibration.values),
-        "frame": None if frame is None else frame.as_json() | {"sources": list(frame.sources)},
+        "frame": None if frame is None else plain(members(frame, Frame)) | {"sources": list(frame.sources)},
         "priors": part.priors.as_json(),
         "specimens": {name: dict(row) for name, row in part.specimens.items()},
         "protocols": {name: dict(row) for name, row in part.protocols.items()},

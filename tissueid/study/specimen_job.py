@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tissueid.documents import plain
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest import ReadOptions
@@ -20,8 +21,8 @@ from tissueid.pipeline import IdentifyOptions, identify, unmet
 from tissueid.result import Identification, Refusal
 from tissueid.store.bundle import bundle_from_fit
 from tissueid.store.curves import curves_of_fits
-from tissueid.store.files import json_bytes, plain_json
-from tissueid.store.merged import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
+from tissueid.store.files import json_bytes
+from tissueid.store.merged import SPECIMEN_SCHEMA_VERSION, SpecimenRecord, SpecimenResult, specimen_bytes
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
 from tissueid.study.inventory import RecentTrials
@@ -141,21 +142,22 @@ def fit_here(
 
 def result_of(identification: Identification, *, shown: str, options: IdentifyOptions) -> SpecimenResult:
     """Stored part of an identification of one specimen; BundleError where it breaks its schema."""
-    document = plain_json(identification.as_json())
+    document = plain(identification.as_json())
     check(document, "identification", where=shown)
     study = document["study"]
     fits = identification.specimens
-    record = {
-        "specimen": shown,
-        "fitted": document["specimens"][0] if fits else None,
-        "refused": [one for one in document["refused"] if one["error"]["code"] != _NOT_OURS],
-        "unfitted_cycles": document["unfitted_cycles"],
-        "inputs": document["provenance"]["inputs"],
-        "provenance": {key: value for key, value in document["provenance"].items() if key not in _OF_THE_RUN},
-        "reasons": unmet(fits, options.required),
-        "trials": [] if study is None else study["trials"],
-        "exclusions": plain_json(identification.exclusions),
-    }
+    provenance = document["provenance"]
+    record = SpecimenRecord(
+        specimen=shown,
+        fitted=document["specimens"][0] if fits else None,
+        refused=[plain(one) for one in identification.refused if one.code != _NOT_OURS],
+        unfitted_cycles=document["unfitted_cycles"],
+        inputs=provenance["inputs"],
+        provenance={key: value for key, value in provenance.items() if key not in _OF_THE_RUN},
+        reasons=unmet(fits, options.required),
+        trials=[] if study is None else study["trials"],
+        exclusions=plain(identification.exclusions),
+    )
     if not fits:
         return SpecimenResult(record)
     posteriors = posteriors_of_fits(fits)

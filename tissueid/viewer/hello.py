@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.documents import plain
+from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
@@ -26,7 +28,6 @@ from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import SessionLog, read_session_log
-from tissueid.trial import TipShape
 from tissueid.viewer.frames import SAMPLE, layout
 from tissueid.viewer.serving import ServedViewer
 
@@ -277,7 +278,7 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
             "radius_m": radius_m,
             "force_field": "force_N",
             "position_field": "position_m",
-            **head["tissues"][0].get("tip", TipShape("sphere").as_json()),
+            **head["tissues"][0].get("tip", plain(TipGeometry("sphere", None))),
         },
     ]
     if head["environment"] == "guidance":
