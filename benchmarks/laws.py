@@ -34,6 +34,7 @@ import tissueid as ti
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import known_laws, parsed
+from tissueid.model.law import Shape
 
 DEPTH_MM, RATE_HZ, NOISE_N, AIR_S, LENGTH_S, SPEED_MM_S = 6.0, 100.0, 0.15, 0.5, 8.5, 4.0
 #: Time that is fitted: from contact to the last sample.
@@ -91,8 +92,11 @@ def _truth(model: ChannelModel, rng: np.random.Generator) -> dict[str, float]:
     """A tissue of a law."""
     size = float(np.exp(rng.normal(0.0, SIZE_SPREAD)))
     truth = {}
-    for one in model.parameters:
-        value = next(middle for start, middle in TRUTH.items() if one.name.startswith(start))
+    for row in model.layout:
+        # of a law that the table does not know its shapes start where it says
+        one, starts = (row.spec, row.starts) if isinstance(row, Shape) else (row, (TRUTH["static_N_per_mm"],))
+        known = (middle for start, middle in TRUTH.items() if one.name.startswith(start))
+        value = next(known, None) or float(np.median(starts))
         if one.name.endswith("_b2") and one.name.startswith("relaxation_time"):
             value *= SECOND_TIME
         scaled = "N" in one.unit

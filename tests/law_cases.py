@@ -6,6 +6,7 @@ import numpy as np
 
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import parsed
+from tissueid.model.law import Shape
 from tissueid.result import Estimate, ModelChoice
 from tissueid.store.bundle import Bundle
 
@@ -18,6 +19,30 @@ LAWS = {
 }
 SPECTRUM = ("hertz * spectrum:3", [12.0, 20.0, 10.0, 5.0])
 DEPTH_MM, RANGE_S = 6.0, (0.005, 4.0)
+
+
+#: Coefficients of polynomials by the beginning of their names, of other laws, and the first relaxation time.
+SIZES = {
+    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "stiffness_0": 30.0, "stiffness_1": 4.0,
+    "stiffness_2": -0.2,
+}  # fmt: skip
+SIZE, TIME_S, SLOWER = 12.0, 0.4, 4.0
+
+
+def typical(model: ChannelModel) -> np.ndarray:
+    """Theta of a tissue of any law; shapes lie where it says, further branches are slower and less."""
+    theta = []
+    for one in model.layout:
+        spec = one.spec if isinstance(one, Shape) else one
+        branch = int(spec.name.rpartition("_b")[2]) if "_b" in spec.name else 1
+        if not isinstance(one, Shape):
+            value = next((v for start, v in SIZES.items() if spec.name.startswith(start)), SIZE) / branch
+        elif one.is_time:
+            value = TIME_S * SLOWER ** (branch - 1)
+        else:
+            value = float(np.exp(np.median(np.log(one.starts)))) / branch
+        theta.append(value)
+    return np.array(theta)
 
 
 def law_of(name: str) -> ChannelModel:

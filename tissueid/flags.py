@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 #: Words of a warning, its way out included.
 MOST_WORDS = 25
@@ -25,25 +25,27 @@ class FlagKind(NamedTuple):
     follows: str  # for the result
     remedy: str  # for the user, in ten words; :data:`NOTHING` where it only informs
     many: str  # words about several recordings or specimens that carry it, behind their number
+    #: Verdict that a recording with it gets beside the machine: ``look``, or ``repeat``; most ask for none.
+    beside: Literal["", "look", "repeat"] = ""
 
 
 # fmt: off
 _SERIOUS = {
     "no_decimals": FlagKind("Decimals", "no number of the recording has decimals: were decimal marks lost?",
         "If a decimal mark was lost, numbers are too large by a power of ten.",
-        "Export again with more digits, or state --decimal.", "may have lost decimal marks"),
+        "Export again with more digits, or state --decimal.", "may have lost decimal marks", "repeat"),
     "clipped_force": FlagKind("Clipped force",
         "the force stands at its extreme for several samples: clipped load cell",
         "The true peak was higher; stiffness is too low.", "Take a larger load cell, or less depth.",
-        "have a clipped force"),
+        "have a clipped force", "repeat"),
     "too_few_samples": FlagKind("Samples", "too few samples to segment or fit",
         "There is nothing to segment or fit.", "Sample faster, or let the test run on.",
-        "have too few samples"),
+        "have too few samples", "repeat"),
     "no_contact": FlagKind("No contact", "no contact between tool and tissue was found",
         "The recording is not fitted.", "Start nearer, push deeper, or state --contact.",
-        "show no contact"),
+        "show no contact", "repeat"),
     "no_ramp": FlagKind("No ramp", "no loading ramp was found", "There is no loading to fit.",
-        "Look at it with `tissueid inspect --html`.", "show no ramp"),
+        "Look at it with `tissueid inspect --html`.", "show no ramp", "repeat"),
     "misfit": FlagKind("Misfit",
         "the residuals show what model and noise can't make: no interval can be believed",
         "The model is wrong in a way the residuals show; intervals would be of a wrong model.",
@@ -61,7 +63,7 @@ _SERIOUS = {
         "Add logs, state the machine, or take --branches 1.", "have a value without interval"),
     "quantised_force": FlagKind("Force resolution", "the force has few distinct levels for its range",
         "Small changes of the force are lost; relaxation may look like steps.",
-        "Take a smaller load cell, or export more digits.", "have a force of few levels"),
+        "Take a smaller load cell, or export more digits.", "have a force of few levels", "look"),
     "single_speed": FlagKind("One speed",
         "one speed and no hold: only the ramp's shape tells viscosity from static stiffness",
         "Viscosity and static stiffness share one curve; either may hold the other's share.",
@@ -101,7 +103,7 @@ _CAUTION = {
     "doubtful_rupture": FlagKind("Rupture?",
         "most of the force is lost within 0.1 s of a stop: relaxation, or a rupture?",
         "The hold is kept, as if the tissue were whole.", "Look at the curve: --exclude leaves it out.",
-        "lose most of their force at a stop"),
+        "lose most of their force at a stop", "look"),
     "speed_differs": FlagKind("Speed", "the ramp runs at another speed than the file states",
         "The measured speed counts; the machine did not do what its header says.",
         "Check the header and the time column.", "run at another speed than stated"),
@@ -133,16 +135,16 @@ _CAUTION = {
         "have an unloading that did not settle"),
     "aborted_ramp": FlagKind("Aborted test", "the recording ends, or unloads, before the ramp is over",
         "The recording shows less depth than was asked for.", "Repeat the test.",
-        "end before their ramp does"),
+        "end before their ramp does", "repeat"),
     "jump": FlagKind("Leap", "the travel leaps between two samples and stays there",
         "What happened in between is missing; after it another recording may go on.",
-        "Cut it by start_s or end_s of study.toml.", "leap between two samples"),
+        "Cut it by start_s or end_s of study.toml.", "leap between two samples", "look"),
     "gap": FlagKind("Gap", "the log has a gap in time",
         "What the force did in the gap is not known; the model runs through it on an interpolated path.",
-        "Log at a constant rate, or leave the recording out.", "have gaps in time"),
+        "Log at a constant rate, or leave the recording out.", "have gaps in time", "look"),
     "spike": FlagKind("Outliers", "single samples stand far off their neighbours",
         "Single samples may pull the fit and look like misfit.", "Look for a bad cable.",
-        "have single samples far off"),
+        "have single samples far off", "look"),
     "zero_dt": FlagKind("Time stamps", "two samples carry the same time",
         "The samples share one instant; speeds there mean nothing.", "Export time with more digits.",
         "repeat times"),
@@ -154,11 +156,12 @@ _CAUTION = {
     "below_resolution": FlagKind("Resolution",
         "displacement or force changes by few of its resolution steps",
         "The channel says little more than its steps.", "Take a finer sensor, or go deeper.",
-        "go through few resolution steps"),
+        "go through few resolution steps", "look"),
     "below_cell_range": FlagKind("Load-cell range",
         "the force is small against the load cell's verified range",
         "The load cell's class holds only in its verified range; below it the force may be off by more.",
-        "Take a smaller cell, or state verified_from_N.", "stay below the load cell's verified range"),
+        "Take a smaller cell, or state verified_from_N.",
+        "stay below the load cell's verified range", "look"),
     "cantilever_bending": FlagKind("Cantilever", "the travel holds the bending of the cantilever",
         "The tip went less deep than the travel says, so that the tissue looks softer.",
         "State frame_stiffness_N_per_mm in [calibration] of study.toml.",
@@ -166,10 +169,10 @@ _CAUTION = {
     "contact_uncertain": FlagKind("Uncertain contact",
         "the contact point is known only to a large part of the depth",
         "Depth, and what grows with it, is uncertain by that much; intervals know of it.",
-        "Start in air; approach at the ramp's speed.", "have an uncertain contact"),
+        "Start in air; approach at the ramp's speed.", "have an uncertain contact", "look"),
     "baseline_drift": FlagKind("Load-cell zero", "the force drifts while the tool is in air",
         "The zero of the force is uncertain by the drift.", "Let the load cell warm up, then zero it.",
-        "drift in air"),
+        "drift in air", "look"),
     "bound_active": FlagKind("Passivity", "a passivity bound is active at the optimum",
         "The tissue that fits best stands at the edge of what is passive; its error is not symmetric.",
         "Check the contact point; trust sampled intervals.", "stand at the passivity bound"),
@@ -230,13 +233,13 @@ _CAUTION = {
         "were tested at one site again"),
     "not_preconditioned": FlagKind("Preconditioning", "the last cycles still change by 2 % or more",
         "The tissue was still changing; repeated tests will not agree.", "Precondition for more cycles.",
-        "still change from cycle to cycle"),
+        "still change from cycle to cycle", "look"),
     "corner_slow": FlagKind("Slow stop", "the crosshead took long to stop",
         "Relaxation that is faster than the stop can't be seen.",
         "Use a stiffer controller, or a slower ramp.", "stop slowly"),
     "corner_overshoot": FlagKind("Overshoot", "displacement overshoots or rings where the ramp stops",
         "The fit follows the measured path, overshoot included.", "Tune the controller, if it is large.",
-        "overshoot where the ramp stops"),
+        "overshoot where the ramp stops", "look"),
     "prior_dominated": FlagKind("Prior", "a prior decides this more than the data do",
         "The number is mostly what was believed before.", "State the prior when quoting, or test more.",
         "are decided by a prior"),

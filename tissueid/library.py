@@ -550,7 +550,7 @@ def render(
     ----------
     bundle : str or Path
     device : str
-        ``sim``, ``emulator``, ``falcon``, ``forcedimension``, or an installed one.
+        ``sim``, or another of ``tissueid devices list``.
     script : str, optional
         Strokes of the simulated grip (docs/render.md); by default one push of the identified depth.
     seconds : float, optional

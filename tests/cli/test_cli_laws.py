@@ -9,19 +9,13 @@ import numpy as np
 import pytest
 from closed_forms import ramp_hold_state
 from command_line import run, write_csv, write_study
+from law_cases import typical
 
 import tissueid as ti
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import known_laws, parsed, rebuilt
 
 DEPTH, RATE = 6.0, 100.0
-#: Truths by the beginning of a parameter's name.
-TRUTH = {
-    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
-    "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
-    "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 100.0,
-    "relaxation_ratio": 1.2, "damping": 0.7,
-}  # fmt: skip
 #: What is known of the machine of these recordings: it has no fault.
 STUDY = """schema = "tissueid/study/1"
 [calibration]
@@ -55,18 +49,14 @@ def recorded(name: str, path: Path) -> dict[str, float]:
     named = parsed(name)
     law = named if named.parts else parsed("polynomial:3 * tangent * prony")
     model = law.model(DEPTH, 1.0 / RATE, 8.0)
-    truth = {
-        one.name: next(value for start, value in TRUTH.items() if one.name.startswith(start))
-        * (4.0 if one.name == "relaxation_time_s_b2" else 1.0)
-        for one in model.parameters
-    }
+    truth = typical(model)
     time = np.arange(0.0, 8.5, 1.0 / RATE)
     depth = np.interp(time, [0.5, 2.0], [0.0, DEPTH])
-    force = model.force(np.array(list(truth.values())), ContactPath(time, depth))
+    force = model.force(truth, ContactPath(time, depth))
     force = force + np.random.default_rng([3, *name.encode()]).normal(0.0, 0.15, time.size)
     travel = np.where(time < 0.5, 4.0 * (time - 0.5), depth)
     write_csv(path, time, travel + 2.0, force)
-    return truth
+    return dict(zip(model.parameter_names, truth.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("name", NAMES)

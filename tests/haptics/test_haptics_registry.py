@@ -5,15 +5,20 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 
 import fake_device
+import numpy as np
 import pytest
 from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics import registry
-from tissueid.haptics.device import DetectedDevice, HapticDevice
+from tissueid.haptics.device import AskedDevice, DetectedDevice, HapticDevice
 from tissueid.haptics.sim import SimulatedDevice
+from tissueid.haptics.states import State
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices.md"
 
 BROKEN = EntryPoint("broken", "no_such_distribution:Device", registry.DEVICE_GROUP)
 NO_DEVICE = EntryPoint("nothing", "fake_device:law", registry.DEVICE_GROUP)
@@ -33,16 +38,31 @@ def plugins(monkeypatch):
 def nothing_found(monkeypatch, note: str | None = None) -> None:
     """No hardware on this machine, or one with something in its way."""
     found = [] if note is None else [DetectedDevice("falcon", "/dev/bus/usb/001/004", note)]
-    for name, there in (("falcon", found), ("forcedimension", [])):
-        kind = registry.device_class(name)
+    for name in registry.HARDWARE:
+        kind, there = registry.device_class(name), found if name == "falcon" else []
         monkeypatch.setattr(kind, "detect", classmethod(lambda cls, there=there: there))
 
 
-def test_every_built_in_device_can_be_loaded():
-    for name in registry.DEVICES:
-        kind = registry.device_class(name)
-        assert issubclass(kind, HapticDevice)
-        assert kind.name == name
+@pytest.mark.parametrize("name", registry.DEVICES)
+def test_a_built_in_device_is_told_of_found_or_not_and_closed_until_it_is_opened(name):
+    kind = registry.device_class(name)
+    assert issubclass(kind, HapticDevice)
+    assert kind.name == name
+    assert f"| `{name}` |" in PAGE.read_text(encoding="utf-8")
+    assert all(one.name == name for one in kind.detect())
+    device = kind(**kind.configured(AskedDevice()))
+    assert device.state is State.CLOSED
+    assert device.compiled() is None or not registry.DEVICES[name].hardware
+    with pytest.raises(DeviceError, match=f"^{name}: is closed"):
+        device.write_force(np.zeros(3), 1e-3)
+    low, high = np.array(kind.typical().workspace_m).T
+    assert (high - low > 0.03).all()
+    if registry.DEVICES[name].hardware:
+        # until somebody weighed its force, with the button held
+        assert device.limits.clamp_N <= 2.0
+        assert device.limits.dead_man
+        assert kind.typical().hardware
+        assert not kind.typical().calibrated
 
 
 def test_asking_for_names_imports_no_device():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +13,12 @@ from clean_recordings import Recording, commanded, measured, ramp_hold
 from ingest_files import put, read
 
 from tissueid.flags import Flag
-from tissueid.ingest import ReadOptions, find_inputs, read_each
+from tissueid.ingest import ReadOptions, find_inputs, quality, read_each
 from tissueid.ingest.quality import below_cell_range, capacity_in, quality_flags
 from tissueid.trial import Trial
 
 #: Flags that say something of the samples, not of columns or units.
-OF_SAMPLES = {
-    *("zero_dt", "event_rows", "gap", "quantised_force", "clipped_force", "below_resolution", "spike"),
-    *("no_decimals", "commanded_displacement", "below_cell_range"),
-}
+OF_SAMPLES = set(re.findall(r'Flag\(\s*"(\w+)"', Path(quality.__file__).read_text(encoding="utf-8")))
 
 
 def flags_of(recording: Recording) -> dict[str, Flag]:

@@ -9,6 +9,7 @@ import numpy as np
 from closed_forms import from_coordinates
 from hypothesis import settings
 from hypothesis import strategies as st
+from law_cases import typical
 from numpy.typing import NDArray
 
 from tissueid.model.channels import ChannelModel
@@ -37,27 +38,14 @@ def tissue(branches: int, degree: int) -> tuple[ChannelModel, np.ndarray]:
     return model, model.join(STATIC, STIFFNESS[:branches, : degree + 1], TAU[:branches])
 
 
-#: Values of parameters of any law by the beginning of their names.
-TYPICAL = {
-    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
-    "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
-    "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 200.0,
-    "relaxation_ratio": 1.2, "damping": 0.7,
-}  # fmt: skip
-
-
 def of_law(name: str, depth_mm: float = DEPTH_MM, window_s: float = 20.0) -> tuple[ChannelModel, np.ndarray]:
-    """A model by its name and its theta; times of further branches are longer, other parameters less."""
-    named, theta = parsed(name), []
+    """A model by its name and a tissue of it."""
+    named = parsed(name)
     if named.paper:
         model = kelvin_voigt(named.branches, named.degree, depth_mm)
     else:
         model = named.model(depth_mm, 0.01, window_s)
-    for one in model.parameters:
-        value = next(v for start, v in TYPICAL.items() if one.name.startswith(start))
-        branch = int(one.name.rpartition("_b")[2]) if "_b" in one.name else 1
-        theta.append(value * 5.0 ** (branch - 1) if "time" in one.name else value / branch)
-    return model, np.array(theta)
+    return model, typical(model)
 
 
 def _coordinate(bounded: bool) -> st.SearchStrategy[float]:

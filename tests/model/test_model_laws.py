@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from law_cases import typical
 from passive_tissues import walked
 from scipy.integrate import quad
 from scipy.special import exp1
@@ -165,11 +166,16 @@ def test_inside_the_convolution_the_relaxed_force_is_that_of_the_integral():
     assert force - law.static_force(theta, np.array([depth]))[0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_gains_of_the_machine_scale_by_units():
-    law = model("power * linear * fractional")
-    theta = np.array([[10.0, 1.5, 30.0, 4.0, 0.4, 0.5]])
-    found = scaled_theta(law.parameters, theta, np.array([2.0]), np.array([1.1]))[0]
-    np.testing.assert_allclose(found, [5.0 * 1.1**1.5, 1.5, 15.0 * 1.1, 2.0 * 1.1**2, 0.4, 0.5])
+@pytest.mark.parametrize(
+    "name", [*(f"{key} * linear * fractional" for key in STATIC), "power * tangent * fung"]
+)
+def test_a_tissue_is_put_right_for_gains_of_force_and_travel(name):
+    law = model(name)
+    theta, time = typical(law), np.linspace(0.0, 3.0, 60)
+    depth = np.minimum(2.0 * time, 3.0)
+    right = scaled_theta(law.parameters, theta[None], np.array([2.0]), np.array([1.1]))[0]
+    read = law.force(theta, ContactPath(time, 1.1 * depth))
+    np.testing.assert_allclose(law.force(right, ContactPath(time, depth)), read / 2.0, rtol=1e-9)
 
 
 def test_a_model_is_rebuilt_from_what_a_file_holds():

@@ -7,6 +7,7 @@ import pytest
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.registry import DEVICES
 from tissueid.rendering.control import admittance
 from tissueid.rendering.control.admittance import render_on_simulated, require_force_sensor
 from tissueid.rendering.options import ASSUMED_DEVICE, preset_tissue
@@ -57,7 +58,7 @@ def test_a_loop_that_trips_the_guard_says_when_and_why(monkeypatch):
         render_on_simulated(PAPER_A, stiffness_scale=100.0)
 
 
-@pytest.mark.parametrize("name", ["falcon", "forcedimension", "emulator"])
+@pytest.mark.parametrize("name", [name for name in DEVICES if name not in {"sim", "replay"}])
 def test_a_device_without_a_force_sensor_is_refused_with_the_reason(name):
     with pytest.raises(DeviceError, match=r"has no force sensor: .* `tissueid render`"):
         require_force_sensor(name)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 #: Group of the help -> its sub-commands -> what each does, from module ``tissueid.cli.<name>_command``;
-#: VISION.md says which promise each of them keeps.
+#: VISION.md says which promise each group keeps.
 GROUPS = {
     "Everyday": {
         "inspect": "Say what a recording holds and how it was read.",

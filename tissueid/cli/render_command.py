@@ -86,8 +86,7 @@ class RenderFlags(ViewerFlags):
     no_control: bool = option("The passivity controller only watches.")
     # the session
     name: str = option(
-        "auto, sim, emulator, falcon, forcedimension, or an installed one.",
-        "--device", default="auto", metavar="NAME",
+        "auto, or one of tissueid devices list.", "--device", default="auto", metavar="NAME"
     )
     firmware: str | None = option("Firmware of a Falcon without any.", type=PATH, metavar="FILE")
     port: str | None = option("Serial port of a Falcon instead of USB.", metavar="PATH")

@@ -29,7 +29,7 @@ from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
 _SAMPLED_BYTES = 1 << 14
 
 
-class _Head(NamedTuple):
+class BlockHead(NamedTuple):
     """Names and units over a table, empty units where there is no such row, and where it stands."""
 
     names: Row
@@ -38,11 +38,11 @@ class _Head(NamedTuple):
     first_line: int
 
 
-def _read_block(
+def read_block(
     file: InputFile,
     sheet: str | None,
     text: Text,
-    head: _Head,
+    head: BlockHead,
     *,
     delimiter: str,
     metadata: Mapping[str, str],
@@ -261,7 +261,7 @@ def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
         if has_channels(names, (), file.options) and rows.strip():
             found = True
             names_line = text.data.count(b"\n", 0, block.start + blank) + 1
-            yield from _read_steps(file, text, block, _Head(names, (), names_line, names_line + 1), rows)
+            yield from _read_steps(file, text, block, BlockHead(names, (), names_line, names_line + 1), rows)
     if not found:
         blocks = "; the blocks are " + "; ".join(seen[:10]) if seen else "; it has no <DATA> block"
         message = f"no block holds time, position and force{blocks}; name them with --columns"
@@ -269,7 +269,7 @@ def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
 
 
 def _read_steps(
-    file: InputFile, text: Text, block: _Command, head: _Head, rows: bytes
+    file: InputFile, text: Text, block: _Command, head: BlockHead, rows: bytes
 ) -> Iterator[Table | InputError]:
     parts = _parts(text, rows, head.names)
     line = head.first_line
@@ -279,7 +279,7 @@ def _read_steps(
         end = line + part.count(b"\n")
         try:
             lines = head._replace(first_line=line)
-            table = _read_block(file, sheet, alone, lines, delimiter="\t", metadata=block.header)
+            table = read_block(file, sheet, alone, lines, delimiter="\t", metadata=block.header)
             protocol = protocol_of(_as_keys(block), file.path, decimal=table.decimal)
             flags = table.flags
             if part is parts[-1] and not block.ended:
@@ -347,7 +347,7 @@ class _Block(NamedTuple):
     """One table: its title, its head, and the bytes of its rows."""
 
     title: Row
-    head: _Head
+    head: BlockHead
     rows: bytes
 
 
@@ -393,7 +393,7 @@ def _parse(file: InputFile, text: Text) -> tuple[list[_Block], dict[str, str]]:
             first = at + (2 if units else 1)
             skip = sum(map(len, head[:first]))
             title = rows[at - 1] if at else ()
-            blocks.append(_Block(title, _Head(rows[at], units, line + at, line + first), chunk[skip:]))
+            blocks.append(_Block(title, BlockHead(rows[at], units, line + at, line + first), chunk[skip:]))
         elif blocks and rows and sum(map(looks_numeric, rows[0])) >= 2:
             # rows that go on behind a blank line
             last = blocks[-1]
@@ -431,7 +431,7 @@ def read_mts793(file: InputFile) -> Iterator[Table | InputError]:
         name = next((cell for cell in block.title if cell), "")
         sheet = None if len(blocks) == 1 else f"{count}: {name.rstrip(':')}" if name else str(count)
         try:
-            yield _read_block(
+            yield read_block(
                 file,
                 sheet,
                 replace(text, data=block.rows),
@@ -485,11 +485,11 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
         own = slice(specimen.start, specimen.stop)
         names_line = layout.names_line or layout.first_line
         try:
-            yield _read_block(
+            yield read_block(
                 file,
                 sheet,
                 _alone(text, layout, specimen, Place(file.path, sheet)),
-                _Head(layout.names[own], layout.units[own], names_line, layout.first_line),
+                BlockHead(layout.names[own], layout.units[own], names_line, layout.first_line),
                 delimiter=layout.delimiter,
                 metadata=metadata,
                 decimal=layout.decimal,

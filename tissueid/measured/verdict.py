@@ -8,18 +8,16 @@ import numpy as np
 
 from tissueid.documents.inspect import Verdict
 from tissueid.documents.measured import Measured, MeasuredHold, MeasuredPush
-from tissueid.flags import Flag, warning_line
+from tissueid.flags import FLAGS, Flag, warning_line
 from tissueid.measured.spread import ramp_reason
 from tissueid.trial import Contact, Segmentation, Trial
 
 #: From good to bad.
 LEVELS = ("good", "look", "repeat")
 #: Flags that spoil a recording, and those that ask for a look, the gravest first.
-SPOILING = ("clipped_force", "no_contact", "no_ramp", "too_few_samples", "no_decimals")
-DOUBTFUL = (
-    "doubtful_rupture", "corner_overshoot", "baseline_drift", "contact_uncertain", "gap", "jump", "spike",
-    "quantised_force", "below_resolution", "below_cell_range", "not_preconditioned",
-)  # fmt: skip
+SPOILING, DOUBTFUL = (
+    [code for code, kind in FLAGS.items() if kind.beside == level] for level in ("repeat", "look")
+)
 #: A hold should last so many relaxation times; it is said where it lasts less than so many.
 HELD_TAUS, FEWEST_TAUS = 3.0, 2.0
 #: Samples that a ramp and a relaxation time should have, and fewer than which are said.
@@ -41,8 +39,8 @@ def verdict_of(
     """The verdict on one recording."""
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
     # what broke can't be pushed again, however its ramp ended
-    spoiling = SPOILING if "rupture" in flags else (*SPOILING, "aborted_ramp")
-    if again := next((code for code in spoiling if code in flags), None):
+    spoiling = flags.keys() - {"aborted_ramp"} if "rupture" in flags else flags.keys()
+    if again := next((code for code in SPOILING if code in spoiling), None):
         return Verdict("repeat", _told(flags[again]))
     if found := next(_doubts(trial, measured, earlier, flags), None):
         return Verdict("look", found)

@@ -49,8 +49,7 @@ def scaled_theta(
             out[:, k] *= travel ** theta[:, names.index("static_exponent")]
         elif per:
             out[:, k] *= travel ** float(power[1:] or 1.0)
-        if top == "N":
-            out[:, k] /= force
+        out[:, k] /= {"N": force, "mm": travel}.get(top, 1.0)
     return out
 
 
