@@ -18,7 +18,7 @@ FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
 #: Fewer changes show no step: the tool may have jumped.
-FEWEST_CHANGES = 5
+FEWEST_CHANGES = 3
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
