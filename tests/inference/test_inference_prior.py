@@ -9,7 +9,7 @@ from scipy.interpolate import BPoly
 
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.optimum import prior_cost
-from tissueid.inference.prior import Scatter, bernstein, calibration_priors, prior_rows, time_bounds
+from tissueid.inference.prior import Scatter, bernstein, calibration_priors, prior_rows, suited, time_bounds
 from tissueid.inference.system import Effects
 from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.base import ContactPath
@@ -118,3 +118,11 @@ def test_a_known_frame_leaves_its_own_uncertainty(frame, sd):
     found = calibration_priors(Calibration({}, frame))[FRAME]
     assert (found.mean, found.lower) == (0.0, -np.inf)
     assert found.sd == pytest.approx(sd)
+
+
+def test_an_unstated_frame_is_no_softer_than_suits_the_specimen():
+    """A frame of 250 N/mm under 20 kN would bend by 80 mm."""
+    assert suited(Priors(), 100.0, 4.0) == Priors()
+    assert suited(Priors(), 20_000.0, 4.0).calibration[FRAME].sd == pytest.approx(3e-5)
+    stated = Priors(calibration={FRAME: CalibrationPrior(0.0, 0.01, 0.0, stated=True)})
+    assert suited(stated, 20_000.0, 4.0) == stated

@@ -133,7 +133,7 @@ class Measured(Document, frozen=True):
     #: The recorded force from which forces count: read in air, at rest before the first move, or the record's
     #: own zero
     base: Base
-    push: MeasuredPush | None  # The loading with the largest peak; null where nothing was loaded
+    push: MeasuredPush | None  # The loading with the largest peak, loops apart; null where there is none
     holds: tuple[MeasuredHold, ...]  # In time order
     loops: tuple[MeasuredLoop, ...]
 

@@ -32,7 +32,7 @@ from tissueid.inference.choice import (
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Optimum, criterion, minimise, whitener_of
-from tissueid.inference.prior import Scatter, prior_rows
+from tissueid.inference.prior import Scatter, prior_rows, suited
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import MACHINE, SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
@@ -204,6 +204,7 @@ def identify_logs(
     several = len(logs) > 1
     effects = Effects(several and request.pooling != "shared", several and request.pooling == "scaled")
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
+    request = replace(request, priors=suited(request.priors, float(np.abs(base.force).max()), depth))
     least = LEAST_NOISE * float(np.ptp(base.force))
     fitting = _Fitting(base, request, least, step)
     most = max(b for b in request.branches if b <= 2 or b == min(request.branches))

@@ -8,7 +8,7 @@ is a limit of error in percent, two standard deviations; of a known frame only i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.special import comb
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
+from tissueid.inference.law import TINY
 from tissueid.inference.system import MACHINE, SHAPE, Point, System
 from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.frame import deflection, deflection_sd
@@ -193,6 +194,20 @@ def _frame_prior(frame: FrameCurve) -> CalibrationPrior:
     if sd == 0.0:
         sd = FRAME_SHARE * float(deflection(frame, at)[0]) / top
     return CalibrationPrior(0.0, sd, stated=True)
+
+
+#: Share of the travel by which a frame of which nothing is stated bends under the largest force, as one
+#: standard deviation at most: a machine is chosen for its specimen.
+FRAME_OF_TRAVEL = 0.15
+
+
+def suited(priors: Priors, force_N: float, depth_mm: float) -> Priors:
+    """Priors of which an unstated frame is no softer than suits the specimen."""
+    name = "frame_compliance_mm_per_N"
+    frame, most = priors.calibration[name], FRAME_OF_TRAVEL * depth_mm / max(force_N, TINY)
+    if frame.stated or frame.sd <= most:
+        return priors
+    return replace(priors, calibration={**priors.calibration, name: replace(frame, sd=most)})
 
 
 def calibration_priors(calibration: Calibration | None) -> Mapping[str, CalibrationPrior]:
