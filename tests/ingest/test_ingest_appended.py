@@ -82,10 +82,12 @@ def test_a_column_of_runs_parts_them_where_the_time_starts_again(
     assert [trial.source.sheet for trial in trials] == (["1: 1", "2: 2"] if count == 2 else [None])
 
 
-def test_a_column_that_counts_samples_tells_no_specimens_apart(tmp_path: Path) -> None:
-    rows = "".join(f"{k},{line}" for k, line in enumerate(lines(30, 1.0)))
-    (trial,) = read_trials(put(tmp_path / "a.csv", f"Sample,{HEAD}{rows}"))
-    assert trial.time_s.size == 30
+@pytest.mark.parametrize("name", ["Sample", "Probe", "Probenhöhe", "Specimen"])
+def test_a_column_of_changing_numbers_tells_no_specimens_apart(tmp_path: Path, name: str) -> None:
+    ramp = [f"{k},{line}" for k, line in enumerate(lines(30, 1.0))]
+    hold = [f"29,{line}" for line in lines(300, 8.5, start=3.0)]
+    (trial,) = read_trials(put(tmp_path / "a.csv", f"{name},{HEAD}" + "".join(ramp + hold)))
+    assert trial.time_s.size == 330
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
@@ -17,6 +18,7 @@ from tissueid.ingest.numbers import CellFault, parse_number
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import FEWEST_ROWS, Text
 from tissueid.ingest.vocabulary import is_specimen_name, plain_words
+from tissueid.units import quantity_of
 
 #: Names of what is done several times to a specimen.
 _RUNS = re.compile(
@@ -47,11 +49,13 @@ class _Cut(NamedTuple):
 def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) -> list[Part]:
     """Recordings of a table whose time, displacement and force are ``wanted``; empty where it is one."""
     time = wanted[0]
-    names = [plain_words(name) for name in layout.names]
-    labels = [i for i, name in enumerate(names) if i not in wanted and is_specimen_name(name)]
-    runs = [
-        i for i, name in enumerate(names) if i not in wanted and i not in labels and _RUNS.fullmatch(name)
-    ]
+    names = {
+        i: plain_words(name)
+        for i, name in enumerate(layout.names)
+        if i not in wanted and quantity_of(layout.units[i]) is None
+    }
+    labels = [i for i, name in names.items() if is_specimen_name(name)]
+    runs = [i for i, name in names.items() if i not in labels and _RUNS.fullmatch(name)]
     cuts = _by_label(text, layout, time, labels, runs, place) if labels or runs else []
     cuts = cuts or list(_by_head(text, layout, time))
     if len(cuts) < 2:
@@ -78,6 +82,7 @@ def _by_label(
 ) -> list[_Cut]:
     """Stretches of rows with the same label; empty where there is one, or each row has its own."""
     starts: list[tuple[int, str]] = []
+    begun: list[int] = []  # rows in front of each start
     at, rows, still = layout.offset, 0, 0
     label, last, seen = ("", ""), b"", [b""]
     delimiter, both = layout.delimiter.encode(), [*labels, *runs]
@@ -94,12 +99,13 @@ def _by_label(
             before = value if above is None else above[1]
             if not starts or here[0] != label[0] or value < before:
                 starts.append((at if starts else layout.offset, " ".join(filter(None, here))))
+                begun.append(rows)
                 still += above is not None and value == before
             label, seen = here, [raw[i] for i in both] if len(raw) == layout.n_columns else [b""]
         if same or row is not None:
             rows, last = rows + 1, line
         at += len(line)
-    if len(starts) * FEWEST_ROWS > rows:
+    if any(later - row < FEWEST_ROWS for row, later in pairwise([*begun, rows])):
         if 3 * still > rows:
             message = (
                 f"rows of several specimens, by column {layout.names[labels[0]]!r}, stand at each time; sort"

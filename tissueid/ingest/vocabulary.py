@@ -206,7 +206,10 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
 def is_specimen_name(words: str) -> bool:
     """True where a column, in plain words, tells specimens apart: ``sample``, ``specimen id``."""
     plain = re.sub(r"\bsample\b", "specimen", re.sub(r" (?:no|nr|number|code)$", "", words))
-    return _SPECIMEN_WORDS.fullmatch(plain) is not None or specimen_key_rank(plain) is not None
+    if specimen_key_rank(plain) is not None:
+        return True
+    # a "Probenhöhe" is a height
+    return _SPECIMEN_WORDS.fullmatch(plain) is not None and re.fullmatch(r"proben\w+", plain) is None
 
 
 def specimen_key_rank(key: str) -> int | None:
