@@ -26,6 +26,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.collection import TrialCache, collect, display_names
+from tissueid.digits import typeset
 from tissueid.documents import plain, typed
 from tissueid.documents.identification import Specimen
 from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageError
@@ -144,7 +145,7 @@ def fit(
         options = replace(options, model=str(model))
     candidates(options.model or KELVIN_VOIGT)
     given = [trials] if isinstance(trials, Trial) else list(trials)
-    if not given:
+    if not given or not all(isinstance(one, Trial) for one in given):
         msg = "there are no recordings to fit; read some with tissueid.read(folder)"
         raise UsageError(msg)
     names = display_names([(one.specimen, one.source) for one in given])
@@ -196,7 +197,8 @@ class _Reported:
     result: SpecimenFit
 
     def __str__(self) -> str:
-        return "\n".join(line.text for line in specimen_lines(typed(plain(self.result.as_json()), Specimen)))
+        lines = specimen_lines(typed(plain(self.result.as_json()), Specimen))
+        return "\n".join(typeset(line.text) for line in lines)
 
     def _repr_html_(self) -> str:
         return html_of(self.result)
@@ -346,12 +348,17 @@ class Fit(_Reported):
         ------
         NotIdentifiedError
             Nothing could be drawn, with the reason.
+        UsageError
+            There is no such number of draws, or no such seed.
         """
+        if draws < 1 or seed < 0:
+            msg = f"draws = {draws}, seed = {seed}: give 1 draw or more, and a seed of 0 or more"
+            raise UsageError(msg)
         asked = PosteriorOptions(draws=draws, seed=seed)
         found = with_draws(self.fitted, asked, self.setting.priors, instrument=self.setting.machine)
         if found.posterior is None:
-            said = [flag.message for flag in found.flags if flag.code == "sampler_not_converged"]
-            msg = f"{found.specimen}: no posterior could be sampled: {'; '.join(said) or 'see Fit.flags'}"
+            said = [one.values["reason"] for one in found.flags if one.code == "sampler_not_converged"]
+            msg = f"{found.specimen}: no posterior could be sampled: {'; '.join(map(str, said))}"
             raise NotIdentifiedError(msg)
         return Sampled(self, found, asked)
 

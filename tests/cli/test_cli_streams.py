@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -112,7 +114,16 @@ def test_quiet_says_errors_only_and_a_pipe_sees_no_progress(name, place):
         assert ended.stderr != "" or name in {"doctor", "study check", "validate"}
 
 
-@pytest.mark.parametrize("args", [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK)])
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-"])
+def test_a_stream_that_is_closed_is_no_bug(closed):
+    shell = f"exec {sys.executable} -m tissueid models fung {closed}"
+    ended = subprocess.run(["sh", "-c", shell], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "args", [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK), ("report", "out")]
+)
 def test_a_terminal_sees_colours_or_progress(args, place, monkeypatch):
     seen: Callable[[], str] = lambda: run_on(Terminal, *args).stderr  # noqa: E731
     assert COLOUR.search(seen())

@@ -323,6 +323,7 @@ def test_text_is_the_line_of_inspect(tmp_path):
         "watch", tmp_path, *ONCE, "--bell", said=("\a", "2 tests: "), shown=("one.csv  ", "keep", "refused (")
     )
     assert "refused: " in ended.stderr
+    run("watch", write_log(tmp_path / "alone" / "log.csv").parent, *ONCE, said="1 test: ")
 
 
 def test_a_folder_of_refusals_alone_is_3(tmp_path):

@@ -117,6 +117,7 @@ def test_a_fixed_time_of_the_paper_s_model_keeps_its_order(datasets):
     assert fixed["tau"].value == pytest.approx(0.03, rel=1e-4)
     assert fixed.result.model.branches == fit.result.model.branches
     assert [row["chosen"] for row in fit.selection].count(True) == 1
+    assert "to its last digit (10⁻⁵ mm)" in str(fit)
 
 
 def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
@@ -177,6 +178,9 @@ def test_a_recording_without_contact_is_refused_and_the_rest_is_fitted(own):
     ("wrong", "error", "match"),
     [
         (lambda fit: ti.fit([]), UsageError, "no recordings"),
+        (lambda fit: ti.fit("lab_data/"), UsageError, "no recordings"),
+        (lambda fit: fit.sample(draws=0), UsageError, "draws = 0"),
+        (lambda fit: fit.sample(seed=-1), UsageError, "seed = -1"),
         (lambda fit: ti.fit(fit.trials, "hooke"), ModelNameError, "'hooke' is no model"),
         (lambda fit: fit["nothing"], KeyError, r"there are c \(static_N_per_mm_n\)"),
         (lambda fit: fit.fix(tau=-1.0), UsageError, "has to be positive"),

@@ -13,7 +13,7 @@ from posterior_factory import sampled
 from report_pages import document_of, drawn, open_all, page, render_report, specimen_of
 from typed_call import typed_call
 
-from tissueid.report.law_payload import curve_groups, law_payload, loading_force, speed_groups
+from tissueid.report.law_payload import _summary, curve_groups, law_payload, loading_force, speed_groups
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.posteriors import posteriors_of_fits
@@ -247,6 +247,17 @@ def test_a_spread_between_curves_is_their_standard_deviation():
     for part in ("loading", "hold"):
         mean, sd = np.array(group[part]["mean"]), np.array(group[part]["sd"])
         assert sd / mean == pytest.approx(np.std([1, 2, 4], ddof=1) / np.mean([1, 2, 4]), rel=1e-4)
+
+
+def test_a_mean_ends_where_the_first_of_its_curves_does():
+    """Curves of one slope never fall, and so does their mean; one that is nowhere takes nothing from it."""
+    rows = np.outer([1.0, 4.0, 2.0, np.nan], np.arange(6.0))
+    rows[1, 3:] = np.nan
+    found = _summary(np.arange(6.0), rows)
+    assert found is not None
+    assert (found["x"], found["n"]) == ([0.0, 1.0, 2.0], [3, 3, 3])
+    assert found["mean"] == pytest.approx([0.0, 7 / 3, 14 / 3], rel=1e-4)
+    assert _summary(np.arange(6.0), rows[1:2]) is None
 
 
 @pytest.mark.browser

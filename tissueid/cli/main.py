@@ -264,6 +264,9 @@ def run() -> None:
     """Console-script entry: exit with the code of :func:`main`."""
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
+    # a stream that was closed before the start is None: what is said there goes nowhere
+    nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     code = main()
     if code == EXIT_INTERRUPTED:
         # an interrupt that passed through exec() of a string would make Python die of the signal instead

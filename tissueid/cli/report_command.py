@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, echo_json, note, write_output
+from tissueid.cli.output import created_now, echo_json, note, progress_bar, write_output
 from tissueid.errors import BundleError
 
 
@@ -17,13 +17,24 @@ class _ReportFlags(OutputFlags):
 @subcommand("report", "out", "out -o for-a-colleague.html")
 def command(flags: _ReportFlags) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
+    with progress_bar(show=not flags.quiet) as progress:
+        progress("writing the report", 0, 0)
+        target, page = _written(flags.output, Path(flags.out))
+    if flags.as_json:
+        echo_json({"report": target, "bytes": len(page)})
+    else:
+        note(f"wrote {target}", quiet=flags.quiet)
+    return 0
+
+
+def _written(target: str | None, out: Path) -> tuple[str, bytes]:
+    """Write the report; its place and content."""
     from tissueid.store.files import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_plain, read_results, read_twin
     from tissueid.study.pages import report_page, write_report
 
-    target, out, page = flags.output, Path(flags.out), b""
-    committed = current_run(out)
+    page, committed = b"", current_run(out)
     large = committed is not None and CURVES not in committed.files
     if large and target is not None:
         msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
@@ -34,18 +45,12 @@ def command(flags: _ReportFlags) -> int:
         page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
     if target is not None:
         write_output(target, page)
-    else:
-        with OutputSet(out) as run:
-            run.carry_over()
-            if large:
-                write_report(run)
-            else:
-                run.write(REPORT, page)
-            run.commit()
-        target = str(out / REPORT)
-        page = Path(target).read_bytes()
-    if flags.as_json:
-        echo_json({"report": str(target), "bytes": len(page)})
-    else:
-        note(f"wrote {target}", quiet=flags.quiet)
-    return 0
+        return target, page
+    with OutputSet(out) as run:
+        run.carry_over()
+        if large:
+            write_report(run)
+        else:
+            run.write(REPORT, page)
+        run.commit()
+    return str(out / REPORT), (out / REPORT).read_bytes()

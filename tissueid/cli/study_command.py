@@ -74,7 +74,8 @@ def init(flags: _InitFlags) -> int:
         echo_json({"path": str(target), "trials": len(trials), "refused": [one.as_json() for one in refused]})
     for one in refused:
         echo(f"refused ({one.code})  {one}", fg="red", err=True)
-    note(f"wrote {target}: {len(trials)} trials; fill it in, then `tissueid study check`", quiet=flags.quiet)
+    many = f"{len(trials)} trial{'s' * (len(trials) > 1)}"
+    note(f"wrote {target}: {many}; fill it in, then `tissueid study check`", quiet=flags.quiet)
     return EXIT_INCOMPLETE if refused else 0
 
 

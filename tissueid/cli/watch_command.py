@@ -186,7 +186,8 @@ def _summary(session: WatchSession) -> None:
     count = {level: sum(one.verdict.level == level for one in session.verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
     told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
-    note(f"{len(session.verdicts)} tests: {told}" if told else "no test was seen")
+    many = "s" * (len(session.verdicts) > 1)
+    note(f"{len(session.verdicts)} test{many}: {told}" if told else "no test was seen")
     for one in session.verdicts:
         level = one.verdict.level
         if level in {"repeat", "refused"}:

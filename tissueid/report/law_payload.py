@@ -120,17 +120,20 @@ def hold_force(curve: Curve, edges_s: FloatArray) -> FloatArray:
 
 
 def _summary(x: FloatArray, rows: FloatArray) -> dict[str, Any] | None:
-    """Mean and standard deviation by column of rows (curves, bins); none where no two curves meet."""
-    count = np.isfinite(rows).sum(axis=0)
-    several = count >= 2
-    if not several.any():
+    """Mean and standard deviation by column of rows (curves, bins), as far as all go; of two at least.
+
+    A mean that lost a curve on its way would jump where none of them does.
+    """
+    rows = rows[np.isfinite(rows).any(axis=1)]
+    shared = np.isfinite(rows).all(axis=0)
+    if len(rows) < 2 or not shared.any():
         return None
-    kept = rows[:, several]
+    kept = rows[:, shared]
     return {
-        "x": brief(x[several]),
-        "mean": brief(np.nanmean(kept, axis=0)),
-        "sd": brief(np.nanstd(kept, axis=0, ddof=1)),
-        "n": count[several].tolist(),
+        "x": brief(x[shared]),
+        "mean": brief(kept.mean(axis=0)),
+        "sd": brief(kept.std(axis=0, ddof=1)),
+        "n": [len(rows)] * kept.shape[1],
     }
 
 
@@ -153,7 +156,7 @@ def curve_groups(trials: Sequence[Trials], units: Units) -> list[dict[str, Any]]
     """Curves by program (speed and depth, or a load), each with mean and standard deviation.
 
     ``trials``: of every specimen that is to be seen together.  Returns ``label``, ``members`` (specimen,
-    trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n`` of each bin in which two curves meet,
+    trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n`` of each bin that all curves reach,
     else ``None``); empty where there is one curve.
     """
     every = [
