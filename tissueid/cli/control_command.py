@@ -27,6 +27,7 @@ from tissueid.errors import NotIdentifiedError
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
+    from tissueid.rendering.control.simulation import ControlRun
     from tissueid.rendering.tissue_block import Tissue
 
 
@@ -108,7 +109,7 @@ def command(flags: _ControlFlags) -> int:
     settings = _settings(flags, tissue)
     on_device = None
     with progress_bar(show=not flags.quiet) as progress:
-        runs = {}
+        runs: dict[str, ControlRun] = {}
         for name, one in _beside(settings).items():
             progress(f"loop {name}; the first of a machine is compiled", len(runs), 0)
             runs[name] = simulate(one)
