@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tissueid.documents.identification import NoiseFit, Nrmsd
 from tissueid.inference.estimates import ProfileInterval
-from tissueid.inference.verdict import specimen_flags
+from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import Estimate
 
@@ -111,3 +112,9 @@ def test_amplitude_of_a_stiffness_that_ends_at_zero():
     found = flags(sigma=1.01 * need, slope=-7.5)["amplitude_small"]
     assert found.values["amplitude_N"] == pytest.approx(amplitude, rel=1e-3)
     assert "amplitude_small" not in flags(sigma=0.99 * need, slope=-7.5)
+
+
+@pytest.mark.parametrize(("share", "codes"), [(4e-8, []), (0.02, ["discrepancy"])])
+def test_what_rounding_leaves_of_a_log_without_noise_is_no_discrepancy(share, codes):
+    noise = NoiseFit("white", 100.0 * share, 0.0, 0.001, measured_N=1e-12, samples_per_independent=1.1)
+    assert [one.code for one in discrepancy_flags(noise, Nrmsd(share, share, 100.0 * share))] == codes
