@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import QUICK, Ended, log_text, python, read_json, run, start, write_log
+from command_line import QUICK, Ended, log_text, python, read_json, run, start, write_log, write_study
 
 from tissueid.synth import DIALECTS, Hold, Log, Move, SyntheticLog, bluehill_csv, recipe, simulate
 
@@ -225,6 +225,19 @@ def test_a_read_only_output_folder_is_6_on_one_line(tmp_path, locked):
     assert str(out) in line
     assert os.strerror(13) in line
     assert list(out.iterdir()) == []
+
+
+@linux_only
+def test_a_study_that_may_not_be_changed_is_told_with_the_way_out(tmp_path, locked):
+    log = write_log(tmp_path / "lab" / "log.csv")
+    before = write_study(log.parent).read_bytes()
+    locked.append(log.parent)
+    log.parent.chmod(0o500)
+    ended = run_bound("study", "exclude", log, "--because", "it slipped")
+    assert ended.code == 2
+    assert "study.toml: can't be changed" in ended.stderr
+    assert "check the rights of its folder" in ended.stderr
+    assert (log.parent / "study.toml").read_bytes() == before
 
 
 @linux_only

@@ -49,7 +49,7 @@ TYPED: dict[str, tuple[str, ...]] = {
     "devices emulate": ("devices", "emulate", "--script", "nonsense"),
     "synth": ("synth", "paper-a-22", "-o", "synthetic", "--rate", "10"),
     "render": ("render", "a.h5", *PRESS),
-    "control": ("control", "a.h5", "--seconds", "0.2"),
+    "control": ("control", "a.h5", "--seconds", "1"),
     "training": ("training", "a.h5"),
     "reproduce": ("reproduce", "pires", "--set", "nonsense=1"),
     "doctor": ("doctor",),
@@ -122,7 +122,8 @@ def test_a_stream_that_is_closed_is_no_bug(closed):
 
 
 @pytest.mark.parametrize(
-    "args", [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK), ("report", "out")]
+    "args",
+    [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK), ("report", "out"), TYPED["control"]],
 )
 def test_a_terminal_sees_colours_or_progress(args, place, monkeypatch):
     seen: Callable[[], str] = lambda: run_on(Terminal, *args).stderr  # noqa: E731

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tissueid.documents.identification import NoiseFit, Nrmsd
 from tissueid.inference.estimates import ProfileInterval
 from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -118,3 +119,9 @@ def test_a_residual_of_the_size_of_the_noise_is_not_said_to_exceed_it(sigma, sai
     noise = SimpleNamespace(discrepant=True, measured_N=0.1, sigma_N=sigma, samples_per_independent=4.0)
     (flag,) = discrepancy_flags(noise, SimpleNamespace(range=0.01))
     assert said in flag.message
+
+
+@pytest.mark.parametrize(("share", "codes"), [(4e-8, []), (0.02, ["discrepancy"])])
+def test_what_rounding_leaves_of_a_log_without_noise_is_no_discrepancy(share, codes):
+    noise = NoiseFit("white", 100.0 * share, 0.0, 0.001, measured_N=1e-12, samples_per_independent=1.1)
+    assert [one.code for one in discrepancy_flags(noise, Nrmsd(share, share, 100.0 * share))] == codes

@@ -20,13 +20,14 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import refuse, tell
+from tissueid.cli.output import progress_bar, refuse, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
 from tissueid.errors import NotIdentifiedError
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
+    from tissueid.rendering.control.simulation import ControlRun
     from tissueid.rendering.tissue_block import Tissue
 
 
@@ -106,10 +107,15 @@ def command(flags: _ControlFlags) -> int:
         require_force_sensor(flags.device)
     tissue, source = _tissue(flags)
     settings = _settings(flags, tissue)
-    runs = {name: simulate(one) for name, one in _beside(settings).items()}
     on_device = None
-    if flags.device is not None:
-        on_device = render_on_simulated(tissue, stiffness_scale=flags.stiffness_scale).as_json()
+    with progress_bar(show=not flags.quiet) as progress:
+        runs: dict[str, ControlRun] = {}
+        for name, one in _beside(settings).items():
+            progress(f"loop {name}; the first of a machine is compiled", len(runs), 0)
+            runs[name] = simulate(one)
+        if flags.device is not None:
+            progress("rendering on the device", len(runs), 0)
+            on_device = render_on_simulated(tissue, stiffness_scale=flags.stiffness_scale).as_json()
     written = as_document(runs, source=source, device=on_device)
     document = typed(written, Control)
     tell(flags, written, _lines(document))

@@ -19,7 +19,7 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, write_output
+from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, refusing, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.documents import plain
 from tissueid.errors import UsageError
@@ -138,7 +138,8 @@ def exclude(flags: _ExcludeFlags) -> int:
     from tissueid.study.exclusions import exclude, find_manifest
 
     manifest = find_manifest(flags.trial, flags.study)
-    named, replaced = exclude(flags.trial, flags.because, manifest=manifest)
+    with refusing(manifest, "changed", "check the rights of its folder"):
+        named, replaced = exclude(flags.trial, flags.because, manifest=manifest)
     if replaced not in {None, flags.because}:
         echo(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
@@ -150,7 +151,8 @@ def include(flags: _IncludeFlags) -> int:
     from tissueid.study.exclusions import find_manifest, include
 
     manifest = find_manifest(flags.trial, flags.study)
-    named = include(flags.trial, manifest=manifest)
+    with refusing(manifest, "changed", "check the rights of its folder"):
+        named = include(flags.trial, manifest=manifest)
     return _changed(manifest, named, flags, f"{named} is fitted again, says {manifest}")
 
 

@@ -107,11 +107,13 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
 
 #: A residual below so many times the noise is refuted by its correlation, not by its size.
 OF_ITS_SIZE = 1.1
+#: Misfit over the range of the force below which arithmetic alone is left, as of a log without any noise.
+ROUNDING = 1e-6
 
 
 def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
-    """Flags of a misfit that exceeds the noise of the recordings."""
-    if not noise.discrepant:
+    """Flags of a misfit that exceeds the noise of the recordings, and rounding."""
+    if not noise.discrepant or nrmsd.range < ROUNDING:
         return []
     measured = noise.measured_N or 0.0
     ratio = noise.sigma_N / measured if measured > 0.0 else None
