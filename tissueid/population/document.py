@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from tissueid import __version__
+from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
 from tissueid.documents.population import Population, Provenance
 from tissueid.model.grammar import KELVIN_VOIGT
@@ -135,14 +136,17 @@ def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> Popul
         order=fit.order,
         confounding=fit.confounding,
         flags=fit.flags,
-        provenance=Provenance(
-            tissueid=__version__,
-            identification_sha256=source,
-            group_by=options.group_by,
-            covariates=tuple(options.covariates),
-            tails=options.sampler.tails,
-            seed=options.sampler.seed,
-            priors=options.priors.as_json(),
+        provenance=typed(
+            {
+                "tissueid": __version__,
+                "identification_sha256": source,
+                "group_by": options.group_by,
+                "covariates": options.covariates,
+                "tails": options.sampler.tails,
+                "seed": options.sampler.seed,
+                "priors": options.priors.as_json(),
+            },
+            Provenance,
         ),
     )
 
