@@ -58,8 +58,8 @@ def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
 
 @pytest.mark.slow
 def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_path: Path) -> None:
-    document = plain(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
-    bundle = population_bundle(found, document)
+    document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
+    bundle = population_bundle(found, document.provenance)
     assert bundle is not None
     write_bundle(bundle, tmp_path / "population.h5")
     back = load_bundle(tmp_path / "population.h5")
@@ -158,7 +158,7 @@ def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: s
     assert np.median(errors) < 0.15
     document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
     assert first_problem(plain(document), "population") is None
-    bundle = population_bundle(found, document)
+    bundle = population_bundle(found, document.provenance)
     assert bundle is not None
     write_bundle(bundle, tmp_path / "population.h5")
     back = load_bundle(tmp_path / "population.h5")

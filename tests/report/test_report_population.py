@@ -41,10 +41,10 @@ def found():
         for entry, one in zip(typed(document, Identification).specimens, fits, strict=True)
     ]
     fit = cohort(members_of(document, results), options)
-    told: dict[str, Any] = plain(as_document(fit, options, source="0" * 64))
-    bundle = population_bundle(fit, told)
+    document = as_document(fit, options, source="0" * 64)
+    bundle = population_bundle(fit, document.provenance)
     assert bundle is not None
-    return told, bundle
+    return plain(document), bundle
 
 
 def test_the_page_asks_the_network_for_nothing_and_says_its_numbers(found):

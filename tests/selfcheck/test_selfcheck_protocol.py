@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
+from msgspec import structs
 from posterior_factory import sampled
 
 from tissueid.documents.identification import NoiseFit
@@ -235,7 +236,9 @@ def test_recordings_in_air_have_nothing_to_check() -> None:
 
 
 def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    empty = replace(identification([], refused=True), exit=replace(identification([]).exit, reasons=("why",)))
+    empty = replace(
+        identification([], refused=True), exit=structs.replace(identification([]).exit, reasons=("why",))
+    )
     monkeypatch.setattr("tissueid.selfcheck.protocol.identify", lambda *_, **__: empty)
     with pytest.raises(InputError, match="nothing that can be fitted; the first: why"):
         of_these([trial("a.csv")])

@@ -185,7 +185,7 @@ def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch: pyt
         ),
         "no posterior was sampled": replace(whole, specimens=(replace(fit, posterior=stuck, flags=()),)),
         "no recording was found": replace(
-            whole, specimens=(), exit=replace(whole.exit, reasons=("no recording was found",))
+            whole, specimens=(), exit=structs.replace(whole.exit, reasons=("no recording was found",))
         ),
     }
     for says, found in ends.items():

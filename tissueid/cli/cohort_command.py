@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from tissueid.cli.flags import FOLDER_THERE, FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.digits import together
-from tissueid.documents import typed
-from tissueid.documents.population import Population
+from tissueid.documents import plain
 from tissueid.errors import NotIdentifiedError
 from tissueid.flags import warning_line
 
@@ -50,7 +49,7 @@ def command(flags: _CohortFlags) -> int:
     with progress_bar(show=not flags.quiet) as progress:
         written = write_population(Path(flags.out), options, progress, mix_states=flags.mix_states)
     if flags.as_json:
-        echo_json(written.document)
+        echo_json(plain(written.document))
     else:
         print_population(written, flags.out, quiet=flags.quiet)
     return 0 if written.converged else NotIdentifiedError.exit_status
@@ -60,7 +59,7 @@ def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> Non
     """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr."""
     if quiet:
         return
-    document = typed(written.document, Population)
+    document = written.document
     found = document.population
     assert found is not None  # noqa: S101  (asked before)
     count = len(document.specimens_used)

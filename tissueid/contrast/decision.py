@@ -267,8 +267,8 @@ def contrast_document(
     pairs = []
     for i, j in combinations(range(len(tissues)), 2):
         one, other = draws[i], draws[j]
-        told = (difference(one, other), rows(one, other), noticed(one, other, force_scale=scale))
-        pairs.append(Pair(tissues[i].name, tissues[j].name, *told))
+        told = tuple(rows(one, other)), tuple(noticed(one, other, force_scale=scale))
+        pairs.append(Pair(tissues[i].name, tissues[j].name, difference(one, other), *told))
     return {
         "schema": "tissueid/contrast/1",
         "tissueid": __version__,

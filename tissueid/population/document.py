@@ -10,8 +10,9 @@ import numpy as np
 from msgspec import structs
 
 from tissueid import __version__
-from tissueid.documents import plain
+from tissueid.documents import typed
 from tissueid.documents.identification import Identification, Specimen, StatedTrial, Trial
+from tissueid.documents.population import Population, Provenance
 from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.population.cohort import CohortFit, CohortOptions
 from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
@@ -123,32 +124,34 @@ def population_priors(document: Identification) -> PopulationPriors:
     )
 
 
-def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[str, Any]:
-    """The document of ``schemas/population.schema.json``."""
-    found = fit.population
-    return {
-        "schema": "tissueid/population/1",
-        "specimens_used": [one.specimen for one in fit.members],
-        "left_out": plain(fit.left_out),
-        "reason": fit.reason,
-        "population": None if found is None else plain(found.told),
-        "agreement": plain(fit.agreement),
-        "order": plain(fit.order),
-        "confounding": plain(fit.confounding),
-        "flags": plain(fit.flags),
-        "provenance": {
-            "tissueid": __version__,
-            "identification_sha256": source,
-            "group_by": options.group_by,
-            "covariates": list(options.covariates),
-            "tails": options.sampler.tails,
-            "seed": options.sampler.seed,
-            "priors": options.priors.as_json(),
-        },
-    }
+def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> Population:
+    """The document of a cohort."""
+    return Population(
+        schema="tissueid/population/1",
+        specimens_used=tuple(one.specimen for one in fit.members),
+        left_out=fit.left_out,
+        reason=fit.reason,
+        population=None if fit.population is None else fit.population.told,
+        agreement=fit.agreement,
+        order=fit.order,
+        confounding=fit.confounding,
+        flags=fit.flags,
+        provenance=typed(
+            {
+                "tissueid": __version__,
+                "identification_sha256": source,
+                "group_by": options.group_by,
+                "covariates": options.covariates,
+                "tails": options.sampler.tails,
+                "seed": options.sampler.seed,
+                "priors": options.priors.as_json(),
+            },
+            Provenance,
+        ),
+    )
 
 
-def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | None:
+def population_bundle(fit: CohortFit, said: Provenance) -> Bundle | None:
     """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it."""
     found = fit.population
     if found is None or len(found.predictive.theta) < 2:
@@ -164,10 +167,10 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         return None
     spread = coordinates.to_theta(mean).std(axis=0)
     tips = {one.tip_radius_mm for one in fit.members}
-    law, said = coordinates.model, document["provenance"]
+    law = coordinates.model
+    options = {key: getattr(said, key) for key in PROVENANCE}
     # exponentials are themselves at all times, other relaxations are looked at on a range
     looked_at = (law.resolution_s, law.window_s) if np.isfinite(law.window_s) else None
-    options = {key: said[key] for key in PROVENANCE}
     return Bundle(
         specimen=f"population of {len(fit.members)} specimens",
         model=replace(fit.members[0].model, static_pooling="shared", range_s=looked_at),
@@ -188,7 +191,7 @@ def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | N
         tip_radius_mm=tips.pop() if len(tips) == 1 else None,
         sigma_N=float(np.median([one.sigma_N for one in fit.members])),
         flags=fit.flags,
-        provenance={"tissueid": said["tissueid"], "versions": {}, "options": options, "inputs": []},
+        provenance={"tissueid": said.tissueid, "versions": {}, "options": options, "inputs": []},
         draws=theta,
         population_mean=mean,
         population_sd=found.draws.sd.reshape(-1, coordinates.size)[rows],

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class TissueCheck:
     contact_stated: bool = False
 
     @property
-    def noise_model(self) -> str:
+    def noise_model(self) -> Literal["white", "ar1", "white+ar1"]:
         """``white``, ``ar1`` or ``white+ar1``."""
         if not self.correlated:
             return "white"

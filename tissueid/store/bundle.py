@@ -373,7 +373,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
         provenance=document["provenance"],
         units=document["units"],
         rupture=None if found.rupture is None else typed(document["rupture"], RuptureLaw),
-        **arrays,
+        **dict[str, Any](arrays),
     )
 
 

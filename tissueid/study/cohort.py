@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
-from tissueid.documents import plain, typed
+from tissueid.documents import plain
 from tissueid.documents.population import Population
 from tissueid.errors import NotIdentifiedError, printable
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
@@ -32,14 +31,15 @@ POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
 class WrittenPopulation:
     """population.json as it was written, and the cohort behind it."""
 
-    document: dict[str, Any]
+    document: Population
     fit: CohortFit
     felt: bool = True  # specimens drawn from it are in population.h5
 
     @property
     def converged(self) -> bool:
         """True where the chains met their rule."""
-        return bool(self.document["population"]["sampler"]["converged"])
+        found = self.document.population
+        return found is not None and found.sampler.converged
 
 
 def write_population(
@@ -59,20 +59,19 @@ def write_population(
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
         source = sha256_of(out / IDENTIFICATION)
-        document: dict[str, Any] = plain(as_document(fit, options, source=source))
+        document = as_document(fit, options, source=source)
+        written = plain(document)
         if fit.population is None:
             raise NotIdentifiedError(_no_population(document))
-        check(document, "population", where=_DOCUMENT)
+        check(written, "population", where=_DOCUMENT)
         progress("writing the report", 0, 0)
         run.carry_over(but=POPULATION_FILES)
-        run.write(_DOCUMENT, json_bytes(document))
-        bundle = population_bundle(fit, document)
+        run.write(_DOCUMENT, json_bytes(written))
+        bundle = population_bundle(fit, document.provenance)
         if bundle is not None:
             write_bundle(bundle, run.path(_BUNDLE))
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        run.write(
-            _PAGE, render_population(typed(document, Population), bundle, created=created).encode("utf-8")
-        )
+        run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
         run.commit()
     return WrittenPopulation(document=document, fit=fit, felt=bundle is not None)
 
@@ -89,7 +88,7 @@ def _refuse_mixed(thawed: list[str], fresh: list[str]) -> None:
         raise NotIdentifiedError(msg)
 
 
-def _no_population(document: dict[str, Any]) -> str:
+def _no_population(document: Population) -> str:
     """Why there is none, and each specimen that takes no part."""
-    left = "".join(f"; {printable(row['specimen'])}: {row['reason']}" for row in document["left_out"])
-    return f"no population: {document['reason']}{left}"
+    left = "".join(f"; {printable(row.specimen)}: {row.reason}" for row in document.left_out)
+    return f"no population: {document.reason}{left}"
