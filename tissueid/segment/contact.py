@@ -153,9 +153,7 @@ def find_contact(
         reach = max((float(np.ptp(force_N[one.start : one.stop + 1])) for one in loading), default=0.0)
         message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
         if not loading:
-            message = (
-                "no move into the tissue has three samples at different depths, which show where it was met"
-            )
+            message = "no move has the 3 samples at different depths that show where it met the tissue"
         return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
     # rest before the move tells the reading in air as well, an earlier move in air too
     first = 0 if move == loading[0] else move.start
