@@ -17,8 +17,6 @@ NORMAL_SD_OVER_MEDIAN = 1.482602218505602
 FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
-#: Fewer changes show no step: the tool may have jumped.
-FEWEST_CHANGES = 3
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
@@ -27,12 +25,9 @@ EQUAL_STEP = 0.01
 
 def quantum(values: FloatArray) -> float:
     """Step of a quantised signal, in its unit; 0 where values hardly repeat, or small changes differ."""
-    change = np.diff(values)
-    way = np.sign(change)
-    goes_on = np.concatenate(([False], way[1:] == way[:-1], [False]))
-    # changes that follow each other one way are a move: its speed, no step
-    moved = np.abs(change[(way != 0.0) & ~(goes_on[:-1] | goes_on[1:])])
-    if moved.size < FEWEST_CHANGES or np.mean(way != 0.0) > 1.0 - QUANTISED_SHARE:
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0.0]
+    if moved.size == 0 or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
     count = max(1, moved.size // 10)
     smallest = np.partition(moved, count - 1)[:count]

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from tissueid.segment import segment
 from tissueid.segment.memory import long_run_ratio, without_slow
-from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Trial
 
 
@@ -98,18 +98,10 @@ def test_a_hold_that_reads_one_level_shows_no_lasting_noise():
     assert found.contact.displacement_mm == pytest.approx(0.5, abs=0.1)
 
 
-def test_a_jump_between_two_samples_is_a_move_whose_contact_is_not_shown():
+def test_a_jump_between_two_samples_shows_no_contact():
     time = np.arange(0.0, 30.0, 0.05)
     step = np.where(time < 1.0, 0.0, 2.0)
     noise = 0.05 * np.random.default_rng(2).normal(size=time.size)
     found = segment(Trial("step", time, step, 5.0 * step * np.exp(-np.maximum(time - 1.0, 0.0)) + noise))
-    assert [one.stop - one.start for one in found.phases] == [20, 2, 580]
     (flag,) = [one for one in found.flags if one.code == "no_contact"]
     assert "3 samples at different depths" in flag.message
-
-
-@pytest.mark.parametrize("samples", [3, 10])
-def test_the_speed_of_a_quick_ramp_is_no_step_of_its_channel(samples):
-    assert quantum(np.clip(np.arange(1000.0) - 100.0, 0.0, samples)) == 0.0
-    slow = np.floor(np.clip(np.arange(1000.0) - 100.0, 0.0, 50.0) / 5.0)
-    assert quantum(slow) == 1.0
