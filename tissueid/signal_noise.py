@@ -18,7 +18,7 @@ FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
 #: Fewer changes of a displacement show no step: the tool may have jumped.
-FEWEST_CHANGES = 5
+FEWEST_CHANGES = 8
 #: Changes that differ by less than this share are of one step.
 ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
@@ -30,12 +30,9 @@ def quantum(values: FloatArray, *, fewest: int = 1) -> float:
 
     ``fewest``: changes that show one.
     """
-    change = np.diff(values)
-    way = np.sign(change)
-    goes_on = np.concatenate(([False], way[1:] == way[:-1], [False]))
-    # changes that follow each other one way are a move: its speed, no step
-    moved = np.abs(change[(way != 0.0) & ~(goes_on[:-1] | goes_on[1:])])
-    if moved.size < fewest or np.mean(way != 0.0) > 1.0 - QUANTISED_SHARE:
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0.0]
+    if moved.size < fewest or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
     count = max(1, moved.size // 10)
     smallest = np.partition(moved, count - 1)[:count]

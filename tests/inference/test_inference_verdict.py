@@ -114,7 +114,9 @@ def test_amplitude_of_a_stiffness_that_ends_at_zero():
     assert "amplitude_small" not in flags(sigma=0.99 * need, slope=-7.5)
 
 
-@pytest.mark.parametrize(("sigma", "said"), [(0.30, "3 times the noise"), (0.099, "correlated otherwise")])
+@pytest.mark.parametrize(
+    ("sigma", "said"), [(0.30, "3 times the noise"), (0.099, "like otherwise correlated noise")]
+)
 def test_a_residual_of_the_size_of_the_noise_is_not_said_to_exceed_it(sigma, said):
     noise = SimpleNamespace(discrepant=True, measured_N=0.1, sigma_N=sigma, samples_per_independent=4.0)
     (flag,) = discrepancy_flags(noise, SimpleNamespace(range=0.01))

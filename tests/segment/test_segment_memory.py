@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from tissueid.segment import segment
 from tissueid.segment.memory import long_run_ratio, without_slow
-from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Trial
 
 
@@ -106,10 +106,3 @@ def test_a_jump_between_two_samples_is_a_move_with_the_contact_anywhere_on_its_w
     assert [one.stop - one.start for one in found.phases] == [20, 2, 580]
     assert found.contact.sd_mm > 1.0
     assert "contact_uncertain" in [flag.code for flag in found.flags]
-
-
-@pytest.mark.parametrize("samples", [3, 10])
-def test_the_speed_of_a_quick_ramp_is_no_step_of_its_channel(samples):
-    assert quantum(np.clip(np.arange(1000.0) - 100.0, 0.0, samples)) == 0.0
-    slow = np.floor(np.clip(np.arange(1000.0) - 100.0, 0.0, 50.0) / 5.0)
-    assert quantum(slow) == 1.0

@@ -119,9 +119,11 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     ratio = noise.sigma_N / measured if measured > 0.0 else None
     times = "far above the noise" if ratio is None else f"{ratio:.2g} times the noise"
     if ratio is not None and ratio < OF_ITS_SIZE:
-        times = "as much as the noise, but correlated otherwise"
-    share = f"{100.0 * nrmsd.range:.2g} % of its range"
-    words = f"the model misses the force by {noise.sigma_N:.2g} N ({share}), {times}"
+        times = "like otherwise correlated noise"
+    words = (
+        f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
+        f"range), {times}"
+    )
     values = {"rms_N": noise.sigma_N, "measured_N": measured, "ratio": ratio}
     values["samples_per_independent"] = noise.samples_per_independent
     return [Flag("discrepancy", words, values)]

@@ -43,7 +43,7 @@ def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Pie
         if piece.direction != 0:
             continue
         late = time_s[piece.stop] - LATE_SHARE * (time_s[piece.stop] - time_s[piece.start])
-        rows = slice(int(np.searchsorted(time_s, late)), piece.stop)  # the corner is the next move's
+        rows = slice(int(np.searchsorted(time_s, late)), piece.stop + 1)
         left = without_slow(time_s[rows], force_N[rows])
         if left is not None:
             stretches.append(left)
