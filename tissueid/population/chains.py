@@ -100,11 +100,11 @@ class Chains:
     """Chains over one cohort; ``used`` (c, n) is false where a specimen tells a chain nothing."""
 
     def __init__(self, cohort: Cohort, hyper: Hyper, state: State, rng: np.random.Generator) -> None:
-        count, n, p = state.phi.shape
+        (count, n, p), q = state.phi.shape, state.coefficient.shape[1]
         self.cohort, self.hyper, self.state, self.rng = cohort, hyper, state, rng
         self.used = np.ones((count, n), dtype=bool)
         self.moves = ScalesMove.of(p, n, hyper.scale)
-        self.joint_root, self.log_joint = 0.1 * np.eye(2 * p), 0.0
+        self.joint_root, self.log_joint = 0.1 * np.eye((q + 1) * p), 0.0
 
     @property
     def centre(self) -> FloatArray:
@@ -128,9 +128,8 @@ class Chains:
                 likelihood = self._move_together(likelihood, adapt=adapt)
             unit = self.state.scales.unit
         inverse = transposed(unit) @ unit
-        self._draw_coefficients(inverse)
-        for level in range(len(self.cohort.group)):
-            self._draw_effects(inverse, level)
+        for level in range(len(self.cohort.members)):
+            self._draw_coefficients(inverse, level)
         away, weight = self.state.phi - self.centre, self.state.weight * self.used
         sums = transposed(away * weight[..., None]) @ away
         density = ScalesDensity(sums, self.used.sum(axis=1), self.hyper.scale)
@@ -149,12 +148,14 @@ class Chains:
         """Take the shape of joint moves from where the chains are."""
         if not self.cohort.smooth.size:
             return
-        # how smooth specimens go with a shift of the mean, and with a stretch about it
-        away = (self.state.phi - self.centre)[:, self.cohort.smooth]
-        along, size = np.stack([np.ones_like(away), away], axis=2), 2 * away.shape[2]
+        q, p = self.state.coefficient.shape[1:]
+        # how smooth specimens go with mean and effects, and with a stretch about their centre
+        away = (self.state.phi - self.centre)[:, self.cohort.smooth, None]
+        given = np.broadcast_to(self.cohort.design[self.cohort.smooth, :, None], (*away.shape[:2], q, p))
+        along = np.concatenate([given, away], axis=2)
         seen = np.einsum("skl,csek,csfl->ekfl", self.cohort.likelihoods.precision, along, along) / len(away)
-        prior = np.repeat([self.hyper.coefficient_sd[0], self.hyper.scale[1]], size // 2) ** -2.0
-        root = factor(seen.reshape(size, size) + np.diag(prior))
+        prior = np.repeat([*self.hyper.coefficient_sd, self.hyper.scale[1]], p) ** -2.0
+        root = factor(seen.reshape(prior.size, -1) + np.diag(prior))
         self.joint_root = np.asarray(np.linalg.inv(root)).T
 
     def _move_among_draws(self, unit: FloatArray, centre: FloatArray) -> None:
@@ -219,32 +220,32 @@ class Chains:
         return likelihood
 
     def _move_together(self, likelihood: FloatArray, *, adapt: bool) -> FloatArray:
-        """Try to shift means and stretch spreads, smooth specimens with both; ln of their likelihood.
+        """Try to shift mean and effects and stretch spreads, and smooth specimens; ln of their likelihood.
 
         Of a smooth specimen the density in the population stays.
         """
         cohort, state, scales, rng = self.cohort, self.state, self.state.scales, self.rng
-        p, prior, mean = scales.log_sd.shape[1], self.hyper.scale, state.coefficient[:, 0]
-        length = STEP_LENGTH / np.sqrt(2 * p) * np.exp(self.log_joint)
-        change = length * rng.standard_normal((len(mean), 2 * p)) @ self.joint_root.T
-        shift, stretch = change[:, :p], change[:, p:]
-        away, log_sd = state.phi - self.centre, scales.log_sd + stretch
-        moved = state.phi + shift[:, None] + np.expm1(stretch)[:, None] * away
+        (count, q, p), prior, size = state.coefficient.shape, self.hyper.scale, len(self.joint_root)
+        length = STEP_LENGTH / np.sqrt(size) * np.exp(self.log_joint)
+        change = (length * rng.standard_normal((count, size)) @ self.joint_root.T).reshape(count, q + 1, p)
+        shift, coefficient = cohort.design @ change[:, :q], state.coefficient + change[:, :q]
+        stretch, away = change[:, q], state.phi - self.centre
+        log_sd, moved = scales.log_sd + stretch, state.phi + shift + np.expm1(stretch)[:, None] * away
         smooth, held, used = cohort.smooth, cohort.held, self.used
-        ratio = -0.5 * ((mean + shift) ** 2 - mean**2).sum(axis=1) / self.hyper.coefficient_sd[0] ** 2
+        ratio = 0.5 * (state.coefficient**2 - coefficient**2).sum(axis=2) @ self.hyper.coefficient_sd**-2.0
         for value, sign in ((log_sd, -0.5), (scales.log_sd, 0.5)):
             ratio = ratio + sign * (((value - prior[0]) / prior[1]) ** 2).sum(axis=1)
         seen = cohort.likelihoods.log_density(moved[:, smooth])
         ratio = ratio + np.where(used[:, smooth], seen - likelihood, 0.0).sum(axis=1)
         if held.size:
-            left = (away[:, held] - shift[:, None]) * np.exp(-stretch)[:, None]
+            left = (away - shift)[:, held] * np.exp(-stretch)[:, None]
             nearer = squares(away[:, held], scales.unit) - squares(left, scales.unit)
             each = 0.5 * state.weight[:, held] * nearer - stretch.sum(axis=1)[:, None]
             ratio = ratio + (used[:, held] * each).sum(axis=1)
         taken = accepted(rng, ratio)
         if adapt:
             self.log_joint += ADAPTATION * (taken.mean() - WANTED_ACCEPTANCE)
-        state.coefficient[:, 0] += np.where(taken[:, None], shift, 0.0)
+        state.coefficient = np.where(taken[:, None, None], coefficient, state.coefficient)
         state.scales = Scales(np.where(taken[:, None], log_sd, scales.log_sd), scales.z)
         along = taken[:, None] & used[:, smooth]
         state.phi[:, smooth] = np.where(along[..., None], moved[:, smooth], state.phi[:, smooth])
@@ -272,35 +273,45 @@ class Chains:
         # a weight that is zero by rounding would never come back
         state.weight = np.maximum(drawn, 1e-12)
 
-    def _draw_coefficients(self, inverse: FloatArray) -> None:
-        """Draw mean and effects of covariates, all at once, given the effects of levels."""
-        state, design = self.state, self.cohort.design
-        count, q, p = state.coefficient.shape
-        weighted = design.T * (state.weight * self.used)[:, None]
-        own = state.phi - self.centre + design @ state.coefficient
-        precision = np.einsum("cab,ckl->cakbl", weighted @ design, inverse).reshape(count, q * p, q * p)
-        prior = np.diag(np.repeat(self.hyper.coefficient_sd**-2.0, p))
-        pull = (weighted @ own @ inverse).reshape(count, q * p)
-        state.coefficient = _normal(self.rng, precision + prior, pull).reshape(count, q, p)
+    def _draw_coefficients(self, inverse: FloatArray, level: int) -> None:
+        """Draw mean and effects of covariates, those of the groups of a level integrated, then these.
 
-    def _draw_effects(self, inverse: FloatArray, level: int) -> None:
-        """Draw effects of the groups of a level, and how far they spread."""
-        state, rng, cohort = self.state, self.rng, self.cohort
-        own, group = np.flatnonzero(cohort.level_of == level), cohort.group[level]
-        weight = self.state.weight * self.used
-        rest = weight[..., None] * (state.phi - self.centre + state.effect[:, group])
-        member = cohort.members[level]
-        count = (member @ weight.T).T
-        pulled = (member @ rest.swapaxes(0, 1).reshape(len(group), -1)).reshape(own.size, *rest.shape[::2])
-        prior = np.exp(-2.0 * state.level_log_sd[:, level])[:, None, None] * np.eye(rest.shape[2])
-        precision = count[..., None, None] * inverse[:, None] + prior
-        effect = _normal(rng, precision, pulled.swapaxes(0, 1) @ inverse)
-        state.effect[:, own] = effect
-        square = (effect**2).sum(axis=1)
-        mean, sd = self.hyper.level
+        A covariate that is the same in each group is told from their effects by both together alone.
+        """
+        state, cohort, design = self.state, self.cohort, self.cohort.design
+        (chains, q, p), weight = state.coefficient.shape, (state.weight * self.used)[..., None]
+        rest = state.phi - self.centre + design @ state.coefficient
+        own, member = np.flatnonzero(cohort.level_of == level), cohort.members[level]
+        if own.size:
+            rest = rest + state.effect[:, cohort.group[level]]
+        sums = (
+            np.concatenate([weight * design, weight * rest], axis=2).swapaxes(0, 1).reshape(len(design), -1)
+        )
+        x, y = np.split((member @ sums).reshape(-1, chains, q + p).swapaxes(0, 1), [q], axis=2)
+        # the first column of a design is of ones
+        prior = np.exp(-2.0 * state.level_log_sd[:, level : level + 1])[..., None] * np.eye(p)
+        within = x[:, :, 0, None, None] * inverse[:, None] + prior[:, : own.size]
+        lost = inverse[:, None] @ np.linalg.inv(within) @ inverse[:, None]
+        outer = (x[..., None] * x[:, :, None]).reshape(chains, -1, q * q)
+        between = transposed(outer) @ lost.reshape(chains, -1, p * p)
+        gram = transposed(weight * design) @ design
+        precision = gram.reshape(chains, -1, 1) * inverse.reshape(chains, 1, -1) - between
+        precision = precision.reshape(chains, q, q, p, p).swapaxes(2, 3).reshape(chains, q * p, q * p)
+        precision = precision + np.diag(np.repeat(self.hyper.coefficient_sd**-2.0, p))
+        pull = transposed(weight * design) @ rest @ inverse - transposed(x) @ (lost @ y[..., None])[..., 0]
+        drawn = _normal(self.rng, precision, pull.reshape(chains, q * p)).reshape(chains, q, p)
+        state.coefficient = drawn
+        if own.size:
+            state.effect[:, own] = _normal(self.rng, within, (y - x @ drawn) @ inverse)
+            self._draw_level(own, level)
+
+    def _draw_level(self, own: IntArray, level: int) -> None:
+        """Draw how far the groups of a level spread."""
+        square, (mean, sd) = (self.state.effect[:, own] ** 2).sum(axis=1), self.hyper.level
 
         def density(log_sd: FloatArray) -> FloatArray:
             likelihood = -own.size * log_sd - 0.5 * square * np.exp(-2.0 * log_sd)
             return np.asarray(likelihood - 0.5 * ((log_sd - mean) / sd) ** 2)
 
-        state.level_log_sd[:, level] = _walk(rng, state.level_log_sd[:, level], density)
+        spread = self.state.level_log_sd
+        spread[:, level] = _walk(self.rng, spread[:, level], density)

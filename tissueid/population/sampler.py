@@ -103,7 +103,7 @@ def _hyper(priors: PopulationPriors, design: Design, size: int, tails: str) -> H
 def _start(cohort: Cohort, pilot: Pilot, hyper: Hyper, chains: int, rng: np.random.Generator) -> State:
     """States around a pilot, wider than it: :data:`STARTS` of them, each of as many chains."""
     n, q = cohort.design.shape
-    p, groups, levels = cohort.phi.shape[1], cohort.level_of.size, len(cohort.members)
+    p, groups, levels = cohort.phi.shape[1], cohort.level_of.size, len(cohort.group)
     pick = np.searchsorted(cohort.cumulative, np.arange(n) + rng.random((STARTS, n)))
     pick = np.clip(pick, cohort.start[:-1], cohort.start[1:] - 1)
     sd = np.sqrt(pilot.covariance.diagonal() / PILOT_WIDER)

@@ -333,7 +333,8 @@ class Cohort:
     design: FloatArray  # (n, q), a column of ones, then covariates
     group: IntArray  # (L, n), each specimen's group among those of all levels
     level_of: IntArray  # (G,), level of each group
-    members: tuple[csr_array, ...]  # of each level: (its groups, n), 1 where a specimen belongs to one
+    #: Of each level: (its groups, n), 1 where a specimen belongs to one; of none a level without groups.
+    members: tuple[csr_array, ...]
 
 
 def packed(stage: StageOne, design: Design, pilot: Pilot, known: dict[int, Mixture]) -> Cohort:
@@ -363,5 +364,6 @@ def packed(stage: StageOne, design: Design, pilot: Pilot, known: dict[int, Mixtu
         members=tuple(
             csr_array((np.ones(count), (group, np.arange(count))), shape=(size, count))
             for group, size in zip(design.group, sizes, strict=True)
-        ),
+        )
+        or (csr_array((0, count)),),
     )
