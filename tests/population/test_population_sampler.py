@@ -94,7 +94,7 @@ def test_scales_follow_prior_and_data_together(p: int, n: int) -> None:
     low = np.array([lkj_factor(rng, p, prior[2]) for _ in range(count)])
     deviations = (rng.standard_normal((count, n, p)) @ low.swapaxes(1, 2)) * np.exp(log_sd)[:, None]
     density = ScalesDensity(deviations.swapaxes(1, 2) @ deviations, np.full(count, float(n)), prior)
-    move = ScalesMove.of(p, n, prior)
+    move = ScalesMove(p, n, prior)
     now = Scales(np.full((count, p), prior[0]), np.zeros((count, p, p)))
     above = np.zeros((count, p + 1))
     for sweep in range(240):

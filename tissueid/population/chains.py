@@ -103,7 +103,7 @@ class Chains:
         (count, n, p), q = state.phi.shape, state.coefficient.shape[1]
         self.cohort, self.hyper, self.state, self.rng = cohort, hyper, state, rng
         self.used = np.ones((count, n), dtype=bool)
-        self.moves = ScalesMove.of(p, n, hyper.scale)
+        self.moves = ScalesMove(p, n, hyper.scale)
         self.joint_root, self.log_joint = 0.1 * np.eye((q + 1) * p), 0.0
 
     @property

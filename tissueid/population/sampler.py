@@ -148,6 +148,7 @@ class Record:
             "log_sd": scales.log_sd,
             "correlation": low @ transposed(low),
             "log_nu": state.log_nu,
+            "scales": scales.vector,
         }
         far = squares(state.phi - centre, scales.unit) > chains.hyper.far
         sums: dict[str, FloatArray] = {
@@ -188,7 +189,8 @@ def _next_pilot(chains: Chains) -> Pilot:
     """A pilot from a short run of the chains, whose steps learn from it."""
     record, cohort = Record(), chains.cohort
     _run(chains, PILOT_SWEEPS // 2, PILOT_SWEEPS // 2, record)
-    sd = np.exp(record.of("log_sd"))
+    sd, scales = np.exp(record.of("log_sd")), record.of("scales")
+    chains.moves.learn(scales.reshape(-1, scales.shape[2]))
     covariance = (sd[..., :, None] * record.of("correlation") * sd[..., None, :]).mean(axis=(0, 1))
     # what is not known of the centre widens where specimens may be
     coefficient = record.of("coefficient")

@@ -24,6 +24,8 @@ STEPS = (6, 16)
 #: Acceptance that lengths of steps are brought to, and change of their logarithm for an acceptance too much.
 WANTED_ACCEPTANCE = 0.8
 ADAPTATION = 0.5
+#: Share of a covariance that is taken without its correlations.
+RIDGE = 0.01
 #: Each chain's steps are between these times the common length.
 JITTER = (0.4, 1.2)
 
@@ -63,6 +65,19 @@ class Scales:
         return w, left, (w + np.eye(w.shape[-1])) * left
 
     @property
+    def vector(self) -> FloatArray:
+        """All numbers of a chain in a row; ln D stands on the diagonal."""
+        i, j = np.tril_indices(self.z.shape[-1])
+        return np.where(i == j, self.log_sd[:, i], self.z[:, i, j])
+
+    @classmethod
+    def of(cls, vector: FloatArray, size: int) -> Scales:
+        """Scales from their numbers in a row."""
+        all_of = np.zeros((len(vector), size, size))
+        all_of[:, *np.tril_indices(size)] = vector
+        return cls(np.einsum("cii->ci", all_of).copy(), np.tril(all_of, -1))
+
+    @property
     def low(self) -> FloatArray:
         """Cholesky factors of R."""
         return self.factors()[2]
@@ -100,50 +115,41 @@ class ScalesDensity:
         return value, Scales(sums[..., -1] - away / self.prior[1], np.tril(slope, -1))
 
 
-@dataclass(slots=True, eq=False)
 class ScalesMove:
     """Hamiltonian moves of scales; steps follow acceptance as long as they are adapted."""
 
-    width: Scales  # of the numbers, about what so many specimens leave open
-    log_step: float = -1.0
+    def __init__(self, size: int, count: int, prior: FloatArray) -> None:
+        """Moves of about what ``count`` specimens leave open."""
+        i, j = np.tril_indices(size)
+        known = np.where(i == j, 2.0 * count + prior[1] ** -2, count + 2.0 * prior[2] + size - 2.0 - j)
+        #: (d, d), factor of the covariance of all numbers.
+        self.root, self.log_step = np.diag(known**-0.5), -1.0
 
-    @classmethod
-    def of(cls, size: int, count: int, prior: FloatArray) -> ScalesMove:
-        """Moves of scales of ``count`` specimens."""
-        b = prior[2] + 0.5 * (size - 2.0 - np.arange(size))
-        log_sd = np.full(size, (2.0 * count + prior[1] ** -2) ** -0.5)
-        return cls(Scales(log_sd, np.tril(np.tile((count + 2.0 * b) ** -0.5, (size, 1)), -1)))
+    def learn(self, vectors: FloatArray) -> None:
+        """Take the covariance of numbers that chains showed, (m, d): forces that go together stay so."""
+        seen = np.cov(vectors, rowvar=False).reshape(self.root.shape)
+        self.root = factor((1.0 - RIDGE) * seen + RIDGE * np.diag(seen.diagonal() + 1e-12))
 
     def __call__(
         self, rng: np.random.Generator, scales: Scales, density: ScalesDensity, *, adapt: bool
     ) -> Scales:
         """Scales after one trajectory."""
-        widths, at, count = (self.width.log_sd, self.width.z), scales, len(scales.z)
+        x, size, at = scales.vector, scales.log_sd.shape[1], scales
         # a chain in a narrow place leaves it by short steps
-        step = np.exp(self.log_step) * rng.uniform(*JITTER, count)
-        lengths = [step.reshape(-1, *([1] * one.ndim)) * one for one in widths]
-        speed = [rng.standard_normal((count, *one.shape)) * (one > 0.0) for one in widths]
-
-        def energy() -> FloatArray:
-            return np.asarray(0.5 * ((speed[0] ** 2).sum(axis=1) + (speed[1] ** 2).sum(axis=(1, 2))))
-
-        value, slope = density(at)
-        begun = value - energy()
+        step = np.exp(self.log_step) * rng.uniform(*JITTER, (len(x), 1))
+        speed, (value, slope) = rng.standard_normal(x.shape), density(scales)
+        begun = value - 0.5 * (speed**2).sum(axis=1)
         # a trajectory that runs away is no number, and is refused
         with np.errstate(all="ignore"):
             for _ in range(rng.integers(*STEPS)):
-                speed = [
-                    v + 0.5 * h * g for v, h, g in zip(speed, lengths, (slope.log_sd, slope.z), strict=True)
-                ]
-                at = Scales(at.log_sd + lengths[0] * speed[0], at.z + lengths[1] * speed[1])
+                speed = speed + 0.5 * step * (slope.vector @ self.root)
+                x = x + step * (speed @ self.root.T)
+                at = Scales.of(x, size)
                 value, slope = density(at)
-                speed = [
-                    v + 0.5 * h * g for v, h, g in zip(speed, lengths, (slope.log_sd, slope.z), strict=True)
-                ]
-            ratio = value - energy() - begun
+                speed = speed + 0.5 * step * (slope.vector @ self.root)
+            ratio = value - 0.5 * (speed**2).sum(axis=1) - begun
         ratio[np.abs(at.z).max(axis=(1, 2)) > MOST_Z] = -np.inf
         moved = accepted(rng, ratio)
         if adapt:
             self.log_step += ADAPTATION * (moved.mean() - WANTED_ACCEPTANCE)
-        moved = moved[:, None]
-        return Scales(np.where(moved, at.log_sd, scales.log_sd), np.where(moved[..., None], at.z, scales.z))
+        return Scales.of(np.where(moved[:, None], x, scales.vector), size)
