@@ -110,6 +110,21 @@ def test_scales_follow_prior_and_data_together(p: int, n: int) -> None:
     assert ranks.mean(axis=0) == pytest.approx(0.5, abs=0.051)
 
 
+def test_chains_that_were_thrown_into_a_corner_come_back() -> None:
+    # correlations of 0.995, where the data have none: steps that suit the other chains are all refused there
+    rng = np.random.default_rng(8)
+    p, n, count, prior = 5, 17, 64, np.array([np.log(0.15), 0.3, 2.0])
+    deviations = 0.15 * rng.standard_normal((n, p))
+    sums = np.tile(deviations.T @ deviations, (count, 1, 1))
+    density, move = ScalesDensity(sums, np.full(count, float(n)), prior), ScalesMove(p, n, prior)
+    now = Scales(np.full((count, p), prior[0]), np.zeros((count, p, p)))
+    for sweep in range(240):
+        if sweep == 40:
+            now.z[:8, 1, 0] = now.z[:8, 3, 2] = 3.0
+        now = move(rng, now, density, adapt=sweep < 40)
+    assert np.abs(now.z[:8]).max() < 2.0
+
+
 @pytest.mark.slow
 def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_measured() -> None:
     rng = np.random.default_rng(7)

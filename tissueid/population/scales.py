@@ -26,8 +26,9 @@ WANTED_ACCEPTANCE = 0.8
 ADAPTATION = 0.5
 #: Share of a covariance that is taken without its correlations.
 RIDGE = 0.01
-#: Each chain's steps are between these times the common length.
+#: Each chain's steps are between these times the common length; a share is shorter, down to e to this.
 JITTER = (0.4, 1.2)
+SHORT, SHORTEST = 0.2, -7.0
 
 
 def transposed(a: FloatArray) -> FloatArray:
@@ -135,8 +136,10 @@ class ScalesMove:
     ) -> Scales:
         """Scales after one trajectory."""
         x, size, at = scales.vector, scales.log_sd.shape[1], scales
-        # a chain in a narrow place leaves it by short steps
-        step = np.exp(self.log_step) * rng.uniform(*JITTER, (len(x), 1))
+        # a chain in a corner, where all others' steps are too long, leaves it by short ones
+        one = (len(x), 1)
+        shorter = np.where(rng.random(one) < SHORT, np.exp(rng.uniform(SHORTEST, 0.0, one)), 1.0)
+        step = np.exp(self.log_step) * rng.uniform(*JITTER, one) * shorter
         speed, (value, slope) = rng.standard_normal(x.shape), density(scales)
         begun = value - 0.5 * (speed**2).sum(axis=1)
         # a trajectory that runs away is no number, and is refused
