@@ -14,11 +14,12 @@ import tissueid
 from tissueid.compiled import kernel_sources, sources_key
 
 PACKAGE = Path(tissueid.__file__).resolve().parent
-#: A leaf of the chain over a population, which stands in another file.
-LEAF = "population/kernels.py"
+#: A leaf of the force of a law, which stands in another file: F_s of a depth of 0.5 mm where it is 1 N/mm.
+LEAF = "model/kernels.py"
 ASK = (
-    "import numpy as np; from tissueid.population.kernels import unit_factor; "
-    "print(repr(float(unit_factor(np.zeros(1), np.eye(1))[0, 0])))"
+    "import numpy as np; from tissueid.model.rupture import static_force_in; "
+    "law = np.zeros(200); law[[0, 2, 5]] = 1.0; "
+    "print(repr(float(static_force_in(law, 0, np.full(50, 0.5), 0))))"
 )
 
 
@@ -31,9 +32,9 @@ def copied(folder: Path) -> Path:
 
 def test_sources_hold_kernels_and_what_they_import() -> None:
     names = set(kernel_sources())
-    assert {"compiled.py", "model/kernels.py", "population/kernels.py", "haptics/guard.py"} <= names
-    assert {"rendering/servo_loop.py", "rendering/environment.py", "population/kernels.py"} <= names
-    assert not names & {"pipeline.py", "cli/main.py", "report/page.py"}
+    assert {"compiled.py", "model/kernels.py", "model/rupture.py", "haptics/guard.py"} <= names
+    assert {"rendering/servo_loop.py", "rendering/environment.py"} <= names
+    assert not names & {"pipeline.py", "cli/main.py", "report/page.py", "population/chains.py"}
 
 
 def test_the_key_follows_sources_and_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,10 +69,10 @@ def test_an_edited_leaf_is_seen_by_a_caller_that_was_compiled_before(tmp_path: P
     assert answer(tmp_path) == before
     folders = {path.name for path in (tmp_path / "cache").iterdir()}
     assert len(folders) == 1
-    # the inverse of a factor that is one, and the same with its diagonal twice as large
-    assert before == pytest.approx(1.0, abs=1e-12)
-    text, line = leaf.read_text(encoding="utf-8"), "inverse[i, i] = 1.0 / low[i, i]"
+    # and the same where every coefficient counts twice
+    assert before == pytest.approx(0.5, abs=1e-12)
+    text, line = leaf.read_text(encoding="utf-8"), "value = value * inside + block[k]"
     assert line in text
-    leaf.write_text(text.replace(line, line.replace("1.0", "2.0")), encoding="utf-8")
-    assert answer(tmp_path) == pytest.approx(2.0, abs=1e-12)
+    leaf.write_text(text.replace(line, line.replace("block", "2.0 * block")), encoding="utf-8")
+    assert answer(tmp_path) == pytest.approx(1.0, abs=1e-12)
     assert {path.name for path in (tmp_path / "cache").iterdir()} > folders

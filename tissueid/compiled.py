@@ -6,8 +6,7 @@ of kernels is therefore named by a hash of every source, version and flag that t
 In a tick numba's memory runtime is left out: a function that allocates is refused by the compiler, and no
 array is counted on its way from function to function.  Floating point stays as it is written (no fast-math,
 no contraction), so that numba, Python and C agree bit for bit.  Without numba functions stay as they are
-written, and a fit needs no more; a servo, or chains of a population, ask for it
-(:func:`tissueid.extras.require`).
+written, and a fit or a population needs no more; a servo asks for it (:func:`tissueid.extras.require`).
 """
 
 from __future__ import annotations

@@ -80,7 +80,6 @@ def test_a_specimen_that_can_not_be_drawn_is_refused(cohort, bundle, seed, said)
     run("render", cohort[0] / bundle, *DRAWN, *seed, code=2, said=said)
 
 
-@pytest.mark.needs_jit
 @pytest.mark.slow
 def test_the_numbers_are_those_of_the_specimens_each_time(tmp_path):
     out = cohort_folder(tmp_path / "out", 6)

@@ -20,7 +20,7 @@ from tissueid.result import Curve, ModelChoice
 from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.schema import first_problem
 
-SHORT = SamplerOptions(settle=150, sweeps=400, blocks=2)
+SHORT = SamplerOptions(blocks=2)
 
 
 @pytest.fixture(scope="module")

@@ -113,7 +113,7 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
     places = [place for place, one in zip(truth.places, found, strict=True) if one is not None]
     members = [one for one in found if one is not None]
     stage, _ = stage_one(members, COORDINATES)
-    options = SamplerOptions(seed=seed, workers=1)
+    options = SamplerOptions(seed=seed)
     population = sample_population(stage, plain_design(len(members)), STATED, options)
     draws = np.concatenate([population.mean, population.sd.reshape(-1, COORDINATES.size)], axis=1)
     first, last = np.quantile(draws, [0.025, 0.975], axis=0)
@@ -137,7 +137,7 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
     )
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.needs_jit]
+pytestmark = pytest.mark.slow
 
 
 def shown_cohorts(

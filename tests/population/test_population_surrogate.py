@@ -1,4 +1,4 @@
-"""A smooth likelihood stands for all draws of a specimen, not for one of them; factors of small matrices."""
+"""A smooth likelihood stands for all draws of a specimen, not for one of them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, plain_design
 
-from tissueid.population.chain import log_mixture
-from tissueid.population.kernels import factor, inverse_factor
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
-from tissueid.population.stage_one import Mixture, mixture_of
+from tissueid.population.stage_one import Mixture, Mixtures, StageOne, mixture_of
 from tissueid.result import ModelChoice
 
 LINEAR = np.array([True, True, False])
@@ -22,18 +20,19 @@ def draws(count: int = 2000) -> np.ndarray:
     return np.array([4.0, 0.5, -4.0]) + OWN * np.random.default_rng(31).standard_normal((count, 3))
 
 
-def level(found: Mixture, phi: np.ndarray) -> float:
-    return log_mixture(phi, LINEAR, found.centre, found.log_weight, found.mean, found.unit)
+def level(found: Mixture, phi: np.ndarray, linear: np.ndarray = LINEAR) -> float:
+    stage = StageOne((), (), linear, np.zeros(0, np.int64))
+    return float(Mixtures.of([found], stage).log_density(phi[None, None])[0, 0])
 
 
 # As a prior says that knows next to nothing of one place, or nothing at all.
 @pytest.mark.parametrize("below", [60.0, 2000.0, np.inf])
 def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below: float) -> None:
     phi, reference = draws(), np.zeros(2000)
-    expected = mixture_of(phi, reference, LINEAR, np.random.default_rng(0))
+    expected = mixture_of(phi, reference, LINEAR)
     phi[77, :2] += np.log(15.0)
     reference[77] = -below
-    found = mixture_of(phi, reference, LINEAR, np.random.default_rng(0))
+    found = mixture_of(phi, reference, LINEAR)
     assert np.abs((found.middle - expected.middle) / OWN).max() < 0.2
     for place in phi[:40]:
         near, centre = place, expected.centre
@@ -49,7 +48,7 @@ def test_a_prior_that_varies_is_divided_out_of_the_likelihood() -> None:
     prior = -0.5 * ((phi[:, 0] - 4.05) / 0.1) ** 2
     rng = np.random.default_rng(2)
     kept = phi[rng.random(len(phi)) < np.exp(prior)]
-    found = mixture_of(kept, -0.5 * ((kept[:, 0] - 4.05) / 0.1) ** 2, LINEAR, rng)
+    found = mixture_of(kept, -0.5 * ((kept[:, 0] - 4.05) / 0.1) ** 2, LINEAR)
     # the likelihood is a normal around 4 again: 3 errors of the mean of some thousand draws
     assert found.middle[0] == pytest.approx(4.0, abs=3.0 * 0.05 / np.sqrt(1000.0) + 0.002)
     assert 1.0 / np.sqrt(found.precision[0, 0]) == pytest.approx(0.05, rel=0.1)
@@ -80,7 +79,6 @@ def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarra
     return made, np.array(places)
 
 
-@pytest.mark.needs_jit
 def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force() -> None:
     made, places = open_by_a_factor(10, 0.3)
     stage, _ = stage_one(made, COORDINATES)
@@ -104,8 +102,8 @@ def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_
 def test_few_draws_are_one_normal() -> None:
     draws = np.random.default_rng(6).standard_normal((319, 3))
     logarithms = np.zeros(3, dtype=bool)
-    few = mixture_of(draws[:-1], np.zeros(318), logarithms, np.random.default_rng(0))
-    enough = mixture_of(np.vstack([draws, draws[:1]]), np.zeros(320), logarithms, np.random.default_rng(0))
+    few = mixture_of(draws[:-1], np.zeros(318), logarithms)
+    enough = mixture_of(np.vstack([draws, draws[:1]]), np.zeros(320), logarithms)
     assert few.log_weight.size == 1
     assert enough.log_weight.size == 3
     # of one normal: the mean of its draws
@@ -119,11 +117,11 @@ def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
     phi = middle + 0.03 * rng.standard_normal((4000, 3))
     phi += np.where(rng.random(4000) < 0.7, 0.04, 0.4)[:, None] * rng.standard_normal((4000, 1)) * [1, 1, 0]
     logarithms = np.zeros(3, dtype=bool)
-    found = mixture_of(phi, np.zeros(4000), logarithms, rng)
+    found = mixture_of(phi, np.zeros(4000), logarithms)
 
     def density(shift: float) -> float:
         at = middle + np.array([shift, shift, 0.0])
-        return log_mixture(at, logarithms, found.centre, found.log_weight, found.mean, found.unit)
+        return level(found, at, logarithms)
 
     def expected(shift: float) -> float:
         # sd of the mean of two forces, and weights over it
@@ -134,14 +132,3 @@ def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
         fall = density(shift) - density(0.0)
         # 1,200 draws in the tails; one normal of all draws falls by 0.1 at a shift of 0.1, where 2.1 is right
         assert fall == pytest.approx(expected(shift) - expected(0.0), abs=0.4), shift
-
-
-def test_factors_are_those_of_numpy() -> None:
-    rng = np.random.default_rng(3)
-    matrix = np.cov(rng.standard_normal((4, 20)))
-    low = np.linalg.cholesky(matrix)
-    # condition numbers below a hundred: rounding only
-    assert factor(matrix) == pytest.approx(low, rel=1e-10)
-    assert inverse_factor(low) == pytest.approx(np.linalg.inv(low), rel=1e-10)
-    # one that is not positive definite has none
-    assert np.isnan(np.diag(factor(np.array([[1.0, 2.0], [2.0, 1.0]])))).any()

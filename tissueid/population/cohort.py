@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -34,7 +34,14 @@ from tissueid.population.members import (
     model_of,
     stage_one,
 )
-from tissueid.population.sampler import ESS_A_CHAIN, R_HAT, PopulationDraws, SamplerOptions, sample_population
+from tissueid.population.sampler import (
+    ESS,
+    R_HAT,
+    PopulationDraws,
+    SamplerOptions,
+    sample_population,
+    typical_without,
+)
 from tissueid.population.stage_one import Design, StageOne
 from tissueid.priors import PopulationPriors
 
@@ -204,8 +211,6 @@ MOST_SINGLE = 20
 PARTS = 10
 #: NRMSD of the population model in paper A [%]; its normaliser is not stated.
 PAPER_A_PERCENT = (4.23, 10.95)
-#: A typical tissue is needed, not its uncertainty: short chains do.
-SHORT_CHAINS, SHORT_SETTLE, SHORT_SWEEPS = 2, 300, 700
 FEWEST_SAMPLES = 5
 
 
@@ -234,39 +239,21 @@ def _folds(count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
     return [np.sort(part) for part in np.array_split(rng.permutation(count), PARTS)]
 
 
-def _without(stage: StageOne, design: Design, keep: NDArray[np.int64]) -> tuple[StageOne, Design]:
-    """The same without some specimens; groups that are empty then stay, at their prior."""
-    fewer = replace(
-        stage,
-        phi=tuple(stage.phi[i] for i in keep),
-        log_reference=tuple(stage.log_reference[i] for i in keep),
-    )
-    return fewer, replace(design, columns=design.columns[keep], group=design.group[:, keep])
-
-
 def held_out(
     members: Sequence[Member],
-    stage: StageOne,
-    described: Described,
+    draws: PopulationDraws,
+    design: Design,
     coordinates: Coordinates,
-    priors: PopulationPriors,
-    options: SamplerOptions,
-    tick: Callable[[str], None],
+    rng: np.random.Generator,
 ) -> documents.HeldOut | None:
     """Predict every specimen from the others; ``None`` without a curve, or with too few specimens."""
     if len(members) < 4 or not any(trial.curve is not None for one in members for trial in one.trials):
         return None
-    short = replace(options, chains=SHORT_CHAINS, settle=SHORT_SETTLE, sweeps=SHORT_SWEEPS, blocks=1)
-    folds = _folds(len(members), np.random.default_rng([options.seed, 3]))
+    folds = _folds(len(members), rng)
     rows = []
-    for done, fold in enumerate(folds):
-        tick(f"predicting held-out specimens, {done + 1} of {len(folds)}")
-        keep = np.setdiff1d(np.arange(len(members)), fold)
-        fewer, design = _without(stage, described.design, keep)
-        found = sample_population(fewer, design, priors, short)
-        coefficient = np.median(found.coefficient.reshape(-1, *found.coefficient.shape[2:]), axis=0)
+    for fold, coefficient in zip(folds, typical_without(draws.chains, folds, rng), strict=True):
         for i in fold:
-            theta = coordinates.to_theta(described.design.columns[i] @ coefficient)[0]
+            theta = coordinates.to_theta(design.columns[i] @ coefficient)[0]
             for trial in members[i].trials:
                 error = prediction_error(coordinates, theta, trial)
                 if error is not None:
@@ -407,10 +394,9 @@ def _of_chains(draws: PopulationDraws) -> list[Flag]:
         return []
     worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
     least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
-    wanted = ESS_A_CHAIN * draws.nu.shape[0]
     message = (
         f"chains over the population: R-hat {worst.r_hat:.3f} (wanted {R_HAT}), {least:.0f} effective draws "
-        f"(wanted {wanted:.0f})"
+        f"(wanted {ESS:.0f})"
     )
     return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
 
@@ -547,7 +533,9 @@ def _population(
     own_sd = np.median([one.std(axis=0) for one in stage.phi], axis=0)
     predicted = None
     if options.hold_out:
-        predicted = held_out(members, stage, described, coordinates, options.priors, options.sampler, tick)
+        tick("predicting held-out specimens")
+        fresh = np.random.default_rng([options.sampler.seed, 3])
+        predicted = held_out(members, draws, described.design, coordinates, fresh)
     law, correlation = coordinates.model, draws.correlation.reshape(-1, coordinates.size, coordinates.size)
     told = documents.Populations(
         model=documents.Model(law.branches, law.stiffness_degree, law.name),
@@ -586,5 +574,5 @@ def _sampler(draws: PopulationDraws) -> documents.Sampler:
         r_hat=max(one.r_hat for one in found),
         r_hat_wanted=R_HAT,
         ess=min(min(one.ess_bulk, one.ess_tail) for one in found),
-        ess_wanted=ESS_A_CHAIN * chains,
+        ess_wanted=ESS,
     )

@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from tissueid.arrays import FloatArray, IntArray
-from tissueid.population.kernels import Cohort
+
+#: A quantity is never looked at beyond e to this, times its typical value.
+LARGEST = 50.0
 
 #: Components of a mixture at the most, and draws each needs.
 MOST_COMPONENTS = 12
@@ -59,7 +62,7 @@ class Pilot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """A likelihood as a mixture of normals, see :func:`tissueid.population.chain.log_mixture`."""
+    """A likelihood as a mixture of normals, see :meth:`Mixtures.log_density`."""
 
     centre: FloatArray  # (p,)
     log_weight: FloatArray  # (c,)
@@ -69,9 +72,7 @@ class Mixture:
     precision: FloatArray  # (p, p)
 
 
-def mixture_of(
-    phi: FloatArray, log_reference: FloatArray, linear: NDArray[np.bool_], rng: np.random.Generator
-) -> Mixture:
+def mixture_of(phi: FloatArray, log_reference: FloatArray, linear: NDArray[np.bool_]) -> Mixture:
     """The likelihood behind stage-1 draws; ``phi`` (m, p)."""
     centre = np.median(phi, axis=0)
     x = phi - centre
@@ -80,7 +81,7 @@ def mixture_of(
     # reference density in x, divided out; dx/dphi of a linear coordinate is exp(phi - centre)
     w = _cut_weights((phi - centre)[:, linear].sum(axis=1) - log_reference)
     near = _one_normal(phi, log_reference)
-    share = _shares(phi[:, ~linear], w, rng) if linear.any() else _shells(phi, *near)
+    share = _shares(phi[:, ~linear], w) if linear.any() else _shells(phi, *near)
     floor = RIDGE * np.diag(np.maximum(np.atleast_2d(np.cov(x, rowvar=False, aweights=w)).diagonal(), 1e-12))
     for _ in range(ROUNDS if share.shape[1] > 1 else 1):
         log_weight, mean, unit = _components(x, w, share, floor)
@@ -123,7 +124,7 @@ def _shells(phi: FloatArray, middle: FloatArray, precision: FloatArray) -> Float
     return np.stack([cell == k for k in range(len(SHELLS) + 1)], axis=1).astype(np.float64)
 
 
-def _shares(along: FloatArray, w: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _shares(along: FloatArray, w: FloatArray) -> FloatArray:
     """First memberships: cells of equal weight along the widest open direction."""
     count = min(MOST_COMPONENTS, w.size // DRAWS_EACH)
     if along.shape[1] == 0 or count < 2:
@@ -133,7 +134,7 @@ def _shares(along: FloatArray, w: FloatArray, rng: np.random.Generator) -> Float
     if sd.max() < NARROW:
         return np.ones((w.size, 1))
     values, vectors = np.linalg.eigh(np.cov(along.T, aweights=w).reshape(along.shape[1], -1))
-    line = along @ vectors[:, int(values.argmax())] + 1e-9 * rng.standard_normal(w.size)
+    line = along @ vectors[:, int(values.argmax())]
     # half by weight, half by length: tails get components of their own
     order = np.argsort(line)
     by_weight = np.empty(w.size)
@@ -259,23 +260,51 @@ def worths(stage: StageOne, pilot: Pilot) -> FloatArray:
     return np.array([1.0 / float((one**2).sum()) for one in found])
 
 
-def _mixtures(found: list[Mixture], size: int) -> dict[str, FloatArray]:
-    """Mixtures in arrays of equal length; components that one lacks weigh nothing."""
-    most = max((one.log_weight.size for one in found), default=1)
-    log_weight = np.full((len(found), most), -np.inf)
-    component = np.zeros((len(found), most, size))
-    unit = np.zeros((len(found), most, size, size))
-    for s, one in enumerate(found):
-        own = slice(0, one.log_weight.size)
-        log_weight[s, own], component[s, own], unit[s, own] = one.log_weight, one.mean, one.unit
-    return {
-        "middle": np.array([one.centre for one in found]).reshape(-1, size),
-        "log_weight": log_weight,
-        "component": component,
-        "unit": unit,
-        "likely": np.array([one.middle for one in found]).reshape(-1, size),
-        "precision": np.array([one.precision for one in found]).reshape(-1, size, size),
-    }
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixtures:
+    """Likelihoods of s specimens by as many components c each; those that one lacks weigh nothing."""
+
+    linear: NDArray[np.bool_]  # (p,): coordinates that a mixture has in the quantity, over exp(centre)
+    ascending: IntArray  # coordinates that ascend
+    centre: FloatArray  # (s, p)
+    log_weight: FloatArray  # (s, 1, c): of each component, its determinant included
+    unit: FloatArray  # (s, p, c p): inverse Cholesky factors, transposed, side by side
+    shift: FloatArray  # (s, 1, c p): of the components' means
+    #: (s, p): of one normal that proposals are made with.
+    likely: FloatArray
+    precision: FloatArray  # (s, p, p)
+
+    @classmethod
+    def of(cls, found: list[Mixture], stage: StageOne) -> Mixtures:
+        """Mixtures side by side."""
+        size, most = stage.size, max((one.log_weight.size for one in found), default=1)
+        log_weight = np.full((len(found), 1, most), -np.inf)
+        unit, shift = np.zeros((len(found), size, most * size)), np.zeros((len(found), 1, most * size))
+        for s, one in enumerate(found):
+            count = one.log_weight.size
+            log_weight[s, 0, :count] = one.log_weight
+            unit[s, :, : count * size] = np.moveaxis(one.unit, 2, 0).reshape(size, -1)
+            shift[s, 0, : count * size] = np.einsum("cij,cj->ci", one.unit, one.mean).ravel()
+        return cls(
+            linear=stage.linear,
+            ascending=stage.ascending,
+            centre=np.array([one.centre for one in found]).reshape(-1, size),
+            log_weight=log_weight,
+            unit=unit,
+            shift=shift,
+            likely=np.array([one.middle for one in found]).reshape(-1, size),
+            precision=np.array([one.precision for one in found]).reshape(-1, size, size),
+        )
+
+    def log_density(self, phi: FloatArray) -> FloatArray:
+        """Ln of the likelihoods at points (n, s, p), up to a constant; -inf where times do not ascend."""
+        x = phi - self.centre
+        x[..., self.linear] = np.exp(np.minimum(x[..., self.linear], LARGEST))
+        z = x.swapaxes(0, 1) @ self.unit - self.shift
+        square = (z**2).reshape(*z.shape[:2], -1, x.shape[2]).sum(axis=3)
+        value = np.logaddexp.reduce(self.log_weight - 0.5 * square, axis=2).T
+        times = phi[..., self.ascending]
+        return np.where((np.diff(times, axis=2) > 0.0).all(axis=2), value, -np.inf)
 
 
 def _poor(stage: StageOne, pilot: Pilot) -> IntArray:
@@ -288,30 +317,53 @@ def _poor(stage: StageOne, pilot: Pilot) -> IntArray:
     return np.flatnonzero(worths(stage, pilot) < enough)
 
 
-def packed(stage: StageOne, design: Design, pilot: Pilot, seed: int) -> Cohort:
-    """Everything the compiled chain reads; single precision, 5e-7, is a millionth of the smallest spread."""
-    sizes = [len(one) for one in stage.phi]
-    rng = np.random.default_rng([seed, 2])
-    poor = _poor(stage, pilot)
-    smooth = np.full(len(stage.phi), -1, dtype=np.int64)
-    smooth[poor] = np.arange(poor.size)
-    mixtures = [
-        mixture_of(np.asarray(stage.phi[i], np.float64), stage.log_reference[i], stage.linear, rng)
-        for i in poor
-    ]
-    weighted = [_weights(stage, pilot, i) for i in range(len(sizes))]
-    offsets, counts = design.offsets, [len(one) for one in design.groups]
+@dataclass(frozen=True, slots=True, eq=False)
+class Cohort:
+    """Specimens as the chains know them."""
+
+    phi: NDArray[np.float32]  # (N, p), stage-1 draws of all specimens, one after the other
+    #: (N,): ln densities of phi, up to a constant for each specimen.
+    log_reference: NDArray[np.float32]
+    log_pilot: NDArray[np.float32]  # (N,)
+    cumulative: FloatArray  # (N,), running sums of frozen weights; those of specimen i go from i to i + 1
+    start: IntArray  # (n + 1,), where each specimen's draws begin
+    smooth: IntArray  # specimens with a smooth likelihood
+    held: IntArray  # the others, which are among their draws
+    likelihoods: Mixtures  # of the smooth ones
+    design: FloatArray  # (n, q), a column of ones, then covariates
+    group: IntArray  # (L, n), each specimen's group among those of all levels
+    level_of: IntArray  # (G,), level of each group
+    #: Of each level: (its groups, n), 1 where a specimen belongs to one; of none a level without groups.
+    members: tuple[csr_array, ...]
+
+
+def packed(stage: StageOne, design: Design, pilot: Pilot, known: dict[int, Mixture]) -> Cohort:
+    """Everything that chains read; single precision, 5e-7, is a millionth of the smallest spread.
+
+    ``known``: mixtures of specimens that were smoothed before; those that are now go into it.
+    """
+    count, poor = len(stage.phi), _poor(stage, pilot)
+    for i in poor:
+        if i not in known:
+            phi = np.asarray(stage.phi[i], np.float64)
+            known[i] = mixture_of(phi, stage.log_reference[i], stage.linear)
+    weighted = [_weights(stage, pilot, i) for i in range(count)]
+    sizes = [len(one) for one in design.groups]
     return Cohort(
         phi=np.concatenate(stage.phi).astype(np.float32),
         log_reference=np.concatenate([one - np.max(one) for one in stage.log_reference]).astype(np.float32),
         log_pilot=np.concatenate([density - density.max() for density, _ in weighted]).astype(np.float32),
-        cumulative=np.concatenate([np.cumsum(weight) for _, weight in weighted]),
-        start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        smooth=smooth,
-        linear=np.asarray(stage.linear),
-        ascending=np.asarray(stage.ascending, dtype=np.int64),
-        **_mixtures(mixtures, stage.size),
-        design=np.ascontiguousarray(design.columns, dtype=np.float64),
-        group=np.ascontiguousarray(design.group + offsets[:-1, None], dtype=np.int64),
-        level_of=np.repeat(np.arange(len(counts)), counts).astype(np.int64),
+        cumulative=np.concatenate([i + np.cumsum(weight) for i, (_, weight) in enumerate(weighted)]),
+        start=np.cumsum([0, *(len(one) for one in stage.phi)]).astype(np.int64),
+        smooth=poor,
+        held=np.setdiff1d(np.arange(count), poor),
+        likelihoods=Mixtures.of([known[i] for i in poor], stage),
+        design=np.asarray(design.columns, dtype=np.float64),
+        group=design.group + design.offsets[:-1, None],
+        level_of=np.repeat(np.arange(len(sizes)), sizes),
+        members=tuple(
+            csr_array((np.ones(count), (group, np.arange(count))), shape=(size, count))
+            for group, size in zip(design.group, sizes, strict=True)
+        )
+        or (csr_array((0, count)),),
     )
