@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tissue_stepper import TissueStepper
 
 from tissueid.inference.summaries import with_model_viscosity
 from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area, cycle_rows, loops
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.servo_law import TissueStepper
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
 STIFFNESS, TAU_S, SLOPE = 30.0, 0.01, 12.0

@@ -8,12 +8,12 @@ from hypothesis import given
 from passive_tissues import DEPTH_MM, MODEL_SETTINGS, SEED_MODEL, SEED_THETA, legs, passive_tissues, tissue
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from tissue_stepper import TissueStepper
 
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.kernels import _DRIVERS, _STATES, LAW_SIZE, STATE_SIZE, pack_law, tissue_step_in
-from tissueid.model.servo_law import TissueStepper
 
 IN_AIR_MM = -1.0
 A1, K0, TAU_S = 12.0, 20.0, 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, tissue
+from tissue_stepper import TissueStepper
 
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -17,7 +18,6 @@ from tissueid.model.passivity import (
     required_damping,
     scaling_for,
 )
-from tissueid.model.servo_law import TissueStepper
 
 PERIOD_S = 1e-3
 FASTEST_MM_S = 250.0 / 60.0

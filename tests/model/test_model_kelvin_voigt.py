@@ -9,11 +9,11 @@ import pytest
 from closed_forms import ramp_hold_state
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, TAU, derivative, tissue
 from scipy.integrate import solve_ivp
+from tissue_stepper import TissueStepper
 
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.model.servo_law import TissueStepper
 
 BRANCHES_AND_DEGREES = [(b, d) for b in (1, 2, 3) for d in (0, 1, 2)]
 every_tissue = pytest.mark.parametrize(("branches", "degree"), BRANCHES_AND_DEGREES)

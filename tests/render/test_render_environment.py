@@ -18,11 +18,11 @@ from rendered_tissues import (
     walk,
 )
 from scipy.integrate import solve_ivp
+from tissue_stepper import TissueStepper
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.rupture import rupture_measures
-from tissueid.model.servo_law import TissueStepper
 from tissueid.rendering import environment as env
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, Tissue, free_air_block, tissue_block
 from tissueid.rupture_law import RuptureLaw

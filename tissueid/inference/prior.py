@@ -203,11 +203,10 @@ FRAME_OF_TRAVEL = 0.15
 
 def suited(priors: Priors, force_N: float, depth_mm: float) -> Priors:
     """Priors of which an unstated frame is no softer than suits the specimen."""
-    name = "frame_compliance_mm_per_N"
-    frame, most = priors.calibration[name], FRAME_OF_TRAVEL * depth_mm / max(force_N, TINY)
-    if frame.stated or frame.sd <= most:
-        return priors
-    return replace(priors, calibration={**priors.calibration, name: replace(frame, sd=most)})
+    frame = priors.calibration["frame_compliance_mm_per_N"]
+    sd = frame.sd if frame.stated else min(frame.sd, FRAME_OF_TRAVEL * depth_mm / max(force_N, TINY))
+    changed = {"frame_compliance_mm_per_N": replace(frame, sd=sd)}
+    return replace(priors, calibration={**priors.calibration, **changed})
 
 
 def calibration_priors(calibration: Calibration | None) -> Mapping[str, CalibrationPrior]:

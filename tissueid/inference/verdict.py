@@ -125,8 +125,7 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
         f"range), {times}"
     )
     values = {"rms_N": noise.sigma_N, "measured_N": measured, "ratio": ratio}
-    values["samples_per_independent"] = noise.samples_per_independent
-    return [Flag("discrepancy", words, values)]
+    return [Flag("discrepancy", words, values | {"samples_per_independent": noise.samples_per_independent})]
 
 
 def unidentified(parameters: Sequence[Estimate]) -> list[Flag]:

@@ -92,9 +92,6 @@ class TipOf:
         return Geometry(Indenter("sphere", radius))
 
 
-#: Neither stated nor looked for in headers.
-NO_TIP = TipOf(header=False)
-
 KPA_PER_MPA = 1000.0
 #: Contact radius over that of a sphere, in every law.
 MOST_A_OVER_R = 0.4

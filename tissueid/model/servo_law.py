@@ -18,10 +18,8 @@ from tissueid.model.kernels import (
     LAW_SIZE,
     MOST_PIECES,
     OWN_SIZE,
-    STATE_SIZE,
     pack_law,
     pack_pieces,
-    tissue_step_in,
 )
 from tissueid.model.yardstick import Yardstick
 
@@ -133,26 +131,6 @@ def servo_law(model: ChannelModel, theta: FloatArray, most: int = MOST_BRANCHES)
         model.depth_mm,
         worst,
     )
-
-
-class TissueStepper:
-    """A passive tissue under a moving tool: pushes, lets go, recovers, is pushed again."""
-
-    def __init__(self, model: ChannelModel, theta: FloatArray) -> None:
-        if not model.is_passive(theta):
-            msg = "theta is not passive (F_s or K negative somewhere): it can't be rendered"
-            raise ValueError(msg)
-        self._law = servo_law(model, theta).packed()
-        self._state = np.zeros(STATE_SIZE)
-
-    @property
-    def surface_mm(self) -> float:
-        """Level of the tissue surface [mm below its rest level]."""
-        return float(self._state[0])
-
-    def step(self, depth_mm: float, dt_s: float) -> float:
-        """Force [N], never negative, after ``dt_s`` s of linear motion to ``depth_mm`` (< 0: in air)."""
-        return float(tissue_step_in(self._law, 0, self._state, 0, depth_mm, dt_s))
 
 
 def _of_yardstick(model: Yardstick, theta: FloatArray) -> ServoLaw:
