@@ -150,7 +150,7 @@ def result_of(identification: Identification, *, shown: str, options: IdentifyOp
     record = SpecimenRecord(
         specimen=shown,
         fitted=document["specimens"][0] if fits else None,
-        refused=[plain(one) for one in identification.refused if one.code != _NOT_OURS],
+        refused=[one.as_json() for one in identification.refused if one.code != _NOT_OURS],
         unfitted_cycles=document["unfitted_cycles"],
         inputs=provenance["inputs"],
         provenance={key: value for key, value in provenance.items() if key not in _OF_THE_RUN},
