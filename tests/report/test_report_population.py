@@ -28,14 +28,12 @@ held_out_sentence = typed_call(held_out_sentence)
 render_population = typed_call(render_population)
 population_payload = typed_call(population_payload)
 
-pytestmark = pytest.mark.needs_jit
-
 
 @pytest.fixture(scope="module")
 def found():
     fits = cohort_fits(6)
     document = plain(identification(fits).as_json()) | {"study": study_of(fits)}
-    options = CohortOptions(group_by="sex", sampler=SamplerOptions(settle=100, sweeps=250, blocks=1))
+    options = CohortOptions(group_by="sex", sampler=SamplerOptions(draws=1000, blocks=1))
     results = [
         (entry, curves_of_fits([one]), posteriors_of_fits([one])[0])
         for entry, one in zip(typed(document, Identification).specimens, fits, strict=True)
