@@ -115,7 +115,7 @@ def test_amplitude_of_a_stiffness_that_ends_at_zero():
 
 
 @pytest.mark.parametrize(
-    ("sigma", "said"), [(0.30, "3 times the noise"), (0.099, "like otherwise correlated noise")]
+    ("sigma", "said"), [(0.30, "3 times the noise"), (0.099, "as correlated noise would")]
 )
 def test_a_residual_of_the_size_of_the_noise_is_not_said_to_exceed_it(sigma, said):
     noise = SimpleNamespace(discrepant=True, measured_N=0.1, sigma_N=sigma, samples_per_independent=4.0)

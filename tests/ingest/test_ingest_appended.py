@@ -132,9 +132,10 @@ def test_a_remark_with_a_number_in_the_200th_line_ends_no_table(tmp_path: Path) 
     assert (error.code, error.line) == ("text_in_numbers", 200)
 
 
-def test_rows_of_specimens_that_stand_mixed_are_refused(tmp_path: Path) -> None:
-    both = zip(lines(30, 1.0), lines(30, 9.0), strict=True)
-    error = refusal(put(tmp_path / "a.csv", f"Specimen,{HEAD}" + "".join(f"A,{a}B,{b}" for a, b in both)))
+@pytest.mark.parametrize(("name", "count"), [("Specimen", 30), ("Test", 30), ("Test", 2)])
+def test_rows_of_recordings_that_stand_mixed_are_refused(tmp_path: Path, name: str, count: int) -> None:
+    both = zip(lines(count, 1.0), lines(count, 9.0), strict=True)
+    error = refusal(put(tmp_path / "a.csv", f"{name},{HEAD}" + "".join(f"A,{a}B,{b}" for a, b in both)))
     assert error.code == "mixed_tables"
     assert "sort them" in error.message
 

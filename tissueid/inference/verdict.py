@@ -119,7 +119,7 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     ratio = noise.sigma_N / measured if measured > 0.0 else None
     times = "far above the noise" if ratio is None else f"{ratio:.2g} times the noise"
     if ratio is not None and ratio < OF_ITS_SIZE:
-        times = "like otherwise correlated noise"
+        times = "as correlated noise would"
     words = (
         f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
         f"range), {times}"

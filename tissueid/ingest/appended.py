@@ -97,21 +97,21 @@ def _by_label(
             here = (own[0] or label[0], own[1] or label[1])
             above = None if here == label else _row(text, layout, time, last)
             before = value if above is None else above[1]
+            still += above is not None and value == before
             if not starts or here[0] != label[0] or value < before:
                 starts.append((at if starts else layout.offset, " ".join(filter(None, here))))
                 begun.append(rows)
-                still += above is not None and value == before
             label, seen = here, [raw[i] for i in both] if len(raw) == layout.n_columns else [b""]
         if same or row is not None:
             rows, last = rows + 1, line
         at += len(line)
+    if 3 * still > rows:
+        message = (
+            f"rows of several recordings, by column {layout.names[both[0]]!r}, stand at each time; sort"
+            " them by recording, then by time"
+        )
+        place.refuse("mixed_tables", message, line=layout.first_line)
     if any(later - row < FEWEST_ROWS for row, later in pairwise([*begun, rows])):
-        if 3 * still > rows:
-            message = (
-                f"rows of several specimens, by column {layout.names[labels[0]]!r}, stand at each time; sort"
-                " them by specimen, then by time"
-            )
-            place.refuse("mixed_tables", message, line=layout.first_line)
         return []
     stops = [*(start for start, _ in starts[1:]), len(text.data)]
     return [_Cut(start, stop, name, ()) for (start, name), stop in zip(starts, stops, strict=True)]
