@@ -26,8 +26,6 @@ from tissueid.trial import Segmentation, Trial, contact_frame
 
 #: Part of a hold, from its end, that counts as quiet; degrees of what is taken off it and off the air.
 LATE_SHARE, HOLD_DEGREE, AIR_DEGREE = 0.5, 3, 1
-#: Samples before the corner at the end of a hold that may belong to the next move.
-CORNER = 1
 #: Part of the air that may carry the kick of the start.
 KICK_SHARE = 0.1
 #: Samples that are too few for a stretch, and most of a log that are looked at.
@@ -98,7 +96,8 @@ def log_evidence(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Lo
     found = []
     for hold in segmentation.of_kind("hold"):
         late = hold.end_s - LATE_SHARE * (hold.end_s - hold.start_s)
-        rows = np.flatnonzero((time >= late) & (time < hold.end_s) & include)[-MOST - CORNER : -CORNER]
+        # the sample of its corner may belong to the next move
+        rows = np.flatnonzero((time >= late) & (time < hold.end_s) & include)[-MOST:]
         if rows.size >= FEWEST:
             found.append(_quiet(time[rows], values[rows], HOLD_DEGREE))
     if not found and segmentation.contact is not None:
