@@ -19,16 +19,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from tissueid.extras import installed
-
-if installed("numba"):
-    import numba as nb
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -36,19 +33,41 @@ _TICK: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 _LINEAR_ALGEBRA = "scipy.linalg"
 
 
+class _Compiled:
+    """A function that is compiled, or loaded, when it is first called: numba takes a fifth of a second."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.function, self.options = function, options
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call what was compiled."""
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        """Say what the compiled function says of itself, its type in other compiled functions among it."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Compiled function; what stands in the source where numba is switched off."""
+        import numba as nb
+
+        settings: Any = nb.config
+        folder, before = cache_folder(), settings.CACHE_DIR
+        if folder is not None:
+            settings.CACHE_DIR = str(folder)
+        try:
+            return nb.njit(cache=folder is not None, nogil=True, **self.options)(self.function)
+        finally:
+            settings.CACHE_DIR = before
+
+
 def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
     """Compile at the first call, or load what was compiled from the same sources."""
-    if not installed("numba"):
-        return function
-    settings: Any = nb.config
-    folder, before = cache_folder(), settings.CACHE_DIR
-    if folder is not None:
-        settings.CACHE_DIR = str(folder)
-    try:
-        compiled: Function = nb.njit(cache=folder is not None, nogil=True, **options)(function)
-    finally:
-        settings.CACHE_DIR = before
-    return compiled
+    return cast("Function", _Compiled(function, options)) if installed("numba") else function
 
 
 def kernel(
