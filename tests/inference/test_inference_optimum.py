@@ -135,7 +135,7 @@ def test_what_is_held_stays():
     kept = minimise(
         system, start,
         partial(prior_rows, system, Scatter(), Priors(), machine=False),
-        machine=False, held=np.array([0]), sigma_N=found.noise.sigma_N,
+        machine=False, held=np.array([0]), noise=found.noise,
     )  # fmt: skip
     assert kept.point.log_times[0] == pytest.approx(start.log_times[0], abs=1e-9)
     assert kept.normal.objective > found.normal.objective + 10.0

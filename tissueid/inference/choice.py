@@ -205,15 +205,14 @@ def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float
     theirs = replace(prior, own=prior.own[~out])
     found = minimise(
         rest, replace(optimum.point, own=optimum.point.own[~out]), lambda _: theirs,
-        memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=REFIT_STEPS,
+        noise=noise, machine=False, steps=REFIT_STEPS,
     )  # fmt: skip
     squares, count = 0.0, 0
     for i in np.flatnonzero(out).tolist():
         point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
         point = minimise(
             system.of([_ramp(system.logs[i])], [i]), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
-            memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
-            held=np.arange(point.shared.size),
+            noise=noise, machine=False, steps=OWN_STEPS, held=np.arange(point.shared.size),
         ).point  # fmt: skip
         one = system.of([system.logs[i]], [i])
         error = whitener_of(one, noise.memory)(one.force - one.predict(point))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from tissueid.inference.choice import (
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, scan_memory, verdict_on_noise
 from tissueid.inference.noise import Memory
-from tissueid.inference.optimum import Optimum, criterion, minimise, whitener_of
+from tissueid.inference.optimum import Noise, Optimum, criterion, minimise, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows, suited
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import MACHINE, SHAPE, Effects, Point, System
@@ -123,24 +124,31 @@ class _Fitting:
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
         return law_of(name.model(self.base.depth_mm, self.step_s, longest), len(self.base.logs))
 
-    def minimise(self, system: System, start: Point, memory: Memory, steps: int) -> Optimum:
+    def minimise(
+        self, system: System, start: Point, memory: Memory, steps: int, rival: float | None = None
+    ) -> Optimum:
         """From one starting point."""
         return minimise(
             system,
             start,
             partial(prior_rows, system, self.scatter, self.request.priors, machine=self.request.machine),
-            memory=memory,
+            noise=memory,
             machine=self.request.machine,
             least_sigma_N=self.least_N,
             steps=steps,
+            rival=rival,
         )
 
     def candidate(self, law: ChannelLaw, memory: Memory) -> tuple[System, Optimum]:
         """The best of several starts."""
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
-        found = [self.minimise(system, start, memory, LOOK_STEPS) for start in starts]
-        return system, min(found, key=lambda one: badness(system, one))
+        found = list[tuple[float, Optimum]]()
+        for start in starts:
+            least = min((reached for reached, _ in found), default=np.inf)
+            one = self.minimise(system, start, memory, LOOK_STEPS, least)
+            found.append((badness(system, one), one))
+        return system, min(found, key=itemgetter(0))[1]
 
     def learn_scatter(self, branches: int, degree: int) -> None:
         """Estimate how much logs differ, and where each stands."""
@@ -328,14 +336,15 @@ def refit(
     start: Point | None = None,
     steps: int = 40,
     held: NDArray[np.int64] | None = None,
+    noise: Noise | None = None,
 ) -> Optimum:
-    """The optimum again, with the machine open or held where it is."""
+    """The optimum again, with the machine open or held where it is; ``noise``: held at its scale."""
     request = identified.request
     return minimise(
         identified.system,
         start or identified.optimum.point,
         partial(prior_rows, identified.system, identified.scatter, request.priors, machine=machine),
-        memory=identified.optimum.noise.memory,
+        noise=noise or identified.optimum.noise.memory,
         machine=machine,
         steps=steps,
         held=held,

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.inference.engine import Identified
-from tissueid.inference.optimum import Optimum, free_of, minimise
-from tissueid.inference.prior import prior_rows, time_bounds
+from tissueid.inference.engine import Identified, refit
+from tissueid.inference.optimum import Optimum, free_of
+from tissueid.inference.prior import time_bounds
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, DampedModel
 from tissueid.result import Estimate
@@ -55,17 +54,9 @@ def _held(identified: Identified, branch: int, value: float, start: Optimum) -> 
     """The optimum with one ln tau held, the machine where it is."""
     times = start.point.log_times.copy()
     times[branch] = value
-    priors = identified.request.priors
-    return minimise(
-        identified.system,
-        replace(start.point, log_times=times),
-        partial(prior_rows, identified.system, identified.scatter, priors, machine=False),
-        memory=identified.optimum.noise.memory,
-        sigma_N=identified.optimum.noise.sigma_N,
-        machine=False,
-        steps=STEPS,
-        held=np.array([branch]),
-    )
+    at, held = replace(start.point, log_times=times), np.array([branch])
+    noise = identified.optimum.noise
+    return refit(identified, machine=False, start=at, steps=STEPS, held=held, noise=noise)
 
 
 def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[str, list[float]]]:

@@ -27,6 +27,9 @@ MOST_STEPS, STILL, NO_GAIN = 40, 0.01, 1e-3
 DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
 #: Rise of the criterion, the frame's deflection followed, with which a step is taken back, and damping then.
 WORSE, BACK = 1.0, 64.0
+#: Gain of a step of a search that only compares: at least this, and this share of what it is behind another
+#: optimum; steps in turn that gain less end it.
+LITTLE, CATCHING_UP, SLOW_STEPS = 0.02, 0.2, 2
 #: Curvature of a direction that has none: the relaxation time of a branch without stiffness.
 FLAT = 1e-6
 #: Constraint slack, relative to the row's size, that counts as active.
@@ -300,17 +303,19 @@ def minimise(
     point: Point,
     prior_at: Callable[[Point], PriorRows],
     *,
-    memory: Memory = WHITE,
-    sigma_N: float | None = None,
+    noise: Noise | Memory = WHITE,
     machine: bool,
     least_sigma_N: float = 0.0,
     steps: int = MOST_STEPS,
     held: NDArray[np.int64] | None = None,
+    rival: float | None = None,
 ) -> Optimum:
     """Minimise the objective from a point.
 
-    ``sigma_N``: noise held at this, else it follows the residuals; ``held``: shared parameters that stay.
+    ``noise``: held at its scale, or a memory whose scale follows the residuals; ``held``: shared parameters
+    that stay; ``rival``: criterion of another optimum, for a search that ends where it gains little.
     """
+    memory, sigma_N = (noise, None) if isinstance(noise, Memory) else (noise.memory, noise.sigma_N)
     white = whitener_of(system, memory)
     if system.centred:
         point = replace(point, own=about_mean(point.own))
@@ -327,7 +332,7 @@ def minimise(
         normal = normal_equations(system, point, parts, white, noise_N, prior)
         return _At(point, prior, noise_N, normal, system.deflection)
 
-    damping, converged, here = DAMPING, False, at(point)
+    damping, converged, here, slow = DAMPING, False, at(point), 0
     for _ in range(steps):
         moved, damping, gain = _descend(system, here, white, damping, frozen)
         if moved is None:
@@ -343,6 +348,11 @@ def minimise(
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
+        if rival is not None:
+            behind = CATCHING_UP * (_criterion(system, here) - rival)
+            slow = slow + 1 if gain < max(behind, LITTLE) else 0
+            if slow == SLOW_STEPS:
+                break
     hessian = here.normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
     return Optimum(
@@ -365,8 +375,12 @@ def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:
         return True
     if not scaled:
         return there.normal.objective - here.normal.objective > WORSE
-    before, after = (criterion(system, one.noise_N, one.prior, one.point) for one in (here, there))
-    return after - before > WORSE
+    return _criterion(system, there) - _criterion(system, here) > WORSE
+
+
+def _criterion(system: System, at: _At) -> float:
+    """Criterion of a quadratic model's point."""
+    return criterion(system, at.noise_N, at.prior, at.point)
 
 
 def _descend(

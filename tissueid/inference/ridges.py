@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.inference.optimum import minimise
-from tissueid.inference.prior import prior_rows, time_bounds
+from tissueid.inference.engine import refit
+from tissueid.inference.prior import time_bounds
 
 if TYPE_CHECKING:
     from tissueid.inference.system import Point
@@ -70,15 +69,13 @@ def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArra
 def _along(target: SpecimenTarget, place: int, values: FloatArray, middle: float) -> FloatArray:
     """Vectors of the best fits with a coordinate at values, less that at its optimum, (g, size)."""
     identified, found = target.identified, target.optimum
-    system, memory = target.system, found.noise.memory
-    priors = partial(prior_rows, system, identified.scatter, identified.request.priors, machine=False)
+    held, noise = np.array([place]), found.noise
 
     def best(start: Point) -> Point:
         """All else at its best, the machine as it is."""
-        return minimise(
-            system, start, priors, memory=memory, sigma_N=found.noise.sigma_N, machine=False,
-            steps=PROFILE_STEPS, held=np.array([place]),
-        ).point  # fmt: skip
+        return refit(
+            identified, machine=False, start=start, steps=PROFILE_STEPS, held=held, noise=noise
+        ).point
 
     first = best(found.point)
     origin, out = target.vector_of(first), np.zeros((values.size, target.mode.size))

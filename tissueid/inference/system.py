@@ -22,7 +22,9 @@ MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
 #: Iterations of the frame's deflection: each leaves compliance times stiffness of the error before.
 FRAME_ROUNDS = 1
 #: Iterations until a deflection has settled, and the share of the largest force that it then changes by.
-SETTLING, SETTLED, UNSETTLED = 12, 1e-7, 1e-2
+SETTLING, SETTLED, UNSETTLED = 24, 1e-7, 1e-2
+#: Change up to which the slopes that the iteration goes by stay those of the point before.
+SAME_SLOPES = 1e-3
 #: Depths over the largest depth behind a frame; what lies beyond is no deflection.
 FARTHEST = 2.0
 #: Share of its depth over which a log's speed at contact is taken.
@@ -301,12 +303,13 @@ class System:
         if not self._yields(point):
             self.guess = self.tip_force(point)[0]
             return
-        start = self.guess
+        start, moved = self.guess, np.inf
         for _ in range(SETTLING):
-            path = self.path(self._behind(point, self.guess))
-            stiffness = np.maximum(self._slopes(point, path).sudden(path), 0.0)
-            self.soft = 1.0 / (1.0 + self._compliance(point) * stiffness)
-            before, self.guess = self.guess, self.tip_force(point)[0]
+            if moved > SAME_SLOPES:
+                path = self.path(self._behind(point, self.guess))
+                stiffness = np.maximum(self._slopes(point, path).sudden(path), 0.0)
+                self.soft = 1.0 / (1.0 + self._compliance(point) * stiffness)
+            before, self.guess = self.guess, self.tip_force(point, rounds=0)[0]
             moved = float(np.abs(self.guess - before).max()) / max(float(np.abs(self.guess).max()), 1e-300)
             if moved <= SETTLED:
                 break
@@ -361,7 +364,7 @@ class System:
         """
         if follow:
             self.follow(point)
-        base, _ = self.tip_force(point)
+        base = self.guess if follow and self.settled else self.tip_force(point)[0]
         behind = self._behind(point, base)
         path = self.path(behind)
         gain = self.gain(point, path.depth_mm / self.depth_mm)
