@@ -34,7 +34,8 @@ from real_recordings import Found, Recording, fit_of, grouped, left_out, tell
 
 import tissueid
 from tissueid.model.base import ContactPath
-from tissueid.model.servo_law import TissueStepper
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.servo_law import servo_law
 
 Array = NDArray[np.float64]
 
@@ -62,10 +63,9 @@ def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
     if depth.max() <= model.depth_mm or not model.is_passive(theta):
         return model.force(theta, ContactPath(time_s=log.time_s, depth_mm=depth))
     # beyond the fitted depth the law is continued as it is rendered
-    stepper = TissueStepper(model, theta)
-    first = stepper.step(float(depth[0]), 0.0)
-    steps = zip(depth[1:], np.diff(log.time_s), strict=True)
-    return np.array([first, *(stepper.step(float(x), float(dt)) for x, dt in steps)])
+    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
+    steps = zip(depth.tolist(), np.diff(log.time_s, prepend=log.time_s[0]).tolist(), strict=True)
+    return np.array([tissue_step_in(law, 0, state, 0, x, dt) for x, dt in steps])
 
 
 def foreign_error(found: Found, log: Log, others: Sequence[Log]) -> float:
