@@ -218,39 +218,14 @@ def _proposal(target: Target, rng: np.random.Generator) -> Proposal:
     return learn_mixture(target, cut, rng)[0]
 
 
-class _Independence:
-    """Proposals whatever the walker's place: those of importance sampling in their order, then further ones.
+def _independence(proposal: Proposal, rng: np.random.Generator) -> emcee.moves.MHMove:
+    """Proposals whatever the walker's place."""
 
-    Their densities are known before a walker asks: the target is cheapest of many points at once.
-    """
+    def propose(coordinates: FloatArray, _: Any) -> tuple[FloatArray, FloatArray]:
+        new = proposal.draw(len(coordinates), rng)
+        return new, proposal.log_density(coordinates) - proposal.log_density(new)
 
-    def __init__(self, target: Target, proposal: Proposal, rng: np.random.Generator) -> None:
-        self.target, self.proposal, self.rng, self._next = target, proposal, rng, 0
-        self.points, self.log_q = np.empty((0, target.size)), np.empty(0)
-        self._known: dict[bytes, float] = {}
-
-    def add(self, points: FloatArray, log_weight: FloatArray) -> None:
-        """Let points be proposed next; ``log_weight``: ln of target over proposal."""
-        self.points, self.log_q, self._next = points, self.proposal.log_density(points), 0
-        values = (log_weight + self.log_q).tolist()
-        self._known |= dict(zip(map(np.ndarray.tobytes, points), values, strict=True))
-
-    def propose(self, coordinates: FloatArray, _: Any) -> tuple[FloatArray, FloatArray]:
-        """Next points for walkers, and ln of the ratio of their densities to be proposed."""
-        if self._next + len(coordinates) > len(self.points):
-            new = self.proposal.draw(LOOK, self.rng)
-            self.add(new, self.target.densities(new) - self.proposal.log_density(new))
-        part = slice(self._next, self._next + len(coordinates))
-        self._next = part.stop
-        return self.points[part], self.proposal.log_density(coordinates) - self.log_q[part]
-
-    def density(self, z: FloatArray) -> FloatArray:
-        """Log densities of the target, those that are known without asking it, (n, d) -> (n,)."""
-        out = np.array([self._known.get(one.tobytes(), np.nan) for one in z])
-        unknown = np.isnan(out)
-        if unknown.any():
-            out[unknown] = self.target.densities(z[unknown])
-        return out
+    return emcee.moves.MHMove(propose)
 
 
 def sample(
@@ -275,11 +250,9 @@ def sample(
     weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
     start = _started(target, points, weights, rng)
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
-    known = _Independence(target, proposal, rng)
-    known.add(points, log_weight)
-    kinds = (emcee.moves.MHMove(known.propose), emcee.moves.DEMove(), emcee.moves.StretchMove())
+    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
     moves = list(zip(kinds, MOVES_EXACT if target.is_normal else shares, strict=True))
-    sampler = emcee.EnsembleSampler(WALKERS, target.size, known.density, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(WALKERS, target.size, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
 
     def told(steps: int, share: float) -> None:
