@@ -291,14 +291,14 @@ def _noise(
 ) -> tuple[Memory, NoiseVerdict]:
     """Memory of the noise in the residuals, none where it can't be noise, and the verdict on that."""
     parts, model = system.derivatives(optimum.point, machine=False), fitting.request.noise
-    scan = scan_memory(
+    noise = scan_memory(
         system, optimum.point, parts, optimum.prior,
         step_s=fitting.step_s, rough_N=optimum.noise.sigma_N, model=model,
     )  # fmt: skip
-    verdict = verdict_on_noise(scan.noise, seen, step_s=fitting.step_s, alone=len(system.logs) == 1)
+    verdict = verdict_on_noise(noise, seen, step_s=fitting.step_s, alone=len(system.logs) == 1)
     if model != "auto":
         verdict = replace(verdict, refuted=False)
-    return Memory() if verdict.refuted else scan.noise.memory, verdict
+    return Memory() if verdict.refuted else noise.memory, verdict
 
 
 def _finished(

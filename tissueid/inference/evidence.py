@@ -177,14 +177,6 @@ _Found = tuple[float, float, Memory]
 _LIKELIEST = itemgetter(0)
 
 
-@dataclass(frozen=True, slots=True)
-class MemoryScan:
-    """The best correlation, and how much it gains over white noise in ln L."""
-
-    noise: Noise
-    gain: float
-
-
 def _squares_after(system: System, normal: Normal, move: FloatArray) -> float:
     """Sum of squares of the residual after a step of the shared parameters, own ones following it."""
     left = normal.residual - normal.shared @ move
@@ -228,8 +220,8 @@ def scan_memory(
     step_s: float,
     rough_N: float,
     model: str = "auto",
-) -> MemoryScan:
-    """Correlation of the noise: ``auto``, ``white``, ``ar1`` or ``white+ar1``; ``rough_N``: of residuals."""
+) -> Noise:
+    """Best correlation: ``auto``, ``white``, ``ar1`` or ``white+ar1``; ``rough_N``: of residuals."""
 
     def look(memory: Memory) -> _Found:
         return (*_restricted(system, point, parts, prior, memory, rough_N), memory)
@@ -237,7 +229,7 @@ def scan_memory(
     plain, sigma, _ = look(Memory())
     if model == "white" or system.force.size < 12 or not np.isfinite(plain):
         # residuals that parameters take up show no noise
-        return MemoryScan(Noise(sigma), 0.0)
+        return Noise(sigma)
     times = (SCANNED_TIMES * step_s).tolist()
     shares = (0.0,) if model == "ar1" else SCANNED_SHARES
     tried = [look(Memory(time, share)) for share in shares for time in times]
@@ -246,10 +238,7 @@ def scan_memory(
         pure = _refined(max((look(Memory(time)) for time in times), key=_LIKELIEST), look, share=False)
         if best[0] - pure[0] < SHARE_WORTH:
             best = pure
-    gain = float(best[0] - plain)
-    if model == "auto" and gain < WORTH:
-        return MemoryScan(Noise(sigma), gain)
-    return MemoryScan(Noise(best[1], best[2]), gain)
+    return Noise(sigma) if model == "auto" and best[0] - plain < WORTH else Noise(best[1], best[2])
 
 
 def _refined(best: _Found, look: Callable[[Memory], _Found], *, share: bool) -> _Found:

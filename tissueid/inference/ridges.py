@@ -73,9 +73,8 @@ def _along(target: SpecimenTarget, place: int, values: FloatArray, middle: float
 
     def best(start: Point) -> Point:
         """All else at its best, the machine as it is."""
-        return refit(
-            identified, machine=False, start=start, steps=PROFILE_STEPS, held=held, noise=noise
-        ).point
+        steps = PROFILE_STEPS
+        return refit(identified, machine=False, start=start, steps=steps, held=held, noise=noise).point
 
     first = best(found.point)
     origin, out = target.vector_of(first), np.zeros((values.size, target.mode.size))
