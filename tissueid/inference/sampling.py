@@ -132,9 +132,9 @@ def smoothed(log_weight: FloatArray) -> Weighed:
 
 #: Walkers, and steps of each from where importance sampling put it.
 WALKERS, STEPS = 128, 30
-#: Rounds at the most where importance weights are trusted; else steps of a round, rounds, and the effective
-#: draws of the walkers themselves that end them.
-FEW_ROUNDS, ROUND, ROUNDS, WALKED = 5, 60, 8, 400.0
+#: Rounds at the most where importance weights are trusted, and where they are worth too few draws; else steps
+#: of a round, rounds, and the effective draws of the walkers themselves that end them.
+FEW_ROUNDS, MORE_ROUNDS, ROUND, ROUNDS, WALKED = 5, 25, 60, 8, 400.0
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
@@ -260,7 +260,8 @@ def sample(
 
     # walkers that no importance weights vouch for have to agree
     alike, few = (ALIKE if poor else ALIKE_WEIGHED), weighed.pareto <= TRUSTED
-    rounds = ROUNDS_ALONE if poor else FEW_ROUNDS if few else ROUNDS
+    worth_it = weighed.worth >= HALF * draws
+    rounds = ROUNDS_ALONE if poor else ROUNDS if not few else FEW_ROUNDS if worth_it else MORE_ROUNDS
     walked, apart = _walked(sampler, state, weighed, draws, told, rounds=rounds, alike=alike)
     told(int(sampler.iteration), 1.0)
     trusted = weighed.worth >= ENOUGH and few
