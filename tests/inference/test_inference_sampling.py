@@ -107,6 +107,7 @@ def test_draws_of_a_thin_ridge_stay_on_it_and_are_no_convergence():
 
 def test_too_few_draws_are_no_convergence_and_say_so(monkeypatch):
     monkeypatch.setattr(sampling, "MOST_LOOKS", 1)
+    monkeypatch.setattr(sampling, "MORE_ROUNDS", 5)
     monkeypatch.setattr(sampling, "ENOUGH", 20_000.0)
     found = sample(correlated(), draws=50_000, seed=1)
     assert not found.converged

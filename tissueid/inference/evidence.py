@@ -170,8 +170,6 @@ def verdict_on_noise(
 SCANNED_TIMES, SCANNED_SHARES = np.geomspace(0.35, 400.0, 11), (0.0, 0.3, 0.7)
 #: Gain in ln L below which noise is white, and below which it has no white part.
 WORTH, SHARE_WORTH = 5.0, 3.0
-
-
 #: Restricted ln L of a correlation, and its sigma [N].
 _Found = tuple[float, float, Memory]
 _LIKELIEST = itemgetter(0)
