@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import read_json, run, write_log, write_study
+from command_line import QUICK, read_json, run, write_log, write_study
 from identify_stand_ins import of_prior, too_sure
 
-from tissueid.priors import SpreadPrior
 from tissueid.store.schema import first_problem
 
 pytestmark = pytest.mark.needs_jit
@@ -54,9 +53,8 @@ def document_of(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_a_recipe_is_checked_by_what_identifies_recordings(tmp_path, recipe):
-    ended = run("calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--seed", "4")
+    ended = run("calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--seed", "4", code=0)
     document = document_of(tmp_path / "out")
-    assert ended.code == 0, ended.stderr
     assert document["verdict"] == {"calibrated": True, "reasons": []}
     assert document["source"] == {"kind": "recipe", "path": str(recipe), "specimen": "phantom"}
     assert document["simulations"]["failed"] == []
@@ -75,9 +73,9 @@ def test_a_recipe_is_checked_by_what_identifies_recordings(tmp_path, recipe):
 
 def test_a_second_call_goes_on_and_another_check_is_refused(tmp_path, recipe, instant):
     out = tmp_path / "out"
-    assert run("calibrate", recipe, "-o", out, "--simulations", FEWEST).code == 0
+    run("calibrate", recipe, "-o", out, "--simulations", FEWEST, code=0)
     first = (out / "calibrate.jsonl").read_bytes()
-    assert run("calibrate", recipe, "-o", out, "--simulations", "25").code == 0
+    run("calibrate", recipe, "-o", out, "--simulations", "25", code=0)
     assert (out / "calibrate.jsonl").read_bytes().startswith(first)
     assert document_of(out)["simulations"]["done"] == 25
     run("calibrate", recipe, "-o", out, "--seed", "1", code=2, said="holds the simulations of another check")
@@ -95,13 +93,11 @@ def test_intervals_that_are_too_narrow_end_with_a_code_of_their_own(tmp_path, re
 
 
 def test_json_is_the_document_and_nothing_else(tmp_path, recipe, instant):
-    ended = run(
-        "calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--json", "--interval", "total"
-    )
-    assert ended.code == 0, ended.stderr
-    assert ended.json() == document_of(tmp_path / "out")
-    assert ended.json()["interval"] == "total"
-    said = {row["name"]: row["prior"] for row in ended.json()["priors"]}
+    asked = ("--simulations", FEWEST, "--json", "--interval", "total")
+    document = run("calibrate", recipe, "-o", tmp_path / "out", *asked, code=0).json()
+    assert document == document_of(tmp_path / "out")
+    assert document["interval"] == "total"
+    said = {row["name"]: row["prior"] for row in document["priors"]}
     assert said["frame_compliance_mm_per_N"] == "normal, 0 ± 0.004, not below 0"
 
 
@@ -112,22 +108,19 @@ def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path, instant):
     write_study(lab, "[priors.sigma_N]", "median = 1.5", "sd_ln = 0.2")
     run("calibrate", lab, "-o", tmp_path / "out", "--simulations", FEWEST, code=0)
     document = document_of(tmp_path / "out")
-    assert document["source"]["kind"] == "study"
-    assert document["source"]["specimen"] == "liver"
+    assert [document["source"][key] for key in ("kind", "specimen")] == ["study", "liver"]
     assert document["protocol"]["words"] == "the measured x(t) of 2 recordings"
     assert document["protocol"]["depth_mm"] == pytest.approx(8.0, abs=0.05)
     assert document["protocol"]["step_s"] == pytest.approx(0.04, rel=1e-3)
     (sigma,) = [row for row in document["priors"] if row["name"] == "sigma_N"]
     assert sigma == {"name": "sigma_N", "prior": "log-normal, median 1.5, sd of ln 0.2", "stated": True}
-    assert SpreadPrior(1.5, 0.2).median == 1.5
 
 
 def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(tmp_path, instant, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "lab" / "a.csv", label="liver")
-    quick = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none", "-q")
-    assert run("fit", "lab", "-o", "fitted", *quick).code == 0
-    assert run("calibrate", "fitted", "-o", "there", "--simulations", FEWEST).code == 0
+    run("fit", "lab", "-o", "fitted", *QUICK, "-q", code=0)
+    run("calibrate", "fitted", "-o", "there", "--simulations", FEWEST, code=0)
     there = document_of(tmp_path / "there")
     assert there["protocol"]["words"] == "the measured x(t) of 1 recording"
     assert there["model"]["static_pooling"] == "shared"

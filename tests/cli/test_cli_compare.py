@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,20 +26,12 @@ def bundle(folder: Path, name: str, *, scale: float = 1.0, draws: int = 400) -> 
 
 
 def test_a_stiffer_tissue_differs_and_could_be_felt(tmp_path):
-    target = tmp_path / "contrast.json"
-    ended = run("compare", bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5), "-o", target)
-    assert ended.code == 0, ended.stderr
-    assert "kidney and liver: differ" in ended.stdout
-    assert "a hand could tell: force" in ended.stdout
-    document = read_json(target)
-    check(document, "contrast", where="contrast.json")
+    one, other = bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5)
+    run("compare", one, other, code=0, shown=("kidney and liver: differ", "a hand could tell: force"))
+    document = run("compare", one, other, "--json").json("contrast")
     assert document["pairs"][0]["difference"]["different"] is True
-
-
-def test_a_tissue_beside_itself_is_not_shown_to_differ(tmp_path):
-    path = bundle(tmp_path, "kidney")
-    ended = run("compare", path, path, shown="kidney (1) and kidney (2): not shown to differ")
-    assert "a hand would hardly tell" in ended.stdout
+    said = ("kidney (1) and kidney (2): not shown to differ", "a hand would hardly tell")
+    run("compare", one, one, shown=said)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +40,7 @@ def test_a_tissue_beside_itself_is_not_shown_to_differ(tmp_path):
 )
 def test_document_and_page_are_written_together(tmp_path, named, written):
     one, other = bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5)
-    assert run("compare", one, other, "-o", tmp_path / named, "-q").code == 0
+    run("compare", one, other, "-o", tmp_path / named, "-q", code=0)
     check(read_json(tmp_path / f"{written}.json"), "contrast", where="contrast.json")
     page = (tmp_path / f"{written}.html").read_text(encoding="utf-8")
     assert "kidney and liver differ" in page
@@ -106,15 +99,17 @@ def test_what_cannot_be_compared_is_refused(tmp_path, draws, args, said):
 MUSCLE = ("--columns", "time=Time,displacement=L,force=F")
 
 
+def measured(document: Any) -> dict[tuple[str, float | None], Any]:
+    """Rows of the only pair."""
+    (pair,) = document["pairs"]
+    return {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+
+
 def test_recordings_of_one_program_are_compared(tmp_path):
     one, other = write_log(tmp_path / "a.csv"), write_log(tmp_path / "b.csv", force_times=1.5)
-    target = tmp_path / "pair.json"
-    ended = run("compare", one, other, "--json", "-o", target)
-    document = ended.json()
-    check(document, "measured-contrast", where="pair.json")
-    assert read_json(target) == document
-    (pair,) = document["pairs"]
-    rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+    document = run("compare", one, other, "--json", "-o", tmp_path / "pair.json").json("measured-contrast")
+    assert read_json(tmp_path / "pair.json") == document
+    rows = measured(document)
     assert rows["peak", None]["ratio"] == pytest.approx(1.5, rel=0.01)
     assert rows["force", 1.0]["ratio"] == pytest.approx(1.5, rel=0.01)
     assert rows["force_over_peak", 1.0]["reason"] is None
@@ -124,9 +119,7 @@ def test_recordings_of_one_program_are_compared(tmp_path):
 def test_a_share_of_the_peak_is_not_compared_between_ramps(shared_data):
     folder = shared_data / "muscle-ramp-hold-mit"
     paths = [folder / f"AvgRelaxed_{seconds}s.csv" for seconds in ("0.1", "100")]
-    ended = run("compare", *paths, *MUSCLE, "--json")
-    (pair,) = ended.json()["pairs"]
-    rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+    rows = measured(run("compare", *paths, *MUSCLE, "--json").json())
     for name in ("force_over_peak", "force", "force_over_10s"):
         assert rows[name, 1.0]["ratio"] is None
         assert "depends on the ramp" in rows[name, 1.0]["reason"]

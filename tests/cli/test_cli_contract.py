@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import csv
-from typing import Any
+import hashlib
 
 import pytest
 from command_line import HEADER_LINES, LOG, QUICK, read_json, run, write_log
-
-from tissueid.store.schema import first_problem
 
 UNITS = {
     "static_1_N_per_mm": "N/mm",
@@ -31,7 +29,7 @@ def rows():
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     out = tmp_path_factory.mktemp("contract") / "out"
-    return run("fit", LOG, "-o", out, "--json", *QUICK), out
+    return run("fit", LOG, "-o", out, "--json", *QUICK, code=0), out
 
 
 def test_inspect_gives_first_last_and_peak_as_recorded(rows):
@@ -62,6 +60,16 @@ def test_recorded_signs_stay_where_compression_is_negative(tmp_path):
     assert one["last"]["displacement_mm"] == -float(body[-1][1])
 
 
+@pytest.fixture(scope="module")
+def of_10_Hz(datasets, tmp_path_factory):
+    """The document of junk and of logs at 10 Hz, which do not identify the relaxation time."""
+    folder = tmp_path_factory.mktemp("slow")
+    (folder / "junk.csv").write_bytes(bytes(range(256)) * 8)
+    logs = sorted((datasets / "paper-a-30-10Hz").glob("hold-8-*.csv"))
+    asked = ("--json", *QUICK, "--require", "relaxation-time")
+    return run("fit", folder / "junk.csv", *logs, "-o", folder / "out", *asked, code=7).json()
+
+
 def test_numbers_are_converted_to_mm_and_newton(tmp_path):
     text = LOG.read_text(encoding="ascii").replace("(mm),(N)", "(cm),(kN)")
     (tmp_path / "si.csv").write_text(text, encoding="ascii")
@@ -76,10 +84,7 @@ def test_inspect_is_valid_with_refusals_in_their_place(tmp_path):
     junk, empty = tmp_path / "junk.csv", tmp_path / "a folder"
     junk.write_bytes(bytes(range(256)) * 8)
     empty.mkdir()
-    ended = run("inspect", junk, LOG, empty, "--json")
-    document = ended.json()
-    assert ended.code == 7
-    assert first_problem(document, "inspect") is None
+    document = run("inspect", junk, LOG, empty, "--json", code=7).json("inspect")
     assert [one["path"] for one in document] == [str(junk), str(LOG), str(empty)]
     assert [one.get("error", {}).get("code") for one in document] == ["not_an_export", None, "no_recording"]
 
@@ -93,9 +98,7 @@ def test_inspect_for_people_says_the_same(rows):
 
 def test_fit_prints_identification_json_and_it_is_valid(fitted):
     ended, out = fitted
-    assert ended.code == 0
-    assert ended.json("identification")
-    assert ended.json() == read_json(out / "identification.json")
+    assert ended.json("identification") == read_json(out / "identification.json")
     assert ended.json()["exit"] == {"code": 0, "reasons": []}
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
     bundles = {"bundle-paper-a.h5", "bundle.h5"}
@@ -103,16 +106,12 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted):
     assert public == bundles | run_of_it | {"identification.json", "curves.h5", "report.html"}
 
 
-def test_parameters_have_the_contracts_names_and_units_and_their_product(fitted):
+def test_parameters_fractions_and_windows_are_those_of_the_contract(fitted):
     (one,) = fitted[0].json()["specimens"]
     assert {entry["name"]: entry["unit"] for entry in one["parameters"]} == UNITS
     value = {entry["name"]: entry["value"] for entry in one["parameters"]}
     product = value["stiffness_0_N_per_mm"] * value["relaxation_time_s"]
     assert value["viscosity_N_s_per_mm"] == pytest.approx(product, rel=1e-9)
-
-
-def test_fractions_and_windows_are_in_range(fitted):
-    (one,) = fitted[0].json()["specimens"]
     (trial,) = one["trials"]
     # noise of 1 N on a range of 270 N
     assert trial["nrmsd"] == pytest.approx(1.0 / 270.0, rel=0.1)
@@ -127,32 +126,34 @@ def test_fractions_and_windows_are_in_range(fitted):
     assert {"tau_single_s", "nrmsd_single", "peak_force_N", "flags", "path", "sheet"} <= set(row)
 
 
-def test_refused_files_stand_in_identification_json(tmp_path):
-    good = write_log(tmp_path / "good.csv")
-    bad = write_log(tmp_path / "bad.csv")
-    lines = bad.read_text(encoding="ascii").splitlines()
-    lines[9] = lines[9].rsplit(",", 1)[0] + ",NaN"
-    bad.write_text("\n".join(lines), encoding="ascii")
-    ended = run("fit", good, bad, "-o", tmp_path / "out", "--json", *QUICK)
-    document = ended.json()
-    assert ended.code == 7
+def test_refused_files_stand_in_identification_json_and_on_stderr(tmp_path):
+    good, bad = write_log(tmp_path / "good.csv"), [write_log(tmp_path / f"bad-{k}.csv") for k in range(3)]
+    for number, path in enumerate(bad):
+        lines = path.read_text(encoding="ascii").splitlines()
+        lines[9 + number] = lines[9 + number].rsplit(",", 1)[0] + ",NaN"
+        path.write_text("\n".join(lines), encoding="ascii")
+    ended = run("fit", good, *bad, "-o", tmp_path / "out", "--json", *QUICK, code=7)
+    document = ended.json("identification")
     assert document["exit"]["code"] == 7
-    assert first_problem(document, "identification") is None
-    (refused,) = document["refused"]
-    assert refused["path"] == str(bad)
-    assert (refused["error"]["code"], refused["error"]["line"], refused["error"]["column"]) == (
-        "not_finite", 10, 3,
-    )  # fmt: skip
-    assert any(str(bad) in reason and "line 10" in reason for reason in document["exit"]["reasons"])
+    for number, (path, refused) in enumerate(zip(bad, document["refused"], strict=True)):
+        error = refused["error"]
+        assert refused["path"] == str(path)
+        assert [error[key] for key in ("code", "line", "column")] == ["not_finite", 10 + number, 3]
+        assert f"{path}, line {10 + number}" in document["exit"]["reasons"][number]
+    quiet = run("fit", good, *bad, "-o", tmp_path / "out", "-q", *QUICK, code=7)
+    assert quiet.stdout == ""
+    for number, path in enumerate(bad):
+        assert quiet.stderr.count(f"{path}, line {10 + number}") == 1
 
 
-def parameters_of(document: dict[str, Any]) -> list[dict[str, Any]]:
-    return [entry for one in document["specimens"] for entry in one["parameters"]]
+def test_what_is_required_and_not_identified_comes_after_what_was_left_out(of_10_Hz):
+    refused, missing = of_10_Hz["exit"]["reasons"]
+    assert "junk.csv" in refused
+    assert missing.endswith("not identified: relaxation_time_s")
 
 
-def test_a_value_is_null_exactly_where_it_is_not_identified(datasets, tmp_path):
-    logs = sorted((datasets / "paper-a-30-10Hz").glob("hold-8-*.csv"))
-    found = parameters_of(run("fit", *logs, "-o", tmp_path / "out", "--json", *QUICK).json())
+def test_a_value_is_null_exactly_where_it_is_not_identified(of_10_Hz):
+    found = [entry for one in of_10_Hz["specimens"] for entry in one["parameters"]]
     assert {entry["identified"] for entry in found} == {True, False}
     for entry in found:
         assert (entry["value"] is None) == (not entry["identified"]), entry["name"]
@@ -161,8 +162,6 @@ def test_a_value_is_null_exactly_where_it_is_not_identified(datasets, tmp_path):
 
 
 def test_provenance_has_hashes_versions_options_and_no_time_stamp(fitted):
-    import hashlib
-
     provenance = fitted[0].json()["provenance"]
     assert provenance["inputs"][0]["sha256"] == hashlib.sha256(LOG.read_bytes()).hexdigest()
     assert set(provenance["versions"]) == {"emcee", "lmfit", "numba", "numpy", "scipy"}

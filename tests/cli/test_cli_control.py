@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 from command_line import run
@@ -13,19 +14,24 @@ from tissueid.store.bundle import write_bundle
 pytestmark = pytest.mark.needs_jit
 
 
+PRESET = ("control", "--preset", "paper-a")
+
+
+def numbers(document: Any) -> dict[str, tuple[Any, str]]:
+    return {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
+
+
 def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_path):
     path = tmp_path / "bundle.h5"
     write_bundle(bundle_of(PAPER_A), path)
-
-    document = run("control", path, *["--stiffness-scale", "100", "--json", "--seconds", "4"], code=0).json(
-        "control"
-    )
+    given = "--stiffness-scale 100 --json --seconds 4"
+    document = run("control", path, *given.split(), code=0).json("control")
     assert [one["name"] for one in document["runs"]] == ["adaptive", "frozen", "unscaled"]
     assert [one["stiffness_scale"] for one in document["runs"]] == [100.0, 100.0, 1.0]
     assert document["runs"][0]["measures"]["error_rms_mm"] < 0.01
     for estimate in document["runs"][1]["estimates"]:
         assert estimate["start"] == estimate["end"]
-    table = {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
+    table = numbers(document)
     assert table["operator mass"] == (1.25, "reading")
     assert table["device damping"] == (115.4, "reading")
     assert table["virtual mass"] == (2.0, "assumed")
@@ -34,8 +40,8 @@ def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_pa
 
 def test_what_the_user_states_is_called_stated():
     stated = "--operator 2 5 100 --virtual-mass 3 --gamma 1 2 3 --saturation 50 --frozen --start zero"
-    document = run(*["control", "--preset", "paper-a", "--json", "--seconds", "2"], *stated.split()).json()
-    table = {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
+    document = run(*PRESET, "--json", "--seconds", "2", *stated.split()).json()
+    table = numbers(document)
     assert table["operator damping"] == (5.0, "stated")
     assert table["device mass"] == (1.158, "reading")
     assert table["virtual mass"] == (3.0, "stated")
@@ -45,45 +51,28 @@ def test_what_the_user_states_is_called_stated():
     assert [one["start"] for one in document["runs"][0]["estimates"]] == [0.0, 0.0, 0.0]
 
 
-def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path):
-    given = [
-        "control",
-        "--preset",
-        "paper-a",
-        "--variant",
-        "A",
-        "--stiffness-scale",
-        "100",
-        "--task",
-        "impacts",
-    ]
-    noise = ["--seconds", "20", "--noise", "0.05", "--seed", "3"]
-    kept, lost = run(*given, *noise), run(*given, *noise, "--no-projection")
-
-    assert kept.code == 0, kept.stderr
+def test_a_loop_that_diverges_is_said_and_ends_with_4():
+    given = "--variant A --stiffness-scale 100 --task impacts --seconds 20 --noise 0.05 --seed 3"
+    kept = run(*PRESET, *given.split(), code=0)
+    lost = run(*PRESET, *given.split(), "--no-projection", code=4)
     assert "DIVERGED" not in kept.stdout.splitlines()[3]
-    assert lost.code == 4
     assert re.search(r"^adaptive .*; DIVERGED at \d+\.\d+ s$", lost.stdout, re.MULTILINE)
 
 
 def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused():
-    ended = run("control", "--preset", "paper-a", "--device", "sim", "--seconds", "2", code=0)
+    ended = run(*PRESET, "--device", "sim", "--seconds", "2", code=0, shown="shaped by the guard")
     assert re.search(r"^on sim    error 0\.[12]\d\d mm rms", ended.stdout, re.MULTILINE)
-    assert "shaped by the guard" in ended.stdout
-
-    run("control", "--preset", "paper-a", "--device", "falcon", code=5, said="falcon has no force sensor")
+    run(*PRESET, "--device", "falcon", code=5, said="falcon has no force sensor")
 
 
 def test_too_little_margin_and_a_tissue_left_behind_are_said():
-    ended = run("control", "--preset", "paper-a", "--virtual-mass", "0.5", "--stiffness-scale", "0.02")
-
-    assert "less than 1.5 times it" in ended.stdout
-    assert "deeper than the 8 mm that were identified" in ended.stdout
+    said = ("less than 1.5 times it", "deeper than the 8 mm that were identified")
+    run(*PRESET, "--virtual-mass", "0.5", "--stiffness-scale", "0.02", shown=said)
 
 
 def test_the_document_is_json_whatever_happens():
-    given = "control --preset paper-a --environment impedance --stiffness-scale 100 --seconds 2"
-    ended = run(*given.split(), "--json", "--device", "sim")
+    given = "--environment impedance --stiffness-scale 100 --seconds 2 --json --device sim"
+    ended = run(*PRESET, *given.split())
     document = ended.json("control")
     assert document["device"]["error_rms_mm"] < 0.3
     assert ended.code == (0 if document["runs"][0]["measures"]["diverged_s"] is None else 4)

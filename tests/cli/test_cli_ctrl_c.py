@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
 from cohort_outputs import cohort_folder
@@ -54,8 +53,8 @@ def prepared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ctrl-c")
     write_log(folder / "lab" / "log.csv")
     write_log(folder / "lab" / "second.csv", label="other")
-    assert run("study", "init", folder / "lab", "-q").code == 0
-    assert run("fit", folder / "lab", "-o", folder / "out", "-q", *QUICK).code == 0
+    run("study", "init", folder / "lab", "-q", code=0)
+    run("fit", folder / "lab", "-o", folder / "out", "-q", *QUICK, code=0)
     cohort_folder(folder / "heads", 3)
     (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
     (folder / "ruptures").mkdir()
@@ -124,25 +123,22 @@ def test_at_a_step_of_the_work(place, monkeypatch, args, step):
 def test_in_the_middle_of_a_function(place, monkeypatch, args, function):
     before = contents(place)
 
-    def interrupted(*_args: Any, **_named: Any) -> None:
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(function, interrupted)
+    monkeypatch.setattr(function, lambda *_, **__: signal.raise_signal(signal.SIGINT))
     ended = run(*args, code=130)
     assert ended.stderr.splitlines()[-1] + "\n" == SAID
     assert contents(place) == before
 
 
 def test_an_interrupted_calibration_goes_on_where_it_was(place, monkeypatch):
+    check, log = ("calibrate", "recipe.toml", "--simulations", "20", "-o"), place / "cal" / "calibrate.jsonl"
     with monkeypatch.context() as patched:
         interrupt_at(patched, "calibrate", 8)
-        assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code == 130
-    kept = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
+        run(*check, "cal", code=130)
+    kept = log.read_text(encoding="utf-8").splitlines()
     assert len(kept) > 1
-    assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code in (0, 4, 7)
-    gone_on = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
-    assert gone_on[: len(kept)] == kept
-    assert run("calibrate", "recipe.toml", "-o", "whole", "--simulations", "20").code in (0, 4, 7)
+    for out in ("cal", "whole"):
+        run(*check, out, code={0, 4, 7})
+    assert log.read_text(encoding="utf-8").splitlines()[: len(kept)] == kept
     found = [read_json(place / name / "calibrate.json") for name in ("cal", "whole")]
     for document in found:
         # a time is no result

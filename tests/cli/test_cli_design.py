@@ -46,8 +46,8 @@ def test_a_recipe_is_planned_for_and_all_files_are_written(tmp_path):
 
 def test_json_is_the_document_and_nothing_else(tmp_path):
     wanted = ("--want", "tau=8%", "--want", "eta=5%", "--specimens", "4")
-    ended = run("design", *GUESSES, "--max-depth", "6", "--machine", "bench", *wanted, "--json", code=0)
-    document = ended.json("design")
+    asked = (*GUESSES, "--max-depth", "6", "--machine", "bench", *wanted)
+    document = run("design", *asked, "--json", code=0).json("design")
     assert document["asked"]["wants"] == [
         {"name": "relaxation_time_s", "share": 0.08},
         {"name": "viscosity_N_s_per_mm", "share": 0.05},
@@ -60,28 +60,27 @@ def test_json_is_the_document_and_nothing_else(tmp_path):
 
 
 def test_a_machine_on_which_none_can_is_told_so(tmp_path):
-    ended = run("design", "paper-a-30", "--machine", "slow-logger", "-o", tmp_path / "plan", code=4)
-    assert "NONE on this machine reaches that; the nearest: tau to " in ended.stdout
-    assert "limited by noise" in ended.stdout
-    assert "paper-a-30 can't be run here" in ended.stdout
-    assert "no protocol on 'slow-logger' reaches what is wanted" in ended.stderr
+    shown = ("NONE on this machine reaches that; the nearest: tau to ", "limited by noise")
+    run(
+        "design", "paper-a-30", "--machine", "slow-logger", "-o", tmp_path / "plan", code=4,
+        said="no protocol on 'slow-logger' reaches what is wanted",
+        shown=(*shown, "paper-a-30 can't be run here"),
+    )  # fmt: skip
     assert "None on this machine." in (tmp_path / "plan" / "design.html").read_text(encoding="utf-8")
 
 
 def test_a_bundle_is_planned_for_within_its_depth(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "lab" / "a.csv", label="liver")
-    assert run("fit", "lab", "-o", "fitted", *QUICK, "-q").code == 0
+    run("fit", "lab", "-o", "fitted", *QUICK, "-q", code=0)
+    asked = ("--machine", "bench", "--want", "eta=5%", "--json")
     for source in ("fitted", "fitted/bundle.h5"):
-        ended = run("design", source, "--machine", "bench", "--want", "eta=5%", "--json", code=0)
-        document = ended.json()
+        document = run("design", source, *asked, code=0).json()
         assert document["tissue"]["name"] == "liver"
         assert document["tissue"]["words"].startswith("the optimum of fitted")
         deepest = max(row["depth_mm"] for row in document["protocols"][0]["indentations"])
         assert deepest <= document["tissue"]["depth_mm"]
-    deeper = run(
-        "design", "fitted", "--machine", "bench", "--want", "eta=5%", "--max-depth", "20", "--json"
-    ).json()
+    deeper = run("design", "fitted", *asked, "--max-depth", "20").json()
     assert any("beyond that its law is a continuation" in said for said in deeper["verdict"]["remarks"])
 
 
@@ -91,11 +90,10 @@ def test_every_draw_of_a_bundle_counts(tmp_path):
     draws[:, -1:] *= spread
     write_bundle(bundle_of(replace(PAPER_A, name="head"), draws=draws), tmp_path / "head.h5")
     wanted = ("--machine", "paper-a", "--want", "tau=4%", "--json")
-    found = {}
-    for share in ("0.5", "1.0"):
-        ended = run("design", tmp_path / "head.h5", *wanted, "--assurance", share, code=0)
-        found[share] = ended.json()
-    document = found["1.0"]
+    half, document = (
+        run("design", tmp_path / "head.h5", *wanted, "--assurance", share, code=0).json()
+        for share in ("0.5", "1.0")
+    )
     assert document["tissue"]["words"].startswith("posterior draws of ")
     assert document["tissue"]["draws"] == 16
     (tau,) = [one for one in document["tissue"]["numbers"] if one["name"] == "relaxation_time_s"]
@@ -103,7 +101,7 @@ def test_every_draw_of_a_bundle_counts(tmp_path):
     (reached,) = document["protocols"][0]["precision"]
     # the shortest relaxation times are the hardest
     assert reached["median"] < reached["assured"] <= 0.04
-    assert document["protocols"][0]["seconds"] >= found["0.5"]["protocols"][0]["seconds"]
+    assert document["protocols"][0]["seconds"] >= half["protocols"][0]["seconds"]
 
 
 @pytest.mark.parametrize(
@@ -133,8 +131,8 @@ def test_what_makes_no_sense_is_refused_with_the_way_out(args, code, says):
 
 def test_files_that_no_plan_wrote_stay(tmp_path):
     (tmp_path / "study.toml").write_text("mine", encoding="utf-8")
-    ended = run("design", "paper-a-30", "--machine", "paper-a", "-o", tmp_path, code=2)
-    assert "study.toml that no plan wrote" in ended.stderr
+    asked = ("paper-a-30", "--machine", "paper-a", "-o", tmp_path)
+    run("design", *asked, code=2, said="study.toml that no plan wrote")
     assert (tmp_path / "study.toml").read_text(encoding="utf-8") == "mine"
 
 
@@ -153,21 +151,12 @@ def test_the_page_of_documentation_runs_as_printed(tmp_path, monkeypatch):
         name = re.match(r"# (\S+\.toml)\n", text)
         assert name is not None, text
         (tmp_path / name.group(1)).write_text(text, encoding="utf-8")
-    lines = [
-        line
-        for block in blocks("")
-        for line in block.replace("\\\n", " ").splitlines()
-        if line.startswith("tissueid ")
-    ]
+    typed = "".join(blocks("")).replace("\\\n", " ").splitlines()
+    lines = [shlex.split(line, comments=True)[1:] for line in typed if line.startswith("tissueid ")]
     assert len(lines) >= 5
-    said = ""
-    for line in lines:
-        words = shlex.split(line, comments=True)[1:]
-        ended = run(*words)
-        # 4: none on this machine, which the page shows as well
-        assert ended.code in ({0, 4} if words[0] == "design" else {0}), (line, ended.stderr)
-        said += ended.stdout
-    said = " ".join(said.split())
+    # 4: none on this machine, which the page shows as well
+    told = [run(*words, code={0, 4} if words[0] == "design" else 0).stdout for words in lines]
+    said = " ".join("".join(told).split())
     quoted = [line for block in blocks("text") for line in block.splitlines() if line.strip()]
     assert quoted
     for line in quoted:

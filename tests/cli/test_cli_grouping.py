@@ -15,10 +15,8 @@ from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, simulate
 from tissueid.synth.machines import mach1_text, shimadzu_text, zwick_workbook
 
 
-def fit(out: Path, *args: str | Path) -> dict[str, Any]:
-    ended = run("fit", *args, "-o", out, "--json", code={0, 4})
-    document: dict[str, Any] = ended.json()
-    return document
+def fit(out: Path, *args: str | Path) -> Any:
+    return run("fit", *args, "-o", out, "--json", code={0, 4}).json()
 
 
 def logs_of(document: dict[str, Any]) -> dict[str, int]:
@@ -35,31 +33,32 @@ def test_files_with_one_header_label_are_one_specimen(tmp_path):
     assert {entry["specimen"] for entry in document["provenance"]["inputs"]} == {"kidney 7"}
 
 
-def test_files_without_label_are_their_own_even_under_one_name(tmp_path):
-    for day in ("monday", "friday"):
-        write_log(tmp_path / "lab" / day / "log.csv", label=None)
-    write_log(tmp_path / "lab" / "friday" / "other.csv", label=None)
-    document = fit(tmp_path / "out", tmp_path / "lab", *QUICK)
-    # as short as tells them apart
-    assert logs_of(document) == {"friday/log": 1, "other": 1, "monday/log": 1}
-    assert not (tmp_path / "out" / "bundle.h5").exists()
-    assert len(list((tmp_path / "out").glob("bundle-*.h5"))) == 3
+@pytest.mark.parametrize(
+    ("files", "pattern", "found"),
+    [
+        # as short as tells them apart
+        (
+            {"monday/log": None, "friday/log": None, "friday/other": None},
+            (),
+            {"friday/log": 1, "other": 1, "monday/log": 1},
+        ),
+        # the first group of a pattern wins over the header
+        ({"cow3_a": "a", "cow3_b": "b", "cow4_a": "c"}, (r"(cow\d+)_",), {"cow3": 2, "cow4": 1}),
+        # what it does not fit is grouped with nothing
+        (dict.fromkeys(("x", "y", "cow1_a", "cow1_b"), "same"), (r"cow\d",), {"cow1": 2, "x": 1, "y": 1}),
+    ],
+    ids=["no label", "a group", "some do not fit"],
+)
+def test_files_are_one_specimen_by_label_or_pattern_only(tmp_path, files, pattern, found):
+    for name, label in files.items():
+        write_log(tmp_path / "lab" / f"{name}.csv", label=label)
+    out = tmp_path / "out"
+    document = fit(out, tmp_path / "lab", *QUICK, *(("--specimen-by", *pattern) if pattern else ()))
+    assert logs_of(document) == found
+    assert not (out / "bundle.h5").exists()
+    assert len(list(out.glob("bundle-*.h5"))) == len(found)
     for one in document["specimens"]:
-        assert one["model"]["static_pooling"] == "shared"
-
-
-def test_specimen_by_groups_by_its_first_group_and_wins_over_the_header(tmp_path):
-    for name in ("cow3_a", "cow3_b", "cow4_a"):
-        write_log(tmp_path / "lab" / f"{name}.csv", label=f"label of {name}")
-    document = fit(tmp_path / "out", tmp_path / "lab", "--specimen-by", r"(cow\d+)_", *QUICK)
-    assert logs_of(document) == {"cow3": 2, "cow4": 1}
-
-
-def test_what_specimen_by_does_not_fit_is_grouped_with_nothing(tmp_path):
-    for name in ("x", "y", "cow1_a", "cow1_b"):
-        write_log(tmp_path / "lab" / f"{name}.csv", label="same")
-    document = fit(tmp_path / "out", tmp_path / "lab", "--specimen-by", r"cow\d", *QUICK)
-    assert logs_of(document) == {"cow1": 2, "x": 1, "y": 1}
+        assert (one["model"]["static_pooling"] == "shared") == (len(one["trials"]) == 1)
 
 
 def test_each_sheet_is_its_own_specimen(tmp_path):
@@ -137,10 +136,8 @@ def logs():
     return simulate(SMALL, rng=np.random.default_rng(3))
 
 
-def inspected(*args: str | Path) -> list[dict[str, Any]]:
-    ended = run("inspect", *args, "--json")
-    document: list[dict[str, Any]] = ended.json()
-    return document
+def inspected(*args: str | Path) -> Any:
+    return run("inspect", *args, "--json").json()
 
 
 @pytest.fixture(scope="module")
@@ -187,19 +184,17 @@ def test_a_file_whose_name_has_the_mark_is_that_file(tmp_path, logs):
 
 
 def test_one_picked_sheet_is_fitted(files, tmp_path):
-    ended = run("fit", f"{files['txt']}::2", *QUICK, "-o", tmp_path / "out", "--json", code={0, 4})
-    (entry,) = ended.json()["provenance"]["inputs"]
+    (entry,) = fit(tmp_path / "out", f"{files['txt']}::2", *QUICK)["provenance"]["inputs"]
     assert (entry["sheet"], entry["recipe"]) == ("2: Stress Relaxation", "mach-1")
 
 
-def test_a_pattern_that_fits_nothing_is_a_wrong_option(files, tmp_path):
+def test_a_pattern_that_fits_nothing_is_a_wrong_option_and_one_that_fits_some_names_the_others(
+    files, tmp_path
+):
+    said = ("'cow(\\\\d)'", "synthetic hold-1")
     for args in (("inspect",), ("fit", *QUICK, "-o", tmp_path / "out")):
-        ended = run(*args, files["xlsx"], "--specimen-by", r"cow(\d)", code=2, said="'cow(\\\\d)'")
-        assert "synthetic hold-1" in ended.stderr
+        run(*args, files["xlsx"], "--specimen-by", r"cow(\d)", code=2, said=said)
     assert not (tmp_path / "out" / "identification.json").exists()
-
-
-def test_a_pattern_that_fits_some_names_the_others(files):
     ended = run("inspect", files["xlsx"], "--specimen-by", "hold-[12]", code=0, said="synthetic hold-3")
     assert "synthetic hold-1" not in ended.stderr
 
@@ -213,14 +208,8 @@ def test_marks_that_the_text_leaves_open_can_be_stated(tmp_path):
     assert one["first"]["displacement_mm"] == 2.5
 
 
-def test_every_dialect_is_listed_with_what_it_is():
-    ended = run("synth", "--dialects", code=0)
-    for name, export in EXPORTS.items():
-        assert f"{name} " in ended.stdout
-        assert export.description in ended.stdout
-
-
-def test_a_dialect_of_another_machine_is_written_and_fitted(tmp_path):
+def test_every_dialect_is_listed_with_what_it_is_and_that_of_another_machine_is_written(tmp_path):
+    run("synth", "--dialects", code=0, shown=(*EXPORTS, *(one.description for one in EXPORTS.values())))
     folder = tmp_path / "synthetic"
     run("synth", "paper-a-22", "-o", folder, "--rate", "10", "--dialect", "mts-793-de", code=0)
     described = inspected(folder)

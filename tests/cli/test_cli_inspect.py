@@ -18,8 +18,6 @@ import openpyxl
 import pytest
 from command_line import LOG, python, run, start, write_csv, write_log, write_study
 
-from tissueid.store.schema import first_problem
-
 
 def page_entries(page: Path) -> list[dict[str, Any]]:
     texts = re.findall(r"<textarea[^>]*>(.*?)</textarea>", page.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -41,10 +39,8 @@ def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path):
 def test_page_and_json_of_one_run_agree(tmp_path):
     write_log(tmp_path / "data" / "one log.csv")
     page = tmp_path / "out.html"
-    ended = run("inspect", tmp_path / "data", "--html", page, "--json", code=0)
-    (document,) = ended.json()
-    assert first_problem([document], "inspect") is None
-    assert "wrote " in ended.stderr
+    ended = run("inspect", tmp_path / "data", "--html", page, "--json", code=0, said="wrote ")
+    (document,) = ended.json("inspect")
     html = page.read_text(encoding="utf-8")
     assert f"{document['n_samples']:,} samples" in html
     assert document["recipe_reason"] in unescape(html)
@@ -89,10 +85,9 @@ def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path):
     write_log(tmp_path / "data" / "good.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
     page = tmp_path / "out.html"
-    assert run("inspect", tmp_path / "data", "--html", page, "-q").code == 7
-    assert "bad.csv" in page.read_text(encoding="utf-8")
-    assert run("inspect", tmp_path / "data" / "bad.csv", "--html", page, "-q").code == 3
-    assert "Nothing could be read" in page.read_text(encoding="utf-8")
+    for path, code, said in (("data", 7, "bad.csv"), ("data/bad.csv", 3, "Nothing could be read")):
+        run("inspect", tmp_path / path, "--html", page, "-q", code=code)
+        assert said in page.read_text(encoding="utf-8")
 
 
 def test_loops_are_measured(shared_data):
@@ -149,8 +144,7 @@ def test_every_recording_has_a_line_and_all_a_summary(tmp_path):
 def test_tables_hold_what_the_json_says(tmp_path):
     log = write_log(tmp_path / "one.csv")
     table, book = tmp_path / "m.csv", tmp_path / "m.xlsx"
-    (document,) = run(log, "--json", "--csv", table, "--xlsx", book).json()
-    assert first_problem([document], "inspect") is None
+    (document,) = run(log, "--json", "--csv", table, "--xlsx", book).json("inspect")
     (hold,) = document["measured"]["holds"]
     (row,) = csv.DictReader(io.StringIO(table.read_text(encoding="utf-8")))
     at = {one["time_s"]: one for one in hold["forces"]}
@@ -185,17 +179,15 @@ def test_the_command_line_takes_them_and_says_so(tmp_path):
     force = 2.0 * depth + 3.0 * np.where(time < 4.0, depth, 4.0 * np.exp(-(time - 4.0) / 2.0))
     for name in ("one.csv", "two.csv"):
         write_csv(tmp_path / name, time, depth, force)
-    ended = run("inspect", str(tmp_path), "--hold-from", "4.5", "--exclude", "two.csv", "--json")
-    one, two = ended.json()
+    one, two = run("inspect", tmp_path, "--hold-from", "4.5", "--exclude", "two.csv", "--json").json()
     assert [phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"] == [pytest.approx(4.5)]
     assert one["excluded"] is None
     assert two["excluded"] == "--exclude two.csv"
     # by the name that a study gives, as a fit leaves it out
-    named = '[[trial]]\nfile = "one.csv"\nspecimen = "knee"\n'
-    (tmp_path / "study.toml").write_text(f'schema = "tissueid/study/1"\n{named}', encoding="utf-8")
-    one, two = run("inspect", str(tmp_path), "--exclude", "knee", "--json").json()
+    write_study(tmp_path, '[[trial]]\nfile = "one.csv"\nspecimen = "knee"')
+    one, two = run("inspect", tmp_path, "--exclude", "knee", "--json").json()
     assert (one["excluded"], two["excluded"]) == ("--exclude knee", None)
-    assert run("inspect", str(tmp_path), "--hold-from", "5", "--hold-to", "4").code == 2
+    run("inspect", tmp_path, "--hold-from", "5", "--hold-to", "4", code=2)
 
 
 @pytest.mark.parametrize("other", [("--json",), ("--html", "x.html"), ("--no-study",)])

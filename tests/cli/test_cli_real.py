@@ -24,21 +24,14 @@ def cyclic(shared_data):
 
 
 def test_every_sheet_of_the_meat_workbook_has_a_ramp_and_a_hold(workbook):
-    ended = run("inspect", workbook, "--json")
-    document = ended.json("inspect")
-    assert ended.code == 0
+    document = run("inspect", workbook, "--json", code=0).json("inspect")
     assert len(document) == len({one["sheet"] for one in document}) == SHEETS
     assert len({one["specimen"] for one in document}) == SHEETS
     for one in document:
-        kinds = [phase["kind"] for phase in one["phases"]]
-        assert "ramp" in kinds, one["sheet"]
-        assert "hold" in kinds, one["sheet"]
-        hold = max(
-            (phase for phase in one["phases"] if phase["kind"] == "hold"),
-            key=lambda phase: phase["end_s"] - phase["start_s"],
-        )
+        assert "ramp" in {phase["kind"] for phase in one["phases"]}, one["sheet"]
+        holds = [phase["end_s"] - phase["start_s"] for phase in one["phases"] if phase["kind"] == "hold"]
         # the protocol is a hold of 10 s at 10 Hz; the machine takes up to a second to settle
-        assert hold["end_s"] - hold["start_s"] == pytest.approx(10.0, abs=1.5), one["sheet"]
+        assert max(holds) == pytest.approx(10.0, abs=1.5), one["sheet"]
 
 
 def test_three_pieces_of_meat_are_fitted_within_one_percent(workbook):
@@ -73,13 +66,11 @@ def test_the_whole_workbook_is_fitted_with_a_median_within_one_percent(workbook,
     assert np.median(nrmsd) <= MEDIAN_NRMSD
 
 
-def test_the_cyclic_export_is_described_as_recorded(cyclic):
+def test_the_cyclic_export_is_described_as_recorded_and_has_no_relaxation(cyclic, tmp_path):
     with cyclic.open(encoding="latin-1", newline="") as stream:
         body = [row for row in csv.reader(stream) if len(row) == 5][2:]
     rows = [tuple(float(cell) for cell in row[:3]) for row in body]
-    ended = run("inspect", cyclic, "--json")
-    (one,) = ended.json()
-    assert ended.code == 0
+    (one,) = run("inspect", cyclic, "--json", code=0).json()
     assert one["n_samples"] == len(rows)
     peak = max(rows, key=lambda row: abs(row[2]))
     for key, expected in (("first", rows[0]), ("last", rows[-1]), ("peak_force", peak)):
@@ -88,13 +79,10 @@ def test_the_cyclic_export_is_described_as_recorded(cyclic):
     assert one["compression_sign"] == -1
     assert "no_hold" in {flag["code"] for flag in one["flags"]}
     assert "hold" not in {phase["kind"] for phase in one["phases"]}
-
-
-def test_the_cyclic_export_gives_no_relaxation_and_no_bug(cyclic, tmp_path):
     ended = run("fit", cyclic, "-o", tmp_path, "--json", "--sampler", "none", code={0, 4})
     (one,) = ended.json()["specimens"]
     assert one["relaxation"] == []
-    assert run("validate", tmp_path).code == 0
+    run("validate", tmp_path, code=0)
 
 
 def test_no_real_file_ends_in_a_bug(shared_data, tmp_path):
@@ -103,15 +91,13 @@ def test_no_real_file_ends_in_a_bug(shared_data, tmp_path):
         for path in sorted(shared_data.rglob("*"))
         if path.is_file() and path.name not in {"LICENSE.txt", "SOURCE.txt", "README.md"}
     ]
-    ended = run("inspect", *files, "--json", code={0, 7})
-    assert ended.json("inspect")
-    for one in ended.json():
+    for one in run("inspect", *files, "--json", code={0, 7}).json("inspect"):
         if "error" in one:
             assert one["error"]["message"], one["path"]
     small = [path for path in files if "meat" not in path.parent.name]
-    fitted = run("fit", *small, "-o", tmp_path, "--json", *QUICK, code=7)
-    refused = {one["path"] for one in fitted.json()["refused"]}
-    read = {trial["path"] for one in fitted.json()["specimens"] for trial in one["trials"]}
+    fitted = run("fit", *small, "-o", tmp_path, "--json", *QUICK, code=7).json()
+    refused = {one["path"] for one in fitted["refused"]}
+    read = {trial["path"] for one in fitted["specimens"] for trial in one["trials"]}
     # every file is either fitted or named with its reason
     assert refused | read == {str(path) for path in small}
-    assert run("validate", tmp_path).code == 0
+    run("validate", tmp_path, code=0)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import webbrowser
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -30,6 +33,7 @@ pytestmark = pytest.mark.needs_jit
 
 PRESS = "indent 8 mm at 250 mm/min; hold 2 s"
 SHORT = "indent 1 mm at 500 mm/min; retract at 500 mm/min"
+PRESSED = ("--device", "sim", "--virtual", "--script", SHORT)
 TAU = PAPER_A.theta[4]
 
 
@@ -94,8 +98,7 @@ def test_a_log_without_a_tick_of_the_tissues_force_is_refused(log, monkeypatch):
 
 def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(bundle, tmp_path):
     path = tmp_path / "out.h5"
-    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", path, "--json")
-    assert ended.code == 0, ended.stderr
+    ended = run("render", bundle, *PRESSED, "--log", path, "--json", code=0)
     document = ended.json()
     scale = document["scale"]
     assert scale["required_damping_N_s_per_m"] <= scale["device_damping_N_s_per_m"]
@@ -152,21 +155,20 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle, tmp_pa
 
 
 @pytest.mark.usefixtures("empty_usb")
-def test_auto_says_what_it_took(bundle):
-    ended = run("render", bundle, "--script", SHORT, "--virtual", code=0)
-    assert "device sim, simulated: no haptic device was found" in ended.stderr
-
-
-@pytest.mark.usefixtures("empty_usb")
-def test_without_a_device_the_refusal_names_the_simulated_one(bundle):
+def test_auto_says_what_it_took_and_without_a_device_the_refusal_names_the_simulated_one(bundle):
+    said = "device sim, simulated: no haptic device was found"
+    run("render", bundle, "--script", SHORT, "--virtual", code=0, said=said)
     run("render", bundle, "--device", "falcon", code=5, said=("no falcon was found", "--device sim"))
 
 
 def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(bundle, tmp_path, monkeypatch):
     monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
-    ended = run("render", bundle, "--device", "falcon", code=5, said="can't be loaded, and a Falcon needs it")
-    assert "--device sim" in ended.stderr
-    assert "consent" not in ended.stderr
+    said = ("can't be loaded, and a Falcon needs it", "--device sim")
+    assert "consent" not in run("render", bundle, "--device", "falcon", code=5, said=said).stderr
+    port = ("--port", "/dev/no-such-port")
+    ended = run("render", bundle, "--device", "falcon", *port, code=5)
+    assert "/dev/no-such-port: there is no such device" in ended.stderr
+    assert "dead-man" not in ended.stderr
 
 
 @pytest.mark.parametrize(
@@ -197,28 +199,23 @@ def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(bund
         (6, ("--surface", "sphere 5 mm"), "too small"),
     ],
 )
-def test_what_cannot_be_is_answered_with_the_way_out(bundle, code, args, said):
+def test_what_cannot_be_is_answered_with_the_way_out(bundle, tmp_path, code, args, said):
     device = () if "--device" in args else ("--device", "sim")
-    run("render", bundle, *device, *args, code=code, said=said)
-    # neither bundle nor preset
-    assert run("render", "--device", "sim").code == 2
-
-
-def test_a_refused_option_leaves_no_log_behind(bundle, tmp_path):
-    args = ("--seconds", "1", "--bridge", "99999", "--log", tmp_path / "out.h5")
-    assert run("render", bundle, "--device", "sim", *args).code == 2
+    log = () if "--blind" in args else ("--log", tmp_path / "out.h5")
+    run("render", bundle, *device, *args, *log, code=code, said=said)
+    # a refused option leaves no log behind
     assert list(tmp_path.iterdir()) == []
+
+
+def test_neither_bundle_nor_preset_is_refused():
+    run("render", "--device", "sim", code=2)
 
 
 def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle, tmp_path):
     path = tmp_path / "out.h5"
     script = f"{SHORT}; switch; hold 0.6 s; {SHORT}"
-    ended = run(
-        "render", bundle, "--against-quantile", "0.99", "--device", "sim", "--script", script, "--virtual",
-        "--log", path,
-    )  # fmt: skip
-    assert ended.code == 0, ended.stderr
-    assert "times the just-noticeable difference" in ended.stderr
+    asked = ("--against-quantile", "0.99", "--device", "sim", "--script", script, "--virtual", "--log", path)
+    run("render", bundle, *asked, code=0, said="times the just-noticeable difference")
     records = read_session_log(path).records
     swapped = np.flatnonzero(np.diff(records["label"].astype(int)) != 0)
     assert swapped.size == 1
@@ -233,10 +230,8 @@ def test_a_blind_session_keeps_its_answers_apart(bundle, tmp_path):
     ended = run(
         "render", bundle, "--against-quantile", "0.99", "--blind", "--presentations", "4", "--yes",
         "--pseudonym", "P3", "--key", key, "--device", "sim", "--virtual", "--log", path,
-        "--script", "; ".join([strokes] * 3 + [SHORT]),
+        "--script", "; ".join([strokes] * 3 + [SHORT]), code=0, said="You may stop at any time",
     )  # fmt: skip
-    assert ended.code == 0, ended.stderr
-    assert "You may stop at any time" in ended.stderr
     answers = read_json(key)
     assert sorted(one["tissue"] for one in answers["presentations"]) == [0, 0, 1, 1]
     assert key.stat().st_mode & 0o077 == 0
@@ -252,19 +247,10 @@ def test_a_blind_session_keeps_its_answers_apart(bundle, tmp_path):
     assert stiffer == set(sorted(peaks, key=lambda label: peaks[label])[-2:])
 
 
-def test_a_port_that_is_not_there_is_told_before_anybody_is_asked(bundle):
-    ended = run("render", bundle, "--device", "falcon", "--port", "/dev/no-such-port", code=5)
-    assert "/dev/no-such-port: there is no such device" in ended.stderr
-    assert "dead-man" not in ended.stderr
-
-
 def test_consent_is_asked_for_where_somebody_can_answer(bundle, tmp_path):
-    ended = run(
-        "render", bundle, "--against-draw", "1", "--blind", "--presentations", "2", "--device", "sim",
-        "--log", tmp_path / "out.h5",
-    )  # fmt: skip
-    assert ended.code == 2
-    assert "give --yes where it was given" in ended.stderr
+    asked = ("--against-draw", "1", "--blind", "--presentations", "2", "--device", "sim")
+    said = "give --yes where it was given"
+    ended = run("render", bundle, *asked, "--log", tmp_path / "out.h5", code=2, said=said)
     # what is agreed to is read line by line
     assert "kept in a file apart." in ended.stderr.splitlines()
     assert "\\n" not in ended.stderr
@@ -273,7 +259,7 @@ def test_consent_is_asked_for_where_somebody_can_answer(bundle, tmp_path):
 
 def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle, tmp_path):
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
-    assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
+    run("render", bundle, *PRESSED, "--log", first, code=0)
     run("render", bundle, "--replay", first, "--script", SHORT, code=2, said="leave --script or --replay out")
     in_real_time(second, bundle, "--replay", first)
     one, other = read_session_log(first), read_session_log(second)
@@ -348,57 +334,34 @@ def flags(**given: Any) -> RenderFlags:
     return RenderFlags(**asked | {"name": "auto", "virtual": False, "viewer": False} | given)
 
 
-def test_nothing_asked_for_opens_a_tissue_without_motors():
-    asked = flags()
-    found = _demonstrated(asked)
-    assert (found.preset, found.name, found.viewer) == ("paper-a", "sim", True)
-
-
-@pytest.mark.parametrize(
-    "given", [{"bundle": Path("b.h5")}, {"name": "falcon"}, {"name": "sim"}, {"draw": 3}, {"virtual": True}]
-)
-def test_whatever_was_asked_for_is_not_replaced(given):
-    asked = flags(**given)
-    assert _demonstrated(asked) == flags(**given)
+def test_nothing_asked_for_opens_a_tissue_without_motors_and_what_was_is_not_replaced():
+    assert _demonstrated(flags()) == flags(preset="paper-a", name="sim", viewer=True)
+    asked = {"bundle": Path("b.h5"), "name": "falcon", "draw": 3, "virtual": True}
+    for given in ({"name": "sim"}, *({key: value} for key, value in asked.items())):
+        assert _demonstrated(flags(**given)) == flags(**given)
 
 
 def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
-    import webbrowser
-
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda url: bool(opened.append(url)))
+    opened = Mock()
+    monkeypatch.setattr(webbrowser, "open", opened)
     monkeypatch.setattr(view_command.sys, "platform", "linux")
     for name in view_command.SCREENS:
         monkeypatch.delenv(name, raising=False)
     open_browser("http://127.0.0.1:1/")
-    assert opened == []
+    opened.assert_not_called()
     monkeypatch.setenv("DISPLAY", ":0")
     open_browser("http://127.0.0.1:1/")
-    assert opened == ["http://127.0.0.1:1/"]
+    opened.assert_called_once_with("http://127.0.0.1:1/")
 
 
 def test_a_recording_that_stopped_is_told_once():
-    class Stopped:
-        stopped: str | None = None
-
-    class Viewer:
-        def __init__(self) -> None:
-            self.told: list[dict[str, Any]] = []
-
-        def tell(self, **words: Any) -> None:
-            self.told.append(words)
-
-        def tend(self) -> bool:
-            return False
-
-    viewer, recorder, shown = Viewer(), Stopped(), []
-    show = telling_stop(viewer, recorder, lambda record, _summary: shown.append(record))  # type: ignore[arg-type]
-    show(1, None)
-    recorder.stopped = "the disk is full"
-    show(2, None)
-    show(3, None)
-    assert viewer.told == [{"recording_stopped": "the disk is full"}]
-    assert shown == [1, 2, 3]
+    viewer, recorder, shown = Mock(tend=Mock(return_value=False)), SimpleNamespace(stopped=None), Mock()
+    show = telling_stop(viewer, recorder, shown)  # type: ignore[arg-type]
+    for number, stopped in enumerate((None, "the disk is full", "the disk is full")):
+        recorder.stopped = stopped
+        show(number, None)
+    viewer.tell.assert_called_once_with(recording_stopped="the disk is full")
+    assert shown.call_args_list == [call(0, None), call(1, None), call(2, None)]
 
 
 def test_the_token_is_printed_with_a_remark_on_encryption():

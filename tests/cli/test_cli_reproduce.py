@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from command_line import read_json, run
 
@@ -22,9 +20,8 @@ def test_both_papers_are_recomputed_and_written(tmp_path):
 
 
 def test_a_paper_is_recomputed_and_written(tmp_path):
-    ended = run("reproduce", "pires", "-o", tmp_path / "out", "--json", "--set", "surface=cone", code=0)
-    document = json.loads(ended.stdout)
-    check(document, "reproduction", where="reproduction.json")
+    asked = ("--json", "--set", "surface=cone")
+    document = run("reproduce", "pires", "-o", tmp_path / "out", *asked, code=0).json("reproduction")
     assert document == read_json(tmp_path / "out" / "reproduction.json")
     assert document["readings"]["surface"]["choice"] == "cone"
     assert [paper["name"] for paper in document["papers"]] == ["pires"]

@@ -14,10 +14,8 @@ SIM = ("--device", "sim", "--yes")
 
 def test_a_scene_with_a_tissue_is_that_tissue(tmp_path):
     log = tmp_path / "meat.h5"
-    ended = run(
-        "render", "--scene", "meat", *SIM, "--script", "indent 2 mm at 72 mm/min", "--virtual", "--log", log
-    )
-    assert ended.code == 0, ended.stderr
+    asked = ("--script", "indent 2 mm at 72 mm/min", "--virtual", "--log", log)
+    ended = run("render", "--scene", "meat", *SIM, *asked, code=0)
     assert "A cut of meat" in ended.stderr + ended.stdout
     assert "assumed" in ended.stderr + ended.stdout
     assert read_session_log(log).head["tissues"][0]["name"] == "meat"

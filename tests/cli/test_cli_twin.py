@@ -14,7 +14,6 @@ import tissueid as ti
 from tissueid.errors import UsageError
 from tissueid.haptics.shared_hand import MAX_KNOTS
 from tissueid.rendering.session_plan import read_script
-from tissueid.store.schema import check
 from tissueid.twin.program import program_of_recording, program_of_script
 
 
@@ -22,11 +21,8 @@ def fitted(name: str, folder: Path) -> Path:
     """A recording of a law and its bundle."""
     recorded(name, folder / "log.csv")
     (folder / "study.toml").write_text(STUDY, encoding="ascii")
-    ended = run(
-        "fit", folder / "log.csv", "--study", folder / "study.toml", "--model", name, "--draws", "400",
-        "-q", "-o", folder / "out",
-    )  # fmt: skip
-    assert ended.code in (0, 4), ended.stderr
+    asked = ("--study", folder / "study.toml", "--model", name, "--draws", "400", "-q", "-o", folder / "out")
+    run("fit", folder / "log.csv", *asked, code={0, 4})
     return folder / "out" / "bundle.h5"
 
 
@@ -41,15 +37,14 @@ def felt_by_a_real_machine(document: dict[str, Any], bundle: Path, out: Path, lo
     np.savetxt(machine, table, "%.6f", ",", header="time (s),displacement (mm),force (N)", comments="")
     scales = ("--motion-scale", document["motion_scale"], "--force-scale", document["force_scale"])
     asked = ("--twin", "--against", log, "--felt", machine, *scales, "--out", out.with_name("real"))
-    ended = run("render", bundle, *asked, "--json", code=0)
-    falcon, _, real = ended.json()["devices"]
+    falcon, _, real = run("render", bundle, *asked, "--json", code=0).json()["devices"]
     assert real["device"] == "test machine at the grip"
     assert real["nrmsd_model"] < 0.02
     assert [row["name"] for row in real["rows"]] == [row["name"] for row in falcon["rows"]]
     for mine, emulated in zip(real["rows"], falcon["rows"], strict=True):
         if mine["came_out"] and emulated["came_out"]:
             assert mine["came_out"] == pytest.approx(emulated["came_out"], rel=0.03)
-    assert run("render", bundle, "--felt", machine).code == 2
+    run("render", bundle, "--felt", machine, code=2)
 
 
 @pytest.mark.system
@@ -60,7 +55,7 @@ def felt_by_a_real_machine(document: dict[str, Any], bundle: Path, out: Path, lo
 def test_what_went_in_comes_out(name, tmp_path):
     if name == "yardstick":
         recorded("flat * fung", tmp_path / "log.csv")
-        ended = run("fit", tmp_path / "log.csv", "--model", name, "-q", "-o", tmp_path / "out", code=0)
+        run("fit", tmp_path / "log.csv", "--model", name, "-q", "-o", tmp_path / "out", code=0)
         bundle = tmp_path / "out" / "bundle.h5"
     else:
         bundle = fitted(name, tmp_path)
@@ -68,8 +63,7 @@ def test_what_went_in_comes_out(name, tmp_path):
     for _ in range(2):
         # a second time into the same folder
         ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--json", code=0)
-    document = ended.json()
-    check(document, "twin")
+    document = ended.json("twin")
     assert document == read_json(out / "twin.json")
     falcon, simulated = document["devices"]
     for one in (falcon, simulated):
@@ -112,9 +106,14 @@ def test_a_script_is_a_program_from_above_the_tissue():
     assert min(z for _, _, z in hand.positions_m) == pytest.approx(0.1 - 5.0 * 4e-3)
 
 
-def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path):
-    recorded("power * prony", tmp_path / "log.csv")
-    (trial,) = ti.read(tmp_path / "log.csv")
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "log.csv"
+    recorded("power * prony", path)
+    return ti.read(path)[0]
+
+
+def test_a_recording_is_a_program_of_few_straight_stretches(trial):
     wavy = trial.displacement_mm + 0.02 * np.sin(40.0 * trial.time_s)
     for travel in (trial.displacement_mm, wavy):
         program = program_of_recording(ti.Trial("s", trial.time_s, travel, trial.force_N), 6.5)
@@ -125,13 +124,8 @@ def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path):
         assert np.abs(meant[-1] - program.depth_mm[-1]) < 1e-9
 
 
-def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(tmp_path):
-    recorded("power * prony", tmp_path / "log.csv")
-    (trial,) = ti.read(tmp_path / "log.csv")
-    whole = program_of_recording(trial, 6.5)
-
-    scaled = program_of_recording(trial, 5.0)
-
+def test_a_travel_of_which_the_frame_took_a_part_is_scaled_to_the_claimed_depth(trial):
+    whole, scaled = (program_of_recording(trial, depth) for depth in (6.5, 5.0))
     assert scaled.depth_mm.max() == pytest.approx(5.0, abs=0.01)
     assert scaled.duration_s == pytest.approx(whole.duration_s, abs=0.01)
     assert scaled.recorded is None

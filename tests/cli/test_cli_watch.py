@@ -7,9 +7,10 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -46,79 +47,52 @@ def ramp_hold(
 # --- when a file is whole -------------------------------------------------------------------------
 
 
-def watch(folder: Path) -> FolderWatch:
+def looks(folder: Path) -> Callable[[], list[str] | None]:
+    """Function that looks at a folder: the names that are ready; none where it is out of reach."""
+
     def find() -> list[Path]:
         if not folder.is_dir():
             raise OSError("gone")
         return sorted(folder.glob("*.csv"))
 
-    return FolderWatch(find)
+    watch = FolderWatch(find)
+
+    def look() -> list[str] | None:
+        found = watch.look()
+        assert found.gone == ()
+        return [path.name for path in found.ready] if found.reachable else None
+
+    return look
 
 
-def names(paths: Iterable[Path]) -> list[str]:
-    return [path.name for path in paths]
-
-
-def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path):
-    folder, path = watch(tmp_path), tmp_path / "a.csv"
-    assert folder.look().ready == ()
-    path.write_text("half", encoding="ascii")
-    assert names(folder.look().waiting) == ["a.csv"]
-    path.write_text("half and more", encoding="ascii")
-    assert folder.look().ready == ()
-    assert names(folder.look().ready) == ["a.csv"]
-    assert folder.look().ready == ()
-
-
-def test_an_empty_file_waits_for_its_content(tmp_path):
-    folder, path = watch(tmp_path), tmp_path / "a.csv"
+def test_a_file_is_whole_when_it_can_be_opened_and_two_looks_find_it_the_same(tmp_path, monkeypatch):
+    look, path = looks(tmp_path), tmp_path / "a.csv"
+    assert look() == []
     path.touch()
-    for _ in range(3):
-        assert folder.look().ready == ()
-    path.write_text("now", encoding="ascii")
-    folder.look()
-    assert names(folder.look().ready) == ["a.csv"]
-
-
-def test_a_file_that_can_not_be_opened_yet_waits(tmp_path, monkeypatch):
-    folder, path = watch(tmp_path), tmp_path / "a.csv"
-    path.write_text("locked", encoding="ascii")
-    opened = Path.open
-
-    def locked(self: Path, *args: Any, **kwargs: Any) -> Any:
-        if self == path:
-            raise PermissionError(13, "used by another process")
-        return opened(self, *args, **kwargs)
-
+    # empty as yet, however long
+    assert [look() for _ in range(3)] == [[]] * 3
+    path.write_text("half", encoding="ascii")
+    assert look() == []
+    path.write_text("half and more", encoding="ascii")
+    assert look() == []
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "open", locked)
-        for _ in range(3):
-            assert folder.look().ready == ()
-    assert names(folder.look().ready) == ["a.csv"]
+        patch.setattr(Path, "open", Mock(side_effect=PermissionError(13, "used by another process")))
+        assert [look() for _ in range(3)] == [[]] * 3
+    assert [look(), look()] == [["a.csv"], []]
 
 
-def test_files_come_in_the_order_of_their_times(tmp_path):
-    for age, name in ((10, "z.csv"), (30, "m.csv"), (20, "a.csv")):
-        (tmp_path / name).write_text(name, encoding="ascii")
-        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
-    folder = watch(tmp_path)
-    folder.look()
-    assert names(folder.look().ready) == ["m.csv", "a.csv", "z.csv"]
-
-
-def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path):
-    inside = tmp_path / "drive"
+def test_files_come_in_the_order_of_their_times_and_a_folder_out_of_reach_is_no_deletion(tmp_path):
+    inside, away = tmp_path / "drive", tmp_path / "away"
     inside.mkdir()
-    (inside / "a.csv").write_text("whole", encoding="ascii")
-    folder = watch(inside)
-    folder.look()
-    folder.look()
-    inside.rename(tmp_path / "away")
-    away = folder.look()
-    assert (away.reachable, away.gone) == (False, ())
-    (tmp_path / "away").rename(inside)
-    back = folder.look()
-    assert (back.reachable, back.gone, back.ready) == (True, (), ())
+    for age, name in ((10, "z.csv"), (30, "m.csv"), (20, "a.csv")):
+        (inside / name).write_text(name, encoding="ascii")
+        os.utime(inside / name, (1e9 - age, 1e9 - age))
+    look = looks(inside)
+    assert [look(), look()] == [[], ["m.csv", "a.csv", "z.csv"]]
+    inside.rename(away)
+    assert look() is None
+    away.rename(inside)
+    assert look() == []
 
 
 # --- a session ------------------------------------------------------------------------------------
@@ -179,18 +153,13 @@ def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path):
     bench.happenings()
     path.rename(tmp_path / "kidney 1.csv")
     assert sorted(bench.happenings()) == ["gone", "renamed"]
-    assert names(Path(one.path) for one in bench.session.verdicts) == ["kidney 1.csv"]
+    assert [Path(one.path).name for one in bench.session.verdicts] == ["kidney 1.csv"]
+    # saved again without change
+    os.utime(tmp_path / "kidney 1.csv", (2e9, 2e9))
+    assert bench.happenings(3) == []
     (tmp_path / "copy.csv").write_bytes((tmp_path / "kidney 1.csv").read_bytes())
     assert bench.happenings() == ["copy"]
     assert len(bench.judged) == 1
-
-
-def test_a_file_saved_again_without_change_is_passed_over(tmp_path):
-    bench = Bench(tmp_path)
-    path = write_log(tmp_path / "one.csv")
-    bench.happenings()
-    os.utime(path, (2e9, 2e9))
-    assert bench.happenings(3) == []
 
 
 def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path):
@@ -222,31 +191,26 @@ def test_a_session_goes_on_from_its_log(tmp_path):
     assert all(valid(one) for one in load_log(log))
 
 
-def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path):
-    def broken(trial: Trial, earlier: Iterable[Watch]) -> Watch:
-        raise ZeroDivisionError("for the test")
-
-    write_log(tmp_path / "one.csv")
-    session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, broken)
-    (happening,) = [one for _ in range(2) for one in session.step()]
-    assert happening.verdict is not None
-    assert happening.verdict.verdict.level == "refused"
-    assert "ZeroDivisionError" in happening.verdict.verdict.reason
-    assert valid(happening.verdict)
+def session_of(folder: Path, judge: Callable[..., Watch], **more: Any) -> WatchSession:
+    """A session that has seen the only recording of its folder once."""
+    write_log(folder / "one.csv")
+    session = WatchSession(FolderWatch(lambda: find_inputs([folder])), read_each, judge, **more)
+    assert list(session.step()) == []
+    return session
 
 
-@pytest.mark.parametrize("wrapped", [False, True])
-def test_an_interrupt_within_the_judge_ends_the_session(tmp_path, wrapped):
-    def interrupted(trial: Trial, earlier: Iterable[Watch]) -> Watch:
-        if wrapped:
-            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
-        raise KeyboardInterrupt
-
-    write_log(tmp_path / "one.csv")
-    session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, interrupted)
-    list(session.step())
-    with pytest.raises((KeyboardInterrupt, SystemError)):
-        list(session.step())
+def test_a_file_that_defeats_the_judge_does_not_end_the_session_and_an_interrupt_does(tmp_path):
+    session = session_of(tmp_path, Mock(side_effect=ZeroDivisionError("for the test")))
+    (verdict,) = [happening.verdict for happening in session.step()]
+    assert verdict.verdict.level == "refused"
+    assert "ZeroDivisionError" in verdict.verdict.reason
+    assert valid(verdict)
+    wrapped = SystemError("returned a result with an exception set")
+    wrapped.__cause__ = KeyboardInterrupt()
+    for error in (KeyboardInterrupt(), wrapped):
+        session = session_of(tmp_path, Mock(side_effect=error))
+        with pytest.raises(type(error)):
+            list(session.step())
 
 
 # --- the verdict ----------------------------------------------------------------------------------
@@ -266,19 +230,12 @@ def test_a_verdict_is_what_inspect_says():
 
 
 def test_a_fit_comes_after_the_line(tmp_path):
-    write_log(tmp_path / "one.csv")
-    told: list[str] = []
-
-    def fit(trial: Trial) -> Fit:
-        told.append("fit")
-        return Fit(0.1, ())
-
-    session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, judge, fit=fit)
-    for _ in range(2):
-        # one by one: the fit runs when the next is asked for
-        for happening in session.step():
-            told.append(happening.kind)  # noqa: PERF401
-    assert told == ["verdict", "fit", "fitted"]
+    fit = Mock(return_value=Fit(0.1, ()))
+    session = session_of(tmp_path, judge, fit=fit)
+    # one by one: the fit runs when the next is asked for
+    happenings = session.step()
+    assert (next(happenings).kind, fit.call_count) == ("verdict", 0)
+    assert ([one.kind for one in happenings], fit.call_count) == (["fitted"], 1)
     assert plain(session.verdicts[0].fit) == {"nrmsd": 0.1, "parameters": []}
 
 
@@ -304,36 +261,31 @@ def test_only_equal_tests_of_one_specimen_are_compared():
 # --- the command ----------------------------------------------------------------------------------
 
 
+def verdicts(folder: Path, *args: Any, code: int | tuple[int, ...] = ()) -> list[Any]:
+    """Lines that ``watch`` prints of what is in a folder."""
+    ended = run("watch", folder, *ONCE, "--json", *args, code=code)
+    return [json.loads(line) for line in ended.stdout.splitlines()]
+
+
 def test_once_judges_what_is_there_and_ends(tmp_path):
     write_log(tmp_path / "data" / "one.csv")
     (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out", code=7)
-    lines = [json.loads(line) for line in ended.stdout.splitlines()]
+    lines = verdicts(tmp_path / "data", "-o", tmp_path / "out", code=7)
     assert {Path(one["path"]).name: one["verdict"]["level"] for one in lines}["bad.csv"] == "refused"
     assert all(first_problem(one, "watch") is None for one in lines)
     assert [plain(one) for one in load_log(tmp_path / "out" / "watch.jsonl")] == lines
-    again = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
-    assert again.stdout == ""
+    assert verdicts(tmp_path / "data", "-o", tmp_path / "out") == []
 
 
-def test_text_is_the_line_of_inspect(tmp_path):
-    write_log(tmp_path / "one.csv")
-    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
-    ended = run(
-        "watch", tmp_path, *ONCE, "--bell", said=("\a", "2 tests: "), shown=("one.csv  ", "keep", "refused (")
-    )
-    assert "refused: " in ended.stderr
-    run("watch", write_log(tmp_path / "alone" / "log.csv").parent, *ONCE, said="1 test: ")
-
-
-def test_a_folder_of_refusals_alone_is_3(tmp_path):
+def test_text_is_the_line_of_inspect_and_a_folder_of_refusals_alone_is_3(tmp_path):
     (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
     run("watch", tmp_path, *ONCE, code=3, shown="refused (")
-
-
-def test_recordings_of_a_session_before_may_be_passed_over(tmp_path):
-    write_log(tmp_path / "old.csv")
-    assert run("watch", tmp_path, *ONCE, "--json", "--new-only").stdout == ""
+    write_log(tmp_path / "one.csv")
+    told = ("\a", "2 tests: ", "refused: ")
+    run("watch", tmp_path, *ONCE, "--bell", said=told, shown=("one.csv  ", "keep", "refused ("))
+    run("watch", write_log(tmp_path / "alone" / "log.csv").parent, *ONCE, said="1 test: ")
+    # recordings of a session before may be passed over
+    assert verdicts(tmp_path, "--new-only") == []
 
 
 def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path):
@@ -341,11 +293,7 @@ def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path)
         path = write_log(tmp_path / name, label=None, force_times=factor)
         os.utime(path, (1e9 + factor, 1e9 + (name == "two.csv")))
     apart, together = (
-        [
-            json.loads(line)["verdict"]["reason"]
-            for line in run("watch", tmp_path, *ONCE, "--json", *more).stdout.splitlines()
-        ]
-        for more in ((), ("--same-specimen",))
+        [one["verdict"]["reason"] for one in verdicts(tmp_path, *more)] for more in ((), ("--same-specimen",))
     )
     assert not any("softer" in reason for reason in (*apart, together[0]))
     assert "50 % softer" in together[1]
@@ -361,16 +309,14 @@ def test_the_study_of_the_folder_is_followed(tmp_path):
         '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"',
         '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"',
     )
-    lines = [json.loads(line) for line in run("watch", tmp_path, *ONCE, "--json").stdout.splitlines()]
-    told = {Path(one["path"]).name: one for one in lines}
-    assert {one["specimen"] for one in lines} == {"kidney"}
+    told = {Path(one["path"]).name: one for one in verdicts(tmp_path)}
+    assert {one["specimen"] for one in told.values()} == {"kidney"}
     assert told["one.csv"]["contact"]["displacement_mm"] == 0.25
     assert "slipped" in told["two.csv"]["excluded"]
 
 
 def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path):
-    ended = run("watch", tmp_path / "nowhere", *ONCE, said="there is no such folder")
-    assert (ended.code, ended.stdout) == (2, "")
+    run("watch", tmp_path / "nowhere", *ONCE, code=2, said="there is no such folder")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
