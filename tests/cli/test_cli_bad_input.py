@@ -8,9 +8,10 @@ import stat
 import sys
 import zipfile
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
-from command_line import QUICK, log_text, run, start, write_log
+from command_line import QUICK, log_text, read_json, run, start, write_log
 
 
 def rows_with(change: Callable[[int, str], str]) -> bytes:
@@ -72,6 +73,25 @@ def test_a_bad_file_is_told_and_is_no_bug(tmp_path, name):
     # what can be read but not fitted is described by inspect and refused by fit
     fitted = run("fit", path, "-o", tmp_path / "out", *QUICK, code={3, 4}, said=name)
     assert not (tmp_path / "out" / "identification.json").exists() or fitted.code == 4
+
+
+def test_sound_files_are_fitted_and_every_bad_one_among_them_is_named_with_its_reason(tmp_path):
+    folder = tmp_path / "lab"
+    for name, times in (("one", 1.0), ("two", 1.02), ("other", 1.3)):
+        write_log(folder / f"{name}.csv", label="other" if name == "other" else "liver", force_times=times)
+    # a picture in a folder is nothing that was meant
+    bad = {f"bad-{name}": content for name, content in BAD_FILES.items() if not name.endswith(".png")}
+    for name, content in bad.items():
+        (folder / name).write_bytes(content)
+    ended = run("fit", folder, "-o", tmp_path / "out", *QUICK, code=7)
+    document = read_json(tmp_path / "out" / "identification.json")
+    assert {one["specimen"]: len(one["trials"]) for one in document["specimens"]} == {"liver": 2, "other": 1}
+    refused = {Path(one["path"]).name: one["error"] for one in document["refused"]}
+    assert set(refused) == set(bad)
+    for name, error in refused.items():
+        (said,) = (line for line in ended.stderr.splitlines() if f"/{name}" in line)
+        assert said.startswith(f"refused ({error['code']})")
+        assert error["message"] in said
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Folders as they are: damaged files among sound ones, odd names, other locales, missing rights."""
+"""Folders as they are: odd names, other locales, missing rights."""
 
 from __future__ import annotations
 
@@ -8,55 +8,22 @@ import os
 import subprocess
 import sys
 import unicodedata
-from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from command_line import QUICK, Ended, log_text, python, read_json, run, start, write_log, write_study
 
-from tissueid.synth import DIALECTS, Hold, Log, Move, SyntheticLog, bluehill_csv, recipe, simulate
+from tissueid.cli.fit_command import print_reasons
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="rights and names of a POSIX system")
 
 
-def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_lines(tmp_path):
-    folder, out, repeats = tmp_path / "lab", tmp_path / "out", 5
-    sound = write_lab(folder, repeats=repeats)
-    log = sound_logs(repeats)[0]
-    ended = run("fit", folder, "-o", out, *QUICK, code=7)
-    lines = ended.stderr.splitlines()
-    for name, (_, line, word) in damaged_files(log).items():
-        place = str(folder / name) if line is None else f"{folder / name}, line {line}"
-        (said,) = (text for text in lines if name in text)
-        assert place in said
-        assert word in said
-    for name, (_, word) in unidentifiable_files(log).items():
-        # what was read and fitted goes by the name of its specimen
-        start_of_line = "ramp: not identified: " if word == "not identified" else f"refused ({word}"
-        said = [text for text in lines if text.startswith(start_of_line) and (name in text or "ramp" in name)]
-        assert said
-        assert all(word in text for text in said)
-    document = read_json(out / "identification.json")
-    assert document["exit"]["code"] == 7
-    used = [entry["path"] for entry in document["provenance"]["inputs"]]
-    assert len(used) == sound + 1
-    assert len(document["refused"]) == len(damaged_files(log)) + 2
-    identified = {one["specimen"] for one in document["specimens"]} - {"ramp"}
-    assert identified == {f"paper-a-{k:02d}" for k in (1, 2, 3)}
-    assert sound == 30
-    assert "paper-a-02  10 logs" in ended.stdout
-
-
-def test_many_specimens_that_are_not_identified_are_all_named(tmp_path, monkeypatch, capfd):
-    from types import SimpleNamespace
-
-    from tissueid.cli import fit_command
-
+def test_many_specimens_that_are_not_identified_are_all_named(capfd):
     reasons = tuple(f"cow {k}: not identified: viscosity_Ns_per_mm" for k in range(40))
     reasons += ("goat: not identified: static_N_per_mm", "cow 7: Levenberg-Marquardt did not converge")
     ended = SimpleNamespace(refused=(), exit=SimpleNamespace(reasons=reasons))
-    fit_command.print_reasons(ended, quiet=0)  # type: ignore[arg-type]
+    print_reasons(ended, quiet=0)  # type: ignore[arg-type]
     said = capfd.readouterr().err
     assert all(f"cow {k};" in said or f"cow {k}:" in said for k in range(40))
     assert said.count("viscosity_Ns_per_mm") == 1
@@ -271,70 +238,3 @@ def test_a_slow_folder_shows_progress_and_reads_each_file_once(tmp_path, monkeyp
     )
     assert opened == ["0.csv", "1.csv", "2.csv"]
     assert len(found.specimens) == 1
-
-
-#: Lines above the first row of the writer's dialect: two entries, the rate, a blank one, names, units.
-HEADER_LINES = 6
-
-
-def sound_logs(repeats: int) -> list[SyntheticLog]:
-    """Holds at two depths of three specimens."""
-    logs = (
-        Log("hold-8", (Move(8.0, 250.0), Hold(3.0)), repeats=repeats),
-        Log("hold-4", (Move(4.0, 100.0), Hold(1.0)), repeats=repeats),
-    )
-    small = replace(recipe("paper-a-hold-100Hz"), specimens=3, logs=logs)
-    return simulate(small, rng=np.random.default_rng(11))
-
-
-def text_of(log: SyntheticLog) -> str:
-    return bluehill_csv(log, dialect=DIALECTS["bare"], decimals=(3, 5, 4)).decode("ascii")
-
-
-def edited(text: str, line: int, change: tuple[str, str]) -> str:
-    """The text with one line changed; lines count from 1."""
-    lines = text.split("\r\n")
-    assert change[0] in lines[line - 1]
-    lines[line - 1] = lines[line - 1].replace(*change, 1)
-    return "\r\n".join(lines)
-
-
-def damaged_files(log: SyntheticLog) -> dict[str, tuple[bytes, int | None, str]]:
-    """Name -> bytes, the line that must be named, and a word of the reason."""
-    text = text_of(log)
-    rows = text.split("\r\n")
-    shuffled = "\r\n".join([*rows[:60], rows[90], *rows[60:]])
-    return {
-        "damaged-mark.csv": (edited(text, 40, (".", ".1.")).encode(), 40, "decimal mark"),
-        "damaged-unit.csv": (text.replace("(N)", "(zork)").encode(), HEADER_LINES - 1, "zork"),
-        "damaged-order.csv": (shuffled.encode(), 62, "time falls"),
-        "damaged-cells.csv": (edited(text, 77, (",", ",7,")).encode(), 77, "4 cells"),
-        "damaged-zip.xlsx": (b"PK\x03\x04" + text.encode(), None, "workbook"),
-    }
-
-
-def unidentifiable_files(log: SyntheticLog) -> dict[str, tuple[bytes, str]]:
-    """Name -> bytes, and the code or words of the reason: nothing touched, a dead cell, one slow ramp."""
-    rng = np.random.default_rng(5)
-    air = np.round(rng.normal(0.0, 0.3, log.force_N.size), 4)
-    ramp = replace(
-        recipe("paper-a-hold-100Hz"), specimen="ramp", rate_Hz=10.0, logs=(Log("ramp", (Move(8.0, 10.0),)),)
-    )
-    (slow,) = simulate(ramp, rng=rng)
-    return {
-        "no-contact.csv": (text_of(replace(log, specimen="air", force_N=air)).encode(), "no_contact"),
-        "dead-cell.csv": (text_of(replace(log, specimen="dead", force_N=0.0 * air)).encode(), "no_contact"),
-        "one-ramp.csv": (text_of(slow).encode(), "not identified"),
-    }
-
-
-def write_lab(folder: Path, *, repeats: int) -> int:
-    """Write the folder; returns how many logs are sound."""
-    folder.mkdir()
-    logs = sound_logs(repeats)
-    for log in logs:
-        (folder / f"{log.name}.csv").write_text(text_of(log), encoding="ascii", newline="")
-    files = {name: one[0] for name, one in (damaged_files(logs[0]) | unidentifiable_files(logs[0])).items()}
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
-    return len(logs)

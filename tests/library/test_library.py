@@ -55,20 +55,16 @@ def test_a_function_is_a_law_and_its_truth_is_found(own):
     assert own.result.model.name == "power * constant * creep"
 
 
-def test_residuals_are_those_of_the_fit(own):
+def test_residuals_are_those_of_the_fit_and_another_recording_is_predicted_in_its_own_sign_and_zero(own):
     (trial,) = own.trials
     residual = own.residual(trial)
     assert np.isfinite(residual).all()
     assert residual.std() == pytest.approx(0.05, rel=0.15)
     inside = trial.time_s > 0.55
     assert np.sqrt((residual[inside] ** 2).mean()) == pytest.approx(own.result.nrmsd.rmse_N, rel=0.05)
-
-
-@pytest.mark.parametrize(("sign", "zero_N"), [(1.0, 0.0), (-1.0, 3.0)])
-def test_another_recording_is_predicted_in_its_own_sign_and_zero(own, sign, zero_N):
-    other = recorded(depth_mm=4.0, sign=sign, zero_N=zero_N, seed=3)
-    residual = own.residual(other)
-    assert np.sqrt(np.nanmean(residual**2)) < 0.01 * np.ptp(other.force_N)
+    for sign, zero_N in ((1.0, 0.0), (-1.0, 3.0)):
+        other = recorded(depth_mm=4.0, sign=sign, zero_N=zero_N, seed=3)
+        assert np.sqrt(np.nanmean(own.residual(other) ** 2)) < 0.01 * np.ptp(other.force_N)
 
 
 def pushes(sites, *, spread, seed):
@@ -118,6 +114,8 @@ def test_a_fixed_time_of_the_paper_s_model_keeps_its_order(datasets):
     assert fixed.result.model.branches == fit.result.model.branches
     assert [row["chosen"] for row in fit.selection].count(True) == 1
     assert "to its last digit (10⁻⁵ mm)" in str(fit)
+    with pytest.raises(UsageError, match="follows from other parameters; static_1_N_per_mm"):
+        fit.fix(eta=1.3)
 
 
 def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
@@ -140,18 +138,13 @@ def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
     assert first.log is not None
 
 
-def test_a_drawing_is_a_file_of_its_own(own, tmp_path):
-    path = own.plot().save(tmp_path / "fit.svg")
-    text = path.read_text(encoding="utf-8")
+def test_lines_are_those_of_the_command_and_a_drawing_is_a_file_of_its_own(own, tmp_path):
+    assert str(own).startswith("specimen  1 log, power * constant * creep")
+    assert "  static F_s  c " in str(own)
+    text = own.plot().save(tmp_path / "fit.svg").read_text(encoding="utf-8")
     assert text.startswith("<svg xmlns=")
     assert text.count("<polyline") == 2
     assert "<table" in own._repr_html_()
-
-
-def test_lines_are_those_of_the_command(own):
-    text = str(own)
-    assert text.startswith("specimen  1 log, power * constant * creep")
-    assert "  static F_s  c " in text
 
 
 def test_what_could_not_be_read_stands_beside(tmp_path, datasets):
@@ -209,15 +202,8 @@ def test_a_function_of_an_installed_name_is_refused():
         ti.ContactModel(relaxation=prony)
 
 
-def test_a_viscosity_follows_and_can_t_be_fixed(datasets):
-    fit = ti.fit(ti.read(datasets / "paper-a-hold-100Hz"), "polynomial * prony")
-    with pytest.raises(UsageError, match="follows from other parameters; static_1_N_per_mm"):
-        fit.fix(eta=1.3)
-
-
 def test_no_package_has_the_name_of_a_function(own):
-    for _ in range(2):
-        assert callable(ti.fit)
-        assert callable(ti.render)
-        assert callable(ti.read)
-        assert ti.fit(own.trials, "power * power-law").result.specimen == "specimen"
+    # `own` has loaded the packages
+    assert all(map(callable, (ti.fit, ti.render, ti.read)))
+    assert ti.fit(own.trials, "power * power-law").result.specimen == "specimen"
+    assert callable(ti.fit)

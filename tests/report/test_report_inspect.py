@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,12 @@ def ramp_hold(
     force = 10.0 * depth + branch + np.random.default_rng(3).normal(0.0, 0.1, samples)
     source = Source(path=path, sheet=sheet, columns={"time": "Time", "displacement": "Ext", "force": "Load"})
     return Trial("kidney", time_s, x, force, source=source, flags=flags)
+
+
+@cache
+def looked() -> dict[str, Any]:
+    """What is said of the recording above, changed by nobody."""
+    return plain(recording(ramp_hold()).document)
 
 
 def recording(trial: Trial, file: str = "run.csv") -> InspectedRecording:
@@ -121,7 +127,7 @@ def entry_of(document: Any, key: str) -> Decision:
 
 def test_every_entry_parses_names_the_recording_and_is_valid():
     file = 'kidney "left"/run 3 [ä] \\ x.csv'
-    found = decisions(plain(recording(ramp_hold(sheet="A")).document) | {"sheet": "A"}, file=file)
+    found = decisions(looked() | {"sheet": "A"}, file=file)
     assert [one.key for one in found] == [
         "columns", "units", "compression", "force", "contact", "hold", "hold_from", "cut", "specimen",
         "exclude",
@@ -145,9 +151,8 @@ def test_every_entry_parses_names_the_recording_and_is_valid():
     ],
 )
 def test_the_entry_of_the_contact_point_has_the_digits_that_its_sd_has(sd_mm, place, sd):
-    document = plain(recording(ramp_hold()).document)
-    document["contact"] = {**document["contact"], "displacement_mm": 0.14610592799, "sd_mm": sd_mm}
-    entry = entry_of(document, "contact")
+    contact = looked()["contact"] | {"displacement_mm": 0.14610592799, "sd_mm": sd_mm}
+    entry = entry_of(looked() | {"contact": contact}, "contact")
     assert f"contact_mm = {place}\n" in entry.toml
     (table,) = tomllib.loads(entry.toml)["override"]
     assert table["contact_sd_mm"] == pytest.approx(sd, rel=1e-12)  # rounding of the last bit
@@ -207,17 +212,21 @@ def test_any_name_survives_in_toml(text):
     assert tomllib.loads(f"name = {toml_string(text)}")["name"] == text
 
 
-def test_a_choice_of_columns_offers_the_other_one():
+def test_a_choice_of_columns_offers_the_other_one_and_a_rupture_can_be_denied():
     values = {"quantity": "displacement", "taken": "Ext", "alternatives": ["Strain 1"]}
-    document = recording(ramp_hold(flags=(Flag("column_choice", "Ext, not Strain 1", values),))).document
-    entry = entry_of(document, "columns")
-    assert tomllib.loads(entry.toml)["override"][0]["columns"]["displacement"] == "Strain 1"
+    chosen = {"code": "column_choice", "message": "Ext, not Strain 1", "values": values}
+    rupture = {"kind": "rupture", "time_s": 2.0, "values": {}}
+    document = looked() | {"flags": [chosen], "events": [rupture]}
+    columns, denied = (tomllib.loads(entry_of(document, key).toml) for key in ("columns", "rupture"))
+    assert columns["override"][0]["columns"]["displacement"] == "Strain 1"
+    assert denied["override"][0]["rupture"] is False
+    assert first_problem(study_of(denied), "study") is None
 
 
 def test_what_the_user_decided_is_told_with_the_reason():
     values = {"keys": ["contact_mm", "end_s", "rupture"], "because": "seen by eye"}
-    document = recording(ramp_hold(flags=(Flag("decision_overridden", "contact_mm = 1", values),))).document
-    told = {one.key: one.taken for one in decisions(document, file="run.csv")}
+    decided = {"code": "decision_overridden", "message": "contact_mm = 1", "values": values}
+    told = {one.key: one.taken for one in decisions(looked() | {"flags": [decided]}, file="run.csv")}
     said = "as study.toml says, because: seen by eye; "
     assert {key for key, text in told.items() if text.startswith(said)} == {
         "contact", "cut", "rupture",
@@ -225,17 +234,10 @@ def test_what_the_user_decided_is_told_with_the_reason():
     assert "a part of the record counts" in told["cut"]
 
 
-def test_a_rupture_can_be_denied():
-    document = plain(recording(ramp_hold()).document)
-    document["events"] = [{"kind": "rupture", "time_s": 2.0, "values": {}}]
-    entry = entry_of(document, "rupture")
-    assert tomllib.loads(entry.toml)["override"][0]["rupture"] is False
-    assert first_problem(study_of(tomllib.loads(entry.toml)), "study") is None
-
-
 # --- the page -------------------------------------------------------------------------------------------
 
 
+@cache
 def several() -> list[InspectedRecording]:
     grave = Flag("clipped_force", "the force stands at 20 N", {"force_N": 20.0})
     look = Flag("gap", "1 gap in the log", {"count": 1})
@@ -256,21 +258,18 @@ def test_the_most_doubtful_recording_stands_first_and_what_is_excluded_is_marked
     ]  # fmt: skip
 
 
-def test_names_are_escaped_and_refusals_are_told_also_where_nothing_is_readable():
+def test_names_are_escaped_flags_have_their_numbers_and_refusals_are_told_also_where_nothing_is_readable():
     refusal = Refusal("<i>x</i>.csv", None, "no_rows", "no <row>", 3, 2)
-    html = render_inspection(several(), [refusal])
+    html, nothing = render_inspection(several(), [refusal]), render_inspection([], [refusal])
     assert "<b>look</b>" not in html
     assert "<i>x</i>" not in html
+    assert "<dt>force_N</dt><dd>20.00</dd>" in html
     for said in ("line 3, column 2", "no &lt;row&gt;"):
         assert said in html
-        assert said in render_inspection([], [refusal])
-    assert "Nothing could be read" in render_inspection([], [refusal])
-
-
-def test_flags_stand_with_their_numbers_and_the_picture_is_told_in_words():
-    html = render_inspection(several()[2:])
-    assert "<dt>force_N</dt><dd>20.00</dd>" in html
-    (label,) = re.findall(r'data-figure="time"[^>]*aria-label="([^"]*)"', html)
+        assert said in nothing
+    assert "Nothing could be read" in nothing
+    # the picture in words
+    label, *_ = re.findall(r'data-figure="time"[^>]*aria-label="([^"]*)"', html)
     assert "1500 samples over 15.00 s, approach, ramp, hold; contact at" in label
 
 

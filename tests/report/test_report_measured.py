@@ -82,11 +82,12 @@ def test_logs_of_one_programme_have_a_mean_and_their_standard_deviation():
     assert view["said"].startswith("F(t): t after the stop. Mean ± SD between logs.")
 
 
-def test_one_log_says_that_its_spread_is_unknown():
+def test_one_log_says_that_its_spread_is_unknown_and_several_holds_have_a_column_each():
     fit = measured_fit(log(9.0))
     assert cells(fit)["F(1 s)"] == ["7.200"]
-    view = view_of(fit)
-    assert "the spread between sites is unknown" in view["said"]
+    assert "the spread between sites is unknown" in view_of(fit)["said"]
+    view = view_of(measured_fit(log(9.0, holds=2)))
+    assert view["head"] == ["Hold 1, ramp 1.50 s", "Hold 2, ramp 1.50 s"]
 
 
 def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted():
@@ -98,11 +99,6 @@ def test_programmes_are_not_pooled_and_those_beyond_the_first_are_counted():
     pooled = [cell for name, row in cells(fit).items() if name == "Peak force" for cell in row]
     assert set(pooled) <= {"10.0 ± 1.4", "30.00", "2.000"}
     assert len(pooled) == MOST_COLUMNS
-
-
-def test_several_holds_have_a_column_each():
-    view = view_of(measured_fit(log(9.0, holds=2)))
-    assert view["head"] == ["Hold 1, ramp 1.50 s", "Hold 2, ramp 1.50 s"]
 
 
 def test_a_folder_of_an_older_version_has_no_such_block():

@@ -74,15 +74,12 @@ def test_structure_is_sound(case):
     assert max(np.diff(parsed.levels), default=0) <= 1
 
 
-def test_names_from_files_are_escaped():
-    html = page(specimen_fit("<script>alert(1)</script>", trials=1, samples=60), refused=True)
+def test_names_from_files_are_escaped_and_equal_input_gives_an_equal_page():
+    fit = specimen_fit("<script>alert(1)</script>", trials=1, samples=60)
+    html = self_contained(partial(page, fit, refused=True))
     assert "<script>alert(1)" not in html
     assert "&lt;script&gt;alert(1)" in html
     assert "<b>notes</b>" not in html
-
-
-def test_equal_input_gives_an_equal_page_and_a_time_stamp_only_on_demand():
-    self_contained(partial(page, specimen_fit(samples=60)))
 
 
 LARGE = [(1, 30, 20_000, False), (29, 1, 20_000, False)]

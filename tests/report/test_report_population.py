@@ -1,3 +1,5 @@
+"""The page of a population: its numbers, bands and figures."""
+
 from __future__ import annotations
 
 from functools import partial
@@ -47,15 +49,10 @@ def found():
 
 def test_the_page_asks_the_network_for_nothing_and_says_its_numbers(found):
     document, bundle = found
-
     page = self_contained(partial(render_population, document, bundle))
-
-    assert "Population of 6 specimens" in page
-    row = document["population"]["quantities"][2]
-    assert row["words"] in page
-    assert "Intraclass correlation" in page
-    assert "sex: m against f" in page
-    assert "4.23 to 10.95 %" in page
+    said = ("Population of 6 specimens", "Intraclass correlation", "sex: m against f", "4.23 to 10.95 %")
+    for words in (*said, document["population"]["quantities"][2]["words"]):
+        assert words in page
 
 
 def test_paper_a_is_compared_with_and_not_claimed():
@@ -70,10 +67,7 @@ def test_paper_a_is_compared_with_and_not_claimed():
 
 
 def test_bands_of_force_hold_the_typical_tissue(found):
-    document, bundle = found
-
-    bands = population_payload(document, bundle)["bands"]
-
+    bands = population_payload(*found)["bands"]
     low, high = bands["quantiles"][0], bands["quantiles"][4]
     assert all(a <= b <= c for a, b, c in zip(low[1:], bands["typical"][1:], high[1:], strict=True))
 

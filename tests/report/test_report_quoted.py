@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from fit_factory import identification, specimen_fit
+from fit_factory import specimen_fit
 from msgspec import structs
 from report_pages import document_of, render_report
 from typed_call import typed_call
 
-from tissueid.documents import plain
 from tissueid.documents.quantities import (
     Assumptions,
     AtDepth,
@@ -103,18 +102,12 @@ def test_document_with_every_quoted_number_is_valid_and_its_page_has_them():
     assert "no modulus is given" not in page
 
 
-def test_without_a_tip_the_stiffness_is_called_structural():
+def test_without_a_tip_the_stiffness_is_called_structural_and_without_numbers_there_is_no_section():
     made, curves = document(quoted=structs.replace(numbers(), moduli=(), assumptions=Assumptions()))
     assert "no modulus is given" in render_report(made, curves)
-
-
-def test_a_run_without_quoted_numbers_has_no_such_section():
-    made, curves = document()
-    page = render_report(made, curves)
+    page = render_report(*document())
     assert "Numbers to quote" not in page
     assert "Load-unload loops" not in page
-    assert quoted_tables(None) == ()
-    assert cycle_table([]) is None
 
 
 def test_spectrum_is_told_by_decades():
@@ -132,19 +125,15 @@ def test_many_loops_are_cut_to_the_first_and_last():
     assert table.rows[-1][0].endswith("cycle 30")
 
 
-def test_unloading_is_told_beside_the_loops():
+def test_unloading_is_told_beside_the_loops_and_loops_of_what_could_not_be_fitted_are_shown():
     unloading = {
         "rounds": 3, "converged": False, "change_sd": 0.4, "samples_in_contact": 600, "samples_in_air": 150,
         "samples_pulled": 0, "rms_in_contact_N": 0.2, "rms_in_air_N": 0.21, "surface_unique": True,
     }  # fmt: skip
     made, curves = document(cycles=(loop(),), unloading=unloading)
+    made["unfitted_cycles"] = made["specimens"][0]["cycles"]
+    assert first_problem(made, "identification") is None
     page = render_report(made, curves)
     assert "not settled after 3 rounds" in page
     assert "150 in air with 0.210 N left there" in page
-
-
-def test_loops_of_what_could_not_be_fitted_are_shown():
-    run = replace(identification([specimen_fit()]), unfitted_cycles=(loop(),))
-    made: dict[str, Any] = plain(run.as_json())
-    assert first_problem(made, "identification") is None
-    assert "Loops of recordings that were not fitted" in render_report(made, curves_of_fits(run.specimens))
+    assert "Loops of recordings that were not fitted" in page

@@ -45,10 +45,18 @@ def test_parameters_come_in_the_order_of_the_publication():
     ]  # fmt: skip
 
 
-def test_every_interval_on_the_first_screen_is_that_of_the_result():
-    fit = sampled(specimen_fit(samples=60))
-    text = first_screen(page(fit))
-    for one in fit.parameters:
+FIT = sampled(specimen_fit(samples=60))
+
+
+@pytest.fixture(scope="module")
+def sure():
+    """The page of a fit whose posterior was sampled."""
+    return page(FIT)
+
+
+def test_every_interval_on_the_first_screen_is_that_of_the_result(sure):
+    text = first_screen(sure)
+    for one in FIT.parameters:
         known = one.uncertainty
         low, high, wide_low, wide_high = together([one.value, *known.ci95, *known.ci95_total], known.sd)[1:]
         assert f"{low} to {high} {wide_low} to {wide_high}" in text
@@ -57,31 +65,26 @@ def test_every_interval_on_the_first_screen_is_that_of_the_result():
     assert " true " not in text
 
 
-def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_seen():
-    html = page(sampled(specimen_fit(samples=60), misfit=True))
-    text = first_screen(html)
-    assert "95 %" not in text
-    assert "±" not in text
-    assert "the force just after the peak lies 2.1 N above the model" in text
-    assert "The recordings contradict this model or its noise" in text
-    assert "Not to be relied on" in text
-    # below, the intervals stand with the warning
-    below = sure_section(html)
-    assert "do not quote them" in below
-    assert "95 % statistical" in below
-
-
-def test_an_alarm_is_not_said_again_among_the_remarks():
+def test_alarms_take_every_interval_off_the_first_screen_and_are_said_once(sure):
     fit = sampled(specimen_fit(samples=60), misfit=True, converged=False)
     flags = (
         Flag("misfit", "no interval can be believed"),
         Flag("sampler_not_converged", "intervals are rough"),
     )
-    text = first_screen(page(replace(fit, flags=(*fit.flags, *flags))))
-    assert text.count("the force just after the peak lies 2.1 N above the model") == 1
-    assert "no interval can be believed" not in text
-    assert "intervals are rough" not in text
-    assert "frame compliance is taken as none" in text
+    html = page(replace(fit, flags=(*fit.flags, *flags)))
+    text, below = first_screen(html), sure_section(html)
+    for said in (
+        "the force just after the peak lies 2.1 N above the model", "Not to be relied on",
+        "The recordings contradict this model or its noise", "frame compliance is taken as none",
+    ):  # fmt: skip
+        assert text.count(said) == 1, said
+    assert not re.search("95 %|±|no interval can be believed|intervals are rough", text)
+    # below, the intervals stand with the warning, and the sampler with its reason
+    assert "do not quote them" in below
+    assert "95 % statistical" in below
+    assert "not converged: R-hat of ln_tau_1 is 1.08 after 20,000 steps" in below
+    assert "The sampler did not converge" in text
+    assert "The sampler did not converge" not in first_screen(sure)
 
 
 def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind():
@@ -98,40 +101,30 @@ def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind():
     assert (static.symbols, static.value) == (("a1", "a2", "a3"), "not identified")
 
 
-def test_a_sampler_that_did_not_converge_is_told_with_its_reason():
-    html = page(sampled(specimen_fit(samples=60), converged=False))
-    assert "The sampler did not converge" in first_screen(html)
-    assert "not converged: R-hat of ln_tau_1 is 1.08 after 20,000 steps" in sure_section(html)
-    assert "The sampler did not converge" not in first_screen(page(sampled(specimen_fit(samples=60))))
-
-
-def test_sampler_noise_priors_models_and_checks_are_told():
-    html = page(sampled(specimen_fit(samples=60)))
-    text, checked = sure_section(html), residual_section(html)
-    assert "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept" in text
-    assert "at least 8,700 effective draws" in text
-    assert "34 % of the proposals accepted; converged" in text
-    told = "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s"
-    assert told in checked
-    assert "Early hold: no more than the noise makes (p = 0.60)." in checked
-    assert "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050" in text
-    assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
-    assert "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided" in text
-    assert "power law – −35.0 ± 9.0 – i beside: compared only" in text
-    for claim in (
+def test_sampler_noise_priors_models_and_checks_are_told(sure):
+    text, checked = sure_section(sure), residual_section(sure)
+    for said in (
+        "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept",
+        "at least 8,700 effective draws",
+        "34 % of the proposals accepted; converged",
+        "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050",
+        "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided",
+        "power law – −35.0 ± 9.0 – i beside: compared only",
         "calibrated for the stated model and noise",
         "where the model itself is wrong they say nothing",
     ):
-        assert claim in text
+        assert said in text
+    assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
+    told = "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s"
+    assert told in checked
+    assert "Early hold: no more than the noise makes (p = 0.60)." in checked
 
 
-def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated():
-    fit = sampled(specimen_fit(samples=60))
-    html = page(fit)
-    stack = html.split('class="stack"')[1].split("</span>")[0]
+def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated(sure):
+    stack = sure.split('class="stack"')[1].split("</span>")[0]
     widths = [float(width) for width in re.findall(r"width:([\d.]+)%", stack)]
     assert widths == [100 * share for share in SHARES]
-    view = uncertainty_view(specimen_of(fit))
+    view = uncertainty_view(specimen_of(FIT))
     assert [source for source, _ in view["budget"]["sources"]] == list(SOURCES)
     assert view["budget"]["beside"] == ["total", "cluster bootstrap"]
     (eta,) = [row for row in view["budget"]["rows"] if row["of"].symbol == "eta"]
@@ -160,27 +153,20 @@ def test_a_page_without_a_posterior_has_standard_errors():
 
 
 def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences():
-    fit = sampled(specimen_fit(samples=60))
+    unknown = {"shrinkage": float("nan"), "posterior_sd": float("nan")}
     own = replace(
-        fit.posterior,
-        sampler=structs.replace(fit.posterior.sampler, name="exact", acceptance=0.97),
-        noise=structs.replace(fit.posterior.noise, model="white", phi=0.0),
+        FIT.posterior,
+        sampler=structs.replace(FIT.posterior.sampler, name="exact", acceptance=0.97),
+        noise=structs.replace(FIT.posterior.noise, model="white", phi=0.0),
+        priors=tuple(structs.replace(row, **unknown) for row in FIT.posterior.priors),
     )
-    html = page(replace(fit, posterior=own))
+    html = page(replace(FIT, posterior=own))
     text = sure_section(html)
     assert "Noise of the force: white, 0.300 N" in residual_section(html)
     assert "Sampled by exact: 4,000 draws kept" in text
     assert "97 % of the proposals accepted" in text
     assert "walkers" not in text
-
-
-def test_null_diagnostics_and_rows_are_dashes():
-    fit = sampled(specimen_fit(samples=60))
-    rows = tuple(
-        structs.replace(row, shrinkage=float("nan"), posterior_sd=float("nan"))
-        for row in fit.posterior.priors
-    )
-    text = sure_section(page(replace(fit, posterior=replace(fit.posterior, priors=rows))))
+    # what is null is a dash
     assert "by the study – ± – –" in text
 
 

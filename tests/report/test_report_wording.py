@@ -125,17 +125,15 @@ def test_several_specimens_are_summed_up_by_median_and_range():
     assert "relaxation time 1.50 s (1.50 to 1.50, identified in 2)" in sentence
 
 
-def test_branches_and_units_are_put_in_words():
+def test_branches_units_and_stops_are_put_in_words():
     assert parameter_words("relaxation_time_s_b2") == "Relaxation time, branch 2"
-    assert unit_words("N s/mm") == "N·s/mm"
-    assert unit_words("N/mm^2") == "N/mm²"
-
-
-def test_every_flag_has_a_title_of_a_few_words():
-    assert all(1 <= len(title.split()) <= 4 for title, *_ in FLAGS.values())
+    assert [unit_words(unit) for unit in ("N s/mm", "N/mm^2")] == ["N·s/mm", "N/mm²"]
+    # a stop within a sampling interval is not called instant
+    assert [took(seconds) for seconds in (0.0, 0.02)] == ["too short to see", "took 0.020 s"]
 
 
 def test_title_and_sentence_of_a_remark_do_not_repeat_each_other():
+    assert all(1 <= len(title.split()) <= 4 for title, *_ in FLAGS.values())
     for remark in remarks(document(identified=False)):
         title = set(remark.title.lower().split())
         assert remark.message.lower() != remark.title.lower()
@@ -164,8 +162,3 @@ def test_an_event_is_told_in_words_and_units():
     assert event_words({"turns": 3, "force_N": 2.0}, MM_N) == "turns 3, force 2.000 N"
     normalised = Units(length="1", force="MPa", time="s")
     assert event_words({"drop_N": 2.0, "depth_mm": 0.5}, normalised) == "falls by 2.000 MPa, depth 0.5"
-
-
-def test_a_stop_within_a_sampling_interval_is_not_called_instant():
-    assert took(0.0) == "too short to see"
-    assert took(0.02) == "took 0.020 s"
