@@ -136,14 +136,8 @@ def _estimate_row(one: Estimate, *, believed: bool, unit: Callable[[str], str] =
         return [one.name, "not identified", "", "", unit(one.unit)]
     sure = one.uncertainty if believed else None
     error = f" ± {one.stderr:.2g}" if believed and sure is None and one.stderr is not None else ""
-    total = None if sure is None else sure.ci95_total
-    return [
-        one.name,
-        _number(one.value) + error,
-        _NOT_SAMPLED if sure is None else _interval(sure.ci95),
-        _interval(total),
-        unit(one.unit),
-    ]
+    intervals = (None, None) if sure is None else (sure.ci95, sure.ci95_total)
+    return [one.name, _number(one.value) + error, *map(_interval, intervals), unit(one.unit)]
 
 
 def _parameters(
@@ -171,13 +165,8 @@ def _specimen(fit: SpecimenFit) -> str:
         f"{fit.specimen}: {len(fit.trials)} trial{'s' * (len(fit.trials) != 1)}, {branches}, to "
         f"{fit.depth_mm:.3g} mm, NRMSD {100.0 * fit.nrmsd.range:.2g} % of range"
     )
-    said = _CONTRADICTED if alarm else ""
-    return (
-        said
-        + _parameters(caption, fit.parameters, believed=not alarm, unit=fit.axes.unit)
-        + _fitted(fit)
-        + _flags(fit.flags)
-    )
+    numbers = _parameters(caption, fit.parameters, believed=not alarm, unit=fit.axes.unit)
+    return _CONTRADICTED * alarm + numbers + _fitted(fit) + _flags(fit.flags)
 
 
 def _fitted(fit: SpecimenFit) -> str:
@@ -188,15 +177,17 @@ def _fitted(fit: SpecimenFit) -> str:
     curve = trial.curve
     if curve.time_s.size < 2:
         return ""
-    curves = [
-        ("measured", curve.time_s, curve.force_N, MEASURED),
-        ("model", curve.time_s, curve.model_N, MODEL),
-    ]
-    return drawing(
-        curves,
-        up=f"[{fit.axes.force}]",
-        words=f"Force and model of {trial.path} against time",
-    )
+    channels = (("measured", curve.force_N, MEASURED), ("model", curve.model_N, MODEL))
+    curves = [(name, curve.time_s, values, colour) for name, values, colour in channels]
+    return drawing(curves, up=f"[{fit.axes.force}]", words=f"Force and model of {trial.path} against time")
+
+
+#: Parameters that stand for a specimen among several, and their headings.
+_OF_MANY = {
+    "viscosity_N_s_per_mm": "viscosity [N s/mm]",
+    "relaxation_time_s": "relaxation time [s]",
+    "static_1_N_per_mm": "static, linear [N/mm]",
+}
 
 
 def _identification(found: Identification) -> str:
@@ -206,31 +197,11 @@ def _identification(found: Identification) -> str:
         return _specimen(found.specimens[0]) + said
     rows = []
     for fit in found.specimens:
-        values = {one.name: one for one in fit.parameters}
-        cells = [
-            values.get(name) for name in ("viscosity_N_s_per_mm", "relaxation_time_s", "static_1_N_per_mm")
-        ]
-        rows.append(
-            [
-                fit.specimen,
-                str(len(fit.trials)),
-                *(
-                    "none" if one is None else _estimate_row(one, believed=not _alarmed(fit))[1]
-                    for one in cells
-                ),
-                f"{100.0 * fit.nrmsd.range:.2g} %",
-                ", ".join(flag.code for flag in fit.flags),
-            ]
-        )
-    headings = (
-        "specimen",
-        "trials",
-        "viscosity [N s/mm]",
-        "relaxation time [s]",
-        "static, linear [N/mm]",
-        "NRMSD",
-        "flags",
-    )
+        known = {one.name: _estimate_row(one, believed=not _alarmed(fit))[1] for one in fit.parameters}
+        values = [known.get(name, "none") for name in _OF_MANY]
+        left, codes = f"{100.0 * fit.nrmsd.range:.2g} %", ", ".join(flag.code for flag in fit.flags)
+        rows.append([fit.specimen, str(len(fit.trials)), *values, left, codes])
+    headings = ("specimen", "trials", *_OF_MANY.values(), "NRMSD", "flags")
     return table(f"{len(rows)} specimens", headings, rows) + said
 
 
@@ -240,20 +211,14 @@ def _posterior(found: Posterior) -> str:
     caption = f"{found.sampler.name}, {found.sampler.draws:,} draws, {ended}; {noise}"
     headings = ("parameter", "mean", "sd", "95 % statistical", "95 % total", "R-hat", "ESS bulk")
     alarm = found.misfit is not None and found.misfit.raised
-    said = _CONTRADICTED if alarm else ""
-    return said + table(caption, headings, [_sure_row(name, one) for name, one in found.parameters.items()])
+    rows = [[name, *_sure_cells(one)] for name, one in found.parameters.items()]
+    return _CONTRADICTED * alarm + table(caption, headings, rows)
 
 
-def _sure_row(name: str, one: ParameterUncertainty) -> list[str]:
-    return [
-        name,
-        _number(one.mean),
-        f"{one.sd:.2g}",
-        _interval(one.ci95),
-        _interval(one.ci95_total),
-        _number(one.r_hat),
-        _NOT_SAMPLED if not math.isfinite(one.ess_bulk) else f"{one.ess_bulk:.0f}",
-    ]
+def _sure_cells(one: ParameterUncertainty) -> list[str]:
+    effective = f"{one.ess_bulk:.0f}" if math.isfinite(one.ess_bulk) else _NOT_SAMPLED
+    intervals = [_interval(one.ci95), _interval(one.ci95_total)]
+    return [_number(one.mean), f"{one.sd:.2g}", *intervals, _number(one.r_hat), effective]
 
 
 def _bundle(held: Bundle) -> str:
@@ -270,16 +235,14 @@ def _bundle(held: Bundle) -> str:
 def _trial(trial: Trial) -> str:
     source = trial.source
     where = source.path if source.sheet is None else f"{source.path} [{source.sheet}]"
+    x, force = trial.displacement_mm, trial.force_N
     rows = [
         ["file", where],
         ["read as", source.recipe],
         ["samples", f"{trial.time_s.size:,}"],
         ["time", f"{trial.time_s[0]:.4g} to {trial.time_s[-1]:.4g} s"],
-        [
-            "displacement",
-            f"{trial.displacement_mm.min():.4g} to {trial.displacement_mm.max():.4g} {trial.axes.unit('mm')}",
-        ],
-        ["force", f"{trial.force_N.min():.4g} to {trial.force_N.max():.4g} {trial.axes.force}"],
+        ["displacement", f"{x.min():.4g} to {x.max():.4g} {trial.axes.unit('mm')}"],
+        ["force", f"{force.min():.4g} to {force.max():.4g} {trial.axes.force}"],
     ]
     curves = [("force", trial.time_s, trial.force_N, MEASURED)]
     drawn = drawing(curves, up=f"[{trial.axes.force}]", words=f"Force of {where} against time")
@@ -291,11 +254,9 @@ def _study(study: Study) -> str:
         ["specimens", ", ".join(study.specimens) or "none stated"],
         ["protocols", ", ".join(study.protocols) or "none stated"],
         ["trials", f"{len(study.trials)} stated, {len(study.overrides)} overridden"],
-        *(
-            [f"left out: {one.values['file']}", str(one.values.get("because", ""))]
-            for one in study.exclusions
-        ),
     ]
+    out = [one.values for one in study.exclusions]
+    rows += [[f"left out: {one['file']}", str(one.get("because", ""))] for one in out]
     return table(str(study.about.get("title", study.path)), ("", ""), rows)
 
 

@@ -372,11 +372,11 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
     told = {str(one) for one in found.refused}
     same: dict[str, list[str]] = {}
     for reason in found.exit.reasons:
-        if reason not in told:
-            specimen, separator, missing = reason.rpartition(": not identified: ")
-            same.setdefault(missing if separator else "", []).append(specimen if separator else reason)
-    for reason in same.pop("", []):
-        note(reason, quiet=quiet)
+        specimen, separator, missing = reason.rpartition(": not identified: ")
+        if separator and reason not in told:
+            same.setdefault(missing, []).append(specimen)
+        elif reason not in told:
+            note(reason, quiet=quiet)
     for missing, specimens in same.items():
         # each is named, however many they are
         note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)

@@ -19,7 +19,7 @@ from tissueid.cli.output import echo, echo_json, note, progress_bar, refuse, wri
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents.inspect import Trial, Watch
-from tissueid.documents.measured import MeasuredHold, MeasuredLoop, MeasuredPush
+from tissueid.documents.measured import MeasuredHold, MeasuredPush
 from tissueid.errors import exit_code, printable
 from tissueid.flags import FLAGS, harm_rank
 
@@ -211,14 +211,12 @@ def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
     folder = _shared_folder(described)
     sheets = Counter(one.path for one in described)
     found = []
-    before = None
-    for one in described:
-        path = one.path.removeprefix(folder)
+    for before, one in zip([None, *described], described, strict=False):
         if one.sheet is None or sheets[one.path] == 1:
             found.append(("", recording_name(one, folder)))
         else:
-            found.append((path if one.path != before else "", f"  {one.sheet}"))
-        before = one.path
+            first = before is None or before.path != one.path
+            found.append((one.path.removeprefix(folder) * first, f"  {one.sheet}"))
     return found
 
 
@@ -268,9 +266,15 @@ def _numbers(one: Trial | Watch) -> str:
     holds = [(hold.push.peak.force_N, hold) for hold in measured.holds if hold.push is not None]
     hold = max(holds, key=lambda each: each[0])[1] if holds else None
     push = measured.push if hold is None else hold.push
+    if push is None and not measured.loops:
+        return "nothing was loaded"
     if push is None:
-        return _looped(measured.loops, f"{force} {length}") if measured.loops else "nothing was loaded"
-    parts = [_pushed(push, length, force)]
+        last = measured.loops[-1]
+        area = "" if last.area_mJ is None else f", area {last.area_mJ:.{DIGITS}g} {force} {length}"
+        return f"{len(measured.loops)} loops, the last to {last.depth_mm:.3g}{area}"
+    deep = push.travel_mm if push.depth_mm is None else push.depth_mm
+    speed = f"{push.speed_mm_s:.3g} {length}/s in {push.ramp_time_s:.3g} s"
+    parts = [f"{push.peak.force_N:.{DIGITS}g} {force} at {deep:.3g} {length}, {speed}"]
     if hold is None:
         parts.append("no hold")
     elif hold.control == "force":
@@ -284,27 +288,11 @@ def _numbers(one: Trial | Watch) -> str:
     return "; ".join(parts)
 
 
-def _pushed(push: MeasuredPush, length: str, force: str) -> str:
-    deep = push.travel_mm if push.depth_mm is None else push.depth_mm
-    speed = f"{push.speed_mm_s:.3g} {length}/s in {push.ramp_time_s:.3g} s"
-    return f"{push.peak.force_N:.{DIGITS}g} {force} at {deep:.3g} {length}, {speed}"
-
-
-def _looped(loops: Sequence[MeasuredLoop], unit: str) -> str:
-    last = loops[-1]
-    area = "" if last.area_mJ is None else f", area {last.area_mJ:.{DIGITS}g} {unit}"
-    return f"{len(loops)} loops, the last to {last.depth_mm:.3g}{area}"
-
-
 def summary_lines(described: Sequence[Trial], refused: int) -> list[str]:
     """``49 read, 3 to look at, 1 to push again, 2 refused``, and how many share a flag, the worst first."""
     counts: Counter[str] = Counter(one.verdict.level for one in described)
-    parts = [f"{len(described)} read"]
-    for level, words in (("look", "to look at"), ("repeat", "to push again")):
-        if counts[level]:
-            parts.append(f"{counts[level]} {words}")
-    if refused:
-        parts.append(f"{refused} refused")
+    told = ((counts["look"], "to look at"), (counts["repeat"], "to push again"), (refused, "refused"))
+    parts = [f"{len(described)} read", *(f"{count} {words}" for count, words in told if count)]
     shared = Counter(code for one in described for code in {flag.code for flag in one.flags})
     said = [code for code in sorted(shared, key=harm_rank) if shared[code] > 1 and code in FLAGS]
     several = [f"{shared[code]} {FLAGS[code].many}" for code in said[:MOST_SHARED]]
@@ -351,11 +339,9 @@ def _manifest(flags: _InspectFlags) -> Path:
     from tissueid.ingest.manifest import MANIFEST
     from tissueid.study.inspected import study_folder
 
-    if flags.study is not None:
-        named = Path(flags.study)
-        return named / MANIFEST if named.is_dir() else named
-    stated = [Path(path) for path in flags.paths if path.casefold().endswith(".toml")]
-    return stated[0] if stated else study_folder(flags.paths) / MANIFEST
+    stated = [path for path in flags.paths if path.casefold().endswith(".toml")]
+    named = Path(flags.study or (stated[0] if stated else study_folder(flags.paths)))
+    return named / MANIFEST if named.is_dir() else named
 
 
 TABLE_TIMES_S = (0.1, 1.0, 10.0, 100.0)

@@ -153,7 +153,10 @@ def command(flags: RenderFlags) -> int:
     flags = _demonstrated(flags)
     # a servo's process loads while the plan is made; where no clock runs there is none
     waiting = nullcontext() if flags.virtual else closing(spawn_servo())
-    with waiting as spawned, _viewer(flags) as viewer:
+    if flags.viewer and flags.virtual:
+        refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
+    shown: AbstractContextManager[ServedViewer | None] = served(flags) if flags.viewer else nullcontext()
+    with waiting as spawned, shown as viewer:
         session = _prepared(flags, spawned, viewer)
         try:
             outcome = session.run()
@@ -177,13 +180,6 @@ def _demonstrated(flags: RenderFlags) -> RenderFlags:
     if flags.name == "auto" and not flags.virtual and all(getattr(flags, name) is None for name in tissue):
         return replace(flags, preset=DEMONSTRATED, name="sim", viewer=True)
     return flags
-
-
-def _viewer(flags: RenderFlags) -> AbstractContextManager[ServedViewer | None]:
-    """The viewer, where one is wanted."""
-    if flags.viewer and flags.virtual:
-        refuse("--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`")
-    return served(flags) if flags.viewer else nullcontext()
 
 
 def _prepared(flags: RenderFlags, spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
