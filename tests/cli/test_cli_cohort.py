@@ -143,19 +143,13 @@ def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_
     assert (tmp_path / "out" / "population.json").is_file()
 
 
-@pytest.mark.parametrize(
-    ("covariates", "state"),
-    [
-        ({"storage": "frozen"}, "thawed"),
-        ({"freeze_thaw_cycles": 1}, "thawed"),
-        ({"storage": "-80 C, thawed overnight"}, "thawed"),
-        ({"storage": "never frozen"}, "fresh"),
-        ({"storage": "saline, 4 C"}, "fresh"),
-        ({"freeze_thaw_cycles": 0, "storage": "frozen gel pack"}, "fresh"),
-        ({}, None),
-    ],
-)
-def test_the_state_is_read_from_storage_and_cycles(covariates, state):
-    one: Any = SimpleNamespace(specimen="a", covariates=covariates)
-    found = dict(zip(("thawed", "fresh"), thawed_among_fresh([one]), strict=True))
-    assert found == {name: ["a"] if name == state else [] for name in ("thawed", "fresh")}
+def test_the_state_is_read_from_storage_and_cycles():
+    stated = {
+        "frozen": {"storage": "frozen"}, "once": {"freeze_thaw_cycles": 1},
+        "overnight": {"storage": "-80 C, thawed overnight"}, "never": {"storage": "never frozen"},
+        "saline": {"storage": "saline, 4 C"}, "gel": {"freeze_thaw_cycles": 0, "storage": "frozen gel pack"},
+        "unstated": {},
+    }  # fmt: skip
+    members: Any = [SimpleNamespace(specimen=name, covariates=known) for name, known in stated.items()]
+    thawed, fresh = thawed_among_fresh(members)
+    assert (thawed, fresh) == (["frozen", "once", "overnight"], ["never", "saline", "gel"])

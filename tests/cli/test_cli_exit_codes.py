@@ -85,30 +85,44 @@ def test_wrong_usage_is_2(args, said, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+#: Options of reading, and of a fit, that can't be understood.
+READING = [
+    ("--columns zeit=t", "--columns"),
+    ("--columns time", "--columns"),
+    ("--units force=blorb", "blorb"),
+    ("--specimen-by (", "not a regular expression"),
+    ("--recipe nope", tuple(RECIPES)),
+    ("--contact nan", "--contact"),
+    ("--contact deep", "--contact"),
+    ("--compression up", "--compression"),
+]
+FITTING = [
+    ("--frequencies 0.1;1", "--frequencies"),
+    ("--frequencies 0,1", "--frequencies"),
+    ("--depths deep", "--depths"),
+    ("--tip sphere", "sphere:3"),
+    ("--tip pyramid:3", "not offered"),
+    ("--tip cone:95", "half angle"),
+    ("--thickness 5", "--tip"),
+    ("--tip flat:2 --thickness -5", "thickness"),
+    ("--tip flat:2 --poisson 0.6", "0.6"),
+]
+
+
 @pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (["--columns", "zeit=t"], "--columns"),
-        (["--columns", "time"], "--columns"),
-        (["--units", "force=blorb"], "blorb"),
-        (["--specimen-by", "("], "not a regular expression"),
-        (["--recipe", "nope"], tuple(RECIPES)),
-        (["--contact", "nan"], "--contact"),
-        (["--contact", "deep"], "--contact"),
-        (["--compression", "up"], "--compression"),
-    ],
+    ("command", "args", "said"),
+    [*(("inspect", *row) for row in READING), *(("fit", *row) for row in (*READING, *FITTING))],
 )
-@pytest.mark.parametrize("command", ["inspect", "fit"])
-def test_a_wrong_reading_option_is_2(tmp_path, command, args, said):
-    log = write_log(tmp_path / "log.csv")
-    out = ["-o", str(tmp_path / "out")] if command == "fit" else []
-    run(command, log, *args, *out, code=2, said=said)
+def test_an_option_that_cannot_be_understood_is_2(tmp_path, command, args, said):
+    log, out = write_log(tmp_path / "log.csv"), tmp_path / "out"
+    run(command, log, *args.split(), *(("-o", out) if command == "fit" else ()), code=2, said=said)
+    assert not out.exists()
 
 
 def test_a_reader_that_is_none_is_2_in_a_folder_that_knows_the_recording(tmp_path):
-    log = write_log(tmp_path / "log.csv")
-    run("fit", log, "--columns", "time=nope", "-o", tmp_path / "out", code=3)
-    run("fit", log, "--recipe", "nope", "-o", tmp_path / "out", code=2, said=tuple(RECIPES))
+    log, out = write_log(tmp_path / "log.csv"), ("-o", tmp_path / "out")
+    run("fit", log, "--columns", "time=nope", *out, code=3)
+    run("fit", log, "--recipe", "nope", *out, code=2, said=tuple(RECIPES))
 
 
 def test_all_inputs_refused_is_3_and_the_old_set_stays(two_outs, junk):

@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 from typing import Any
 
-import pytest
 from command_line import QUICK, read_json, run, write_log
 from fit_factory import identification, specimen_fit, write_results
 from posterior_factory import sampled
@@ -221,25 +220,6 @@ def test_a_specimen_alone_shows_two_programs_and_counts_the_others():
     assert lines[1] == "  F(1 s) 8.00 ± 0.50 N, F(10 s) 6.00 ± 0.50 N"
     assert lines[2].startswith("measured program 2, no model")
     assert lines[3] == "1 more programs and holds stand in the report"
-
-
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (["--frequencies", "0.1;1"], "--frequencies"),
-        (["--frequencies", "0,1"], "--frequencies"),
-        (["--depths", "deep"], "--depths"),
-        (["--tip", "sphere"], "sphere:3"),
-        (["--tip", "pyramid:3"], "not offered"),
-        (["--tip", "cone:95"], "half angle"),
-        (["--thickness", "5"], "--tip"),
-        (["--tip", "flat:2", "--thickness", "-5"], "thickness"),
-        (["--tip", "flat:2", "--poisson", "0.6"], "0.6"),
-    ],
-)
-def test_what_cannot_be_understood_is_wrong_usage(tmp_path, args, said):
-    run("fit", write_log(tmp_path / "log.csv"), "-o", tmp_path / "out", *args, code=2, said=said)
-    assert not (tmp_path / "out").exists()
 
 
 def test_numbers_that_are_asked_for_are_in_the_document_and_in_few_lines(tmp_path):

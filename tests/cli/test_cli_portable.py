@@ -51,14 +51,11 @@ def fitted(request, hide, tmp_path_factory):
     return request.param, out
 
 
-def test_recordings_are_inspected_without_them(fitted, hide):
-    done = hide(fitted[0], "-m", "tissueid", "inspect", HOLD)
+def test_recordings_are_inspected_and_a_fit_is_reported_validated_and_exported_without_them(fitted, hide):
+    modules, out = fitted
+    done = hide(modules, "-m", "tissueid", "inspect", HOLD)
     assert (done.returncode, done.stderr) == (0, "")
     assert "265.9 N at 8 mm" in done.stdout
-
-
-def test_a_fit_is_reported_validated_and_exported_without_them(fitted, hide):
-    modules, out = fitted
     (out / "report.html").unlink()
     for arguments in (["report", out], ["validate", out], ["export", out, "--format", "specimens"],
                       ["export", out, "--format", "c-header"], ["models"], ["devices", "list"]):  # fmt: skip
