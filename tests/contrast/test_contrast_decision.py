@@ -36,7 +36,7 @@ def compared(tissue: Tissue, *, share: float = 0.01, scale: float = 1.0, seed: i
     chance = np.random.default_rng(seed)
     center = tissue.theta.copy()
     center[:4] *= scale
-    draws = center * np.exp(share * chance.standard_normal((1000, center.size)))
+    draws = center * np.exp(share * chance.standard_normal((400, center.size)))
     return Compared(tissue.name, tissue.model, draws, tissue.speeds_mm_s, total=False)
 
 

@@ -54,12 +54,13 @@ render_selfcheck = typed_call(selfcheck_page.render_selfcheck)
 def tissue(name: str, scale: float) -> Compared:
     chance = np.random.default_rng(len(name))
     theta = PAPER_A.theta * np.array([scale, scale, scale, scale, 1.0])
-    draws = theta * np.exp(0.01 * chance.standard_normal((300, 5)))
+    draws = theta * np.exp(0.01 * chance.standard_normal((150, 5)))
     model = PAPER_A.model
     assert isinstance(model, ChannelModel)
     return Compared(name, model, draws, (PAPER_A.speeds_mm_s[0], PAPER_A.speeds_mm_s[1]), total=False)
 
 
+@cache
 def contrast(*tissues: Compared) -> dict[str, Any]:
     found = tissues or (tissue("kidney", 1.0), tissue("liver", 1.5))
     return plain(contrast_document(found, clamp_N=5.0))

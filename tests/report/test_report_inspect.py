@@ -345,8 +345,7 @@ def test_the_index_filters_by_words_and_gravity(opened):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [1400, 400])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (400, "dark")])
 def test_page_fits_the_screen_in_both_colour_schemes(opened, width, scheme):
     html = render_inspection([*several(), recording(ramp_hold("x" * 80 + ".csv"))])
     tab = opened(html, width=width, color_scheme=scheme)

@@ -145,8 +145,7 @@ def test_figures_show_the_curves_and_the_page_is_silent(opened):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [1400, 800, 400])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (400, "light"), (800, "dark"), (400, "dark")])
 def test_page_fits_the_screen_in_both_colour_schemes(opened, width, scheme):
     # on a light screen sampled, and the residuals contradict the model
     fit = specimen_fit("x" * 60, samples=100, identified=False)

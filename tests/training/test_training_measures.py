@@ -54,7 +54,7 @@ def test_the_standard_error_is_the_scatter_of_the_angle():
     rng = np.random.default_rng(8)
     clean = straight(1.0, 0.0)
     angles, errors = [], []
-    for _ in range(200):
+    for _ in range(100):
         noisy = clean.copy()
         # encoder noise of 0.05 mm across the axis
         noisy["position_m"] += 5e-5 * rng.standard_normal((clean.size, 2)) @ ACROSS

@@ -211,11 +211,8 @@ def _positive(value: float | None, name: str) -> float | None:
 
 def _time(text: str) -> float:
     """``90min`` in seconds."""
-    match = re.fullmatch(r"\s*([0-9.]+)\s*(s|min|h)\s*", text)
-    try:
-        seconds = float(match.group(1)) * _UNITS[match.group(2)] if match else 0.0
-    except ValueError:
-        seconds = 0.0
+    match = re.fullmatch(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*(s|min|h)\s*", text)
+    seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
     if seconds <= 0.0:
         refuse(f"--budget {text}: write a time above 0 with its unit, as 90min or 2h")
     return seconds
