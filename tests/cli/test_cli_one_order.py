@@ -105,9 +105,10 @@ def test_specimens_of_a_study_are_fitted_with_one_order_and_the_other_one_says_s
     assert (orders(named), flagged(named)) == ([2, 2, 2], [])
 
 
-def test_files_that_are_no_study_keep_their_own_orders(folder, tmp_path):
-    found = run("fit", folder, *ASKED, "--no-study", "-o", tmp_path / "out").json()
-    assert orders(found) == [2, 2, 1]
+def test_files_that_are_no_study_keep_their_own_orders(folder, own, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(own, out, symlinks=True)
+    assert orders(run("fit", folder, *ASKED, "--no-study", "-o", out).json()) == [2, 2, 1]
 
 
 def test_a_specimen_that_the_order_of_its_study_can_not_be_fitted_to_keeps_its_own(
