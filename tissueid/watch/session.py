@@ -35,7 +35,6 @@ class Look:
 
     ready: tuple[Path, ...] = ()  # new or changed, and whole; the oldest first
     gone: tuple[Path, ...] = ()  # seen before and no longer there
-    waiting: tuple[Path, ...] = ()  # new, and still being written
     reachable: bool = True  # false where the folder could not be listed: a network drive away is no deletion
 
 
@@ -64,20 +63,20 @@ class FolderWatch:
             del self.known[path]
         # the order of testing is that of the files' times
         ready.sort(key=lambda path: (changed[path][1], path.name))
-        return Look(tuple(ready), tuple(gone), tuple(self._growing))
+        return Look(tuple(ready), tuple(gone))
 
 
 def fingerprint(path: Path) -> Fingerprint | None:
-    """Size and time of a file; ``None`` where it is gone, or empty as yet."""
+    """Size and time of a file; ``None`` where it is gone."""
     try:
         found = path.stat()
     except OSError:
         return None
-    return (found.st_size, found.st_mtime_ns) if found.st_size else None
+    return found.st_size, found.st_mtime_ns
 
 
 def opens(path: Path) -> bool:
-    """True where the file can be read now: Windows refuses what another program still holds."""
+    """True where the file holds something that can be read: Windows refuses what another program holds."""
     try:
         with path.open("rb") as stream:
             return bool(stream.read(1))
