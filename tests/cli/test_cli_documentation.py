@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command_line import REPOSITORY, run, write_log, write_study
 from identify_stand_ins import of_prior
-from test_cli_examples import any_path, unfit
+from test_cli_examples import README, any_path, unfit
 from test_cli_impact import WHOLE, recordings
 
 #: Written from the program, whose examples are tested as such.
@@ -267,3 +267,38 @@ def test_coverages_of_the_page_are_those_of_the_files(name, count):
         of_tissue = [row for row in rows.splitlines() if re.match(claimed, row)]
         shares = [float(re.findall(r"(?<= )\d+\.\d(?= )", row)[3]) for row in of_tissue]
         assert f"| {case} | {min(shares)} to {max(shares)} % |" in page, case
+
+
+@pytest.fixture
+def reader_folder(tmp_path, datasets, monkeypatch):
+    """An empty folder with a few recordings where README says they are."""
+    for target in ("lab_data", "datasets_synthetic/paper-a-hold-100Hz"):
+        (tmp_path / target).mkdir(parents=True)
+        source = datasets / "paper-a-hold-100Hz" / "hold-8-1.csv"
+        (tmp_path / target / source.name).write_bytes(source.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_readme_runs_as_printed(reader_folder):
+    commands = [one.words[1:] for one in commands_of(REPOSITORY / "README.md") if one.words[0] == "tissueid"]
+    named = "lab_data/ inspect inspect study fit models validate report export watch synth render"
+    assert [words[0] for words in commands] == named.split()
+    for words in commands:
+        run(*words, code=0)
+    table = re.findall(r"^\| `([^`]+)` \|", README, flags=re.MULTILINE)
+    for name in table:
+        assert list((reader_folder / "out").glob(name.replace("<specimen>", "*"))), name
+    found: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL):
+        exec(compile(block, "README.md", "exec"), found)
+    viscosity = found["sampled"]["eta"]  # type: ignore[index]
+    # truth: 63.62 N/mm times 0.021 s
+    low, high = viscosity.interval(0.95)
+    assert low <= 63.62 * 0.021 <= high
+    assert found["own"].result.model.name == "power * constant * creep"  # type: ignore[attr-defined]
+
+
+def test_readme_names_every_exit_code_a_command_can_end_with():
+    (text,) = re.findall(r"^Exit codes: (.*?)\n\n", README, flags=re.MULTILINE | re.DOTALL)
+    assert {int(code) for code in re.findall(r"\b(\d+) ", text)} == {0, 1, 2, 3, 4, 5, 6, 7, 130}
