@@ -29,7 +29,7 @@ LABEL = f"{HOSTILE}\n{FAKED}"
 OWN = re.compile(r"\x1b\[(?:\d+;)*\d+m|\n|\r|\x1b\[(?:\?25[hl]|\d*[AK])")
 STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u061c\u202a-\u202e\u2066-\u2069]")
 STUDY = (
-    'schema = "tissueid/study/1"\n[study]\ntitle = "cows\\u001b[2J\\u202e"\n'
+    'schema = "tissueid/study/1"\n[study]\ntitle = "cows\\u001b[2J\\u202e"\nlicence = "CC-BY-4.0"\n'
     '[[specimen]]\nname = "liver\\u001b[2J\\u009b31m\\u202eevil\\u200f\\u061c"\n'
     '[[exclude]]\nfile = "b.csv"\nbecause = "it\\u001b[2J slipped\\u202e\\nFAKE"\n'
 )
@@ -51,7 +51,7 @@ TYPED: dict[str, tuple[int, tuple[str, ...]]] = {
     "compare": (0, ("compare", "a.h5", "b.h5")),
     "design": (0, ("design", "a.h5", "--machine", "bench")),
     "calibrate": (2, ("calibrate", f"lab/b.csv/{LABEL}", "--simulations", "100")),
-    "calibrate-frame": (3, ("calibrate-frame", "lab/b.csv", "-o", "frame.csv")),
+    "calibrate-frame": (0, ("calibrate-frame", "lab/b.csv", "-o", "frame.csv")),
     "inspect": (7, ("inspect", "lab", "meat.xlsx", BAD)),
     "report": (0, ("report", "out")),
     "export": (0, ("export", "out", "-o", "copy.json")),

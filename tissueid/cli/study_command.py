@@ -140,7 +140,7 @@ def exclude(flags: _ExcludeFlags) -> int:
     manifest = find_manifest(flags.trial, flags.study)
     with refusing(manifest, "changed", "check the rights of its folder"):
         named, replaced = exclude(flags.trial, flags.because, manifest=manifest)
-    if replaced not in {None, flags.because}:
+    if replaced not in {None, flags.because} and not flags.quiet:
         echo(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags.because}")
 
