@@ -193,10 +193,13 @@ INTERRUPTS = (KeyboardInterrupt(), caused(SystemError("with an exception set"), 
     ("error", "code", "said"),
     [
         (ZeroDivisionError("for the test"), 1, "tissueid: internal error (ZeroDivisionError: for the test)."),
+        (OSError(errno.EIO, "the disk is gone", "here"), 6, "tissueid: here: the disk is gone\n"),
         *((one, 130, "tissueid: interrupted; what was finished is kept\n") for one in INTERRUPTS),
     ],
 )
-def test_an_internal_error_is_1_in_one_line_and_an_interrupt_130(monkeypatch, tmp_path, error, code, said):
+def test_an_internal_error_is_1_in_one_line_an_output_that_fails_6_and_an_interrupt_130(
+    monkeypatch, tmp_path, error, code, said
+):
     monkeypatch.setattr("tissueid.study.inspected.describe_segmented", Mock(side_effect=error))
     ended = run("inspect", write_log(tmp_path / "log.csv"), code=code)
     assert ended.stdout == ""
