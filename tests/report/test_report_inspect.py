@@ -214,9 +214,8 @@ def test_any_name_survives_in_toml(text):
 
 def test_a_choice_of_columns_offers_the_other_one_and_a_rupture_can_be_denied():
     values = {"quantity": "displacement", "taken": "Ext", "alternatives": ["Strain 1"]}
-    chosen = {"code": "column_choice", "message": "Ext, not Strain 1", "values": values}
-    rupture = {"kind": "rupture", "time_s": 2.0, "values": {}}
-    document = looked() | {"flags": [chosen], "events": [rupture]}
+    chosen, rupture = Flag("column_choice", "", values), {"kind": "rupture", "time_s": 2.0, "values": {}}
+    document = looked() | {"flags": plain([chosen]), "events": [rupture]}
     columns, denied = (tomllib.loads(entry_of(document, key).toml) for key in ("columns", "rupture"))
     assert columns["override"][0]["columns"]["displacement"] == "Strain 1"
     assert denied["override"][0]["rupture"] is False
@@ -225,8 +224,8 @@ def test_a_choice_of_columns_offers_the_other_one_and_a_rupture_can_be_denied():
 
 def test_what_the_user_decided_is_told_with_the_reason():
     values = {"keys": ["contact_mm", "end_s", "rupture"], "because": "seen by eye"}
-    decided = {"code": "decision_overridden", "message": "contact_mm = 1", "values": values}
-    told = {one.key: one.taken for one in decisions(looked() | {"flags": [decided]}, file="run.csv")}
+    decided = plain([Flag("decision_overridden", "contact_mm = 1", values)])
+    told = {one.key: one.taken for one in decisions(looked() | {"flags": decided}, file="run.csv")}
     said = "as study.toml says, because: seen by eye; "
     assert {key for key, text in told.items() if text.startswith(said)} == {
         "contact", "cut", "rupture",
