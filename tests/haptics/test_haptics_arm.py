@@ -115,22 +115,6 @@ def test_energies_close_to_rounding(seed):
     assert (memory[[a.DAMPING_LOSS, a.FRICTION_LOSS]] > 0.0).all()
 
 
-def test_a_knock_of_the_force_turns_with_the_axes():
-    turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
-    block, force = held(Arm(friction_N=0.15), 200.0, 3.0), np.array([0.7, -0.4, 1.1])
-    plain, turned = moved(block, 100, force=force)[1], moved(block, 100, force=turn @ force)[1]
-    np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-15)
-
-
-def test_a_tick_and_its_parts_agree_to_second_order():
-    block, force = held(Arm(friction_N=0.0), 1000.0, 10.0), np.array([1.0, 0.0, -2.0])
-    whole, parts = moved(block, 100, force=force)[0], new_arm(ORIGIN)
-    for _ in range(100):
-        arm_step(parts, block, force, 0.37 * TICK)
-        arm_step(parts, block, force, 0.63 * TICK)
-    np.testing.assert_allclose(whole[PLACE], parts[PLACE], atol=1e-9)
-
-
 @pytest.mark.parametrize("dt", [0.0, -1e-3, math.nan])
 def test_no_time_moves_nothing(dt):
     memory, _ = moved(held(Arm(), 300.0), 1, place=(0.01, 0.0, 0.0))

@@ -121,15 +121,6 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch):
     assert told[-1] == module.HOMING_STEPS[1]
 
 
-def test_every_command_keeps_homing_mode_and_no_reply_is_dropped():
-    with at_home() as (device, falcon):
-        assert falcon.homed_bits == 7
-        idle(device, falcon, falcon.time_s + 0.5)
-        assert device.read().homed
-        assert (device._parser.invalid, device._parser.dropped, falcon._reader.dropped) == (0, 0, 0)
-        assert device._parser.packets > 300
-
-
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [("bad packets", Fault.BAD_PACKETS), ("silence", Fault.NO_REPLY), ("unhomed", Fault.NOT_HOMED)],
@@ -175,14 +166,6 @@ def test_unplugging_is_a_device_error_and_closing_still_ends():
         assert device.fault is Fault.TRANSPORT
     assert falcon.gone
     assert device.state is State.CLOSED
-
-
-def test_capabilities_say_that_nothing_was_measured():
-    device = FalconDevice(calibration=Calibration(), port=0)
-    found = device.capabilities
-    assert (found.name, found.clamp_N, found.calibrated, found.delay_ticks) == ("falcon", 2.0, False, 1.5)
-    assert found.hardware
-    assert device.compiled() is None
 
 
 @pytest.mark.parametrize("is_pty", [False, True])

@@ -20,7 +20,6 @@ from tissueid.haptics.states import State
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "devices.md").read_text(encoding="utf-8")
-CHECKLIST = (DOCS / "hardware-checklist.md").read_text(encoding="utf-8")
 
 
 class Driver:
@@ -80,8 +79,3 @@ def test_a_wrong_zero_angle_shows_on_a_ruler_as_the_page_says() -> None:
     ]
     (less,) = re.findall(r"falls by about ([\d.]+) mm less", PAGE)
     assert 50.0 - 1e3 * (shown[0] - shown[1]) == pytest.approx(float(less), abs=0.1)
-
-
-def test_both_pages_say_that_no_real_device_confirmed_them() -> None:
-    assert "No real device has confirmed" in PAGE
-    assert "Nobody has run tissueid on a real Falcon" in CHECKLIST

@@ -14,17 +14,16 @@ from typing import Self
 
 import numpy as np
 import pytest
-from emulated_session import HOMED_S, LIMITS, TICK_S, EmulatedSession
+from emulated_session import HOMED_S, TICK_S, EmulatedSession
 
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import limits_of
 from tissueid.haptics.falcon.emulator import ScriptedFault
 from tissueid.haptics.falcon.packets import INVALID, PACKETS
-from tissueid.haptics.guard import GAIN, HEARTBEAT_LOST, PHASE, YIELDING, transition
-from tissueid.haptics.hand import Hand, preset
+from tissueid.haptics.guard import GAIN
+from tissueid.haptics.hand import Hand
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
-from tissueid.rendering.environment import LAW
 
 pytestmark = pytest.mark.needs_jit
 
@@ -107,85 +106,6 @@ def test_one_spoilt_answer_is_dropped_and_counted_and_rendering_goes_on(kind, da
         # one tick more or less of a slow press is nothing that could be felt
         assert session.forces()[-1] == pytest.approx(plain.forces()[-1], abs=0.02)
         assert np.abs(np.diff(session.forces()[-300:])).max() < 0.05
-
-
-def test_a_frozen_encoder_is_damped_first_and_then_a_fault():
-    # a fast press into meat: its force falls by far while the encoders stand still
-    hand = preset(
-        "step", surface_m=np.array([0.0, 0.0, 0.130]), inward=np.array([0.0, 0.0, -1.0]), depth_m=0.020,
-        stiffness_N_per_m=1000.0, rest_s=0.7,
-    )  # fmt: skip
-    begins = 3.0 + 0.7 + 0.05
-    with EmulatedSession(ScriptedFault("frozen", begins), hand=hand, tissue="meat") as session:
-        session.run(begins)
-        frozen_at = len(session.records)
-        assert session.forces()[-1] > 0.5
-        yielded = -1
-        for tick in range(1500):
-            session.tick()
-            if yielded < 0 and session.servo.guard_memory[PHASE] == YIELDING:
-                yielded = tick
-            if session.states()[-1] is State.FAULT and session.forces()[-1] == 0.0:
-                break
-        detected = session.first(Fault.ENCODER_FROZEN)
-        commanded = session.forces()[frozen_at:]
-        changed = int(np.argmax(np.abs(commanded - commanded[0]) > LIMITS.frozen_change_N))
-        # 200 ms after the command has changed by more than friction could hide
-        assert 0 <= yielded - changed - round(LIMITS.frozen_s / TICK_S) <= 10
-        # damping alone meanwhile: no count moves, so that it is no force; then FAULT
-        assert detected - frozen_at - yielded >= round(LIMITS.damping_s / TICK_S)
-        assert (commanded[yielded + RAMP_TICKS + 1 :] < 1e-12).all()
-        assert commanded[-1] == 0.0
-        assert np.abs(np.diff(commanded)).max() <= RAMP_STEP_N
-        assert session.states()[-1] is State.FAULT
-
-
-def test_a_force_that_is_no_number_ramps_from_the_last_finite_one():
-    with EmulatedSession() as session:
-        session.run(FAULT_S)
-        last = session.records[-1]["force_N"].copy()
-        session.servo.environment[LAW : LAW + 8] = np.nan
-        session.tick()
-        detected = session.first(Fault.NOT_A_NUMBER)
-        assert detected == len(session.records) - 1
-        session.ticks(40)
-        forces = np.array([record["force_N"] for record in session.records[detected:]])
-        assert np.isfinite(forces).all()
-        along = forces @ last / np.linalg.norm(last) ** 2
-        np.testing.assert_allclose(
-            along[: RAMP_TICKS - 1], 1.0 - np.arange(1, RAMP_TICKS) / RAMP_TICKS, atol=1e-6
-        )
-        assert (forces[RAMP_TICKS:] == 0.0).all()
-        assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
-
-
-def test_a_stall_of_a_tenth_of_a_second_ramps_the_force_and_resumes():
-    with EmulatedSession() as session:
-        session.run(FAULT_S)
-        before = session.forces()[-1]
-        session.falcon.advance(0.1)
-        stalled = session.tick(0.1)
-        assert Lamp(int(stalled["lamps"])) & Lamp.STALLED
-        session.ticks(200)
-        forces = session.forces()[-201:]
-        assert set(session.states()) >= {State.ENGAGED}
-        assert session.states()[-1] is State.ENGAGED
-        assert session.first(Fault.NO_REPLY) == -1
-        assert np.abs(np.diff(forces)).max() <= RAMP_STEP_N
-        assert forces[:60].min() < 0.1 * before
-        assert forces[-1] == pytest.approx(session.forces()[-1], abs=0.02)
-        assert forces[-1] > 0.9 * before
-
-
-def test_a_lost_heartbeat_is_damped_and_then_zero():
-    with EmulatedSession() as session:
-        session.run(FAULT_S)
-        transition(session.servo.guard_memory, session.servo.limits, HEARTBEAT_LOST)
-        session.ticks(200)
-        assert session.states()[-1] is State.FAULT
-        assert session.first(Fault.HEARTBEAT) > 0
-        assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
-        assert np.abs(np.diff(session.forces()[-201:])).max() <= RAMP_STEP_N
 
 
 def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump():

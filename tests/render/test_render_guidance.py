@@ -154,17 +154,6 @@ def test_an_axis_anywhere_is_the_same_environment_turned() -> None:
         np.testing.assert_allclose(turned.step(entry + turn @ point, TISSUE_DT), expected, atol=1e-9)
 
 
-def test_the_wall_is_felt_outside_the_funnel_only_and_toward_the_axis() -> None:
-    walled = Guidance((0.0, 0.0, 0.0), pull=Pull(0.0, 0.0, 0.02), bone=NO_BONE)
-    guided = Guided(walled)
-    for r in np.arange(0.0, 0.0039, 1e-4):
-        np.testing.assert_array_equal(guided.step(np.array([0.0, r, 0.0]), TISSUE_DT), np.zeros(3))
-    force = guided.step(np.array([0.0, 0.006, 0.0]), TISSUE_DT)
-    assert force[1] < 0.0
-    assert force[2] > 0.0
-    assert force[0] == 0.0
-
-
 def test_the_weight_is_carried_everywhere() -> None:
     plan = replace(
         PULL,

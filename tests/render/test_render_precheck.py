@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from felt_block import preset_check
-from rendered_tissues import PAPER_A, TWO_BRANCHES
+from rendered_tissues import PAPER_A
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -72,14 +71,6 @@ def test_a_tissue_that_could_not_be_felt_any_more_is_refused() -> None:
     for tissue, device in ((stiff, FALCON_LIKE), (PAPER_A, replace(FALCON_LIKE, damping_N_s_per_m=0.0))):
         with pytest.raises(DeviceError, match="can't be felt on this device"):
             check_before_force(tissue, device)
-
-
-def test_more_delay_lowers_the_scale_further() -> None:
-    scales = [
-        check_before_force(TWO_BRANCHES, replace(FALCON_LIKE, delay_ticks=ticks)).scaling.force
-        for ticks in (0.5, 1.0, 1.5, 2.0, 3.0)
-    ]
-    assert all(later < earlier for earlier, later in itertools.pairwise(scales))
 
 
 def test_what_the_clamp_takes_is_told_before() -> None:
