@@ -120,7 +120,7 @@ class Gains:
     #: sigma(0) [N m/s] and how fast it falls.
     sigma_start: float = 5.0
     sigma_rate_per_s: float = 0.5
-    #: None is three times the bound below which the robust term chatters, or 0 in a continuous loop.
+    #: None is three times the bound below which the robust term chatters.
     sigma_floor: float | None = None
     adaptation: tuple[float, float, float] = (0.05, 5.0, 50.0)  # gamma of masses, dampings and stiffnesses
     projection: bool = True  # estimates stay within their bounds
@@ -151,11 +151,9 @@ class ControlSettings:
     push: Signal | None = None
     disturbance: Signal | None = None
     push_rise_s: float = 0.5  # time in which the push rises from 0
-    #: Length of the run, and the controller's rate; of a continuous loop, how often a row is kept.
+    #: Length of the run, and the controller's rate.
     seconds: float = 12.0
     rate_Hz: float = 1000.0
-    #: Step of the loop without sampling and delay; None is the sampled loop.
-    continuous_step_s: float | None = None
     #: Steps of the tool in a tick; None is as many as the stiffness asks for, 20 at least.
     substeps: int | None = None
     #: (p,): none is half of what is true, in every parameter (assumed).
@@ -224,7 +222,7 @@ class ControlSettings:
         """Smallest sigma(t) of this loop [N m/s]."""
         if self.gains.sigma_floor is not None:
             return self.gains.sigma_floor
-        return 0.0 if self.continuous_step_s is not None else FLOOR_MARGIN * self.chatter_floor()
+        return FLOOR_MARGIN * self.chatter_floor()
 
     def largest_tangent(self) -> float:
         """Largest stiffness of the tissue at the device [N/m], on one and a half times its depth."""
@@ -256,7 +254,6 @@ def _problems(settings: ControlSettings) -> list[str]:
         "the length of the run": settings.seconds,
         "the rate": settings.rate_Hz,
         "the virtual mass": settings.tool.mass_kg,
-        "the continuous step": 1.0 if settings.continuous_step_s is None else settings.continuous_step_s,
         "the number of sub-steps": 1.0 if settings.substeps is None else settings.substeps,
     }
     found += [
@@ -272,8 +269,6 @@ def _problems(settings: ControlSettings) -> list[str]:
             found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
     if not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
         found.append("the device needs a mass along every axis")
-    if settings.continuous_step_s is not None and math.isfinite(settings.gains.saturation_N):
-        found.append("a saturated controller is sampled; leave the continuous step out")
     if not found and settings.start_estimates is not None:
         size = settings.estimated_truth().size
         if np.shape(settings.start_estimates) != (size,):
@@ -316,9 +311,9 @@ def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> f
 
 
 def check_virtual_mass(settings: ControlSettings) -> float:
-    """The bound [kg]; UsageError where the virtual mass of a sampled loop lies at or below it."""
+    """The bound [kg]; UsageError where the virtual mass lies at or below it."""
     bound = virtual_mass_bound(settings)
-    if settings.continuous_step_s is None and not settings.unchecked and settings.tool.mass_kg <= bound:
+    if not settings.unchecked and settings.tool.mass_kg <= bound:
         hand = float(np.linalg.eigvalsh(settings.operator.mass_kg)[-1])
         msg = (
             f"a virtual mass of {settings.tool.mass_kg:.3g} kg is unstable: the sampled force feeds the "

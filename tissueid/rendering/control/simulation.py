@@ -1,8 +1,7 @@
-"""A controlled loop, run: settings in, arrays out; sampled as a computer does it, or continuous."""
+"""A controlled loop, run: settings in, arrays out."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
-from tissueid.model.kernels import STATE_SIZE
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.control import law
 from tissueid.rendering.control.law import Controller, LoopBlock
@@ -53,10 +51,10 @@ def _advance_plant(loop: Loop, time: float, u: FloatArray, x: FloatArray, v: Flo
 
 
 @kernel()
-def run_sampled(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -> int:
-    """Run a sampled loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
+def run_loop(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -> int:
+    """Run a loop from rest at the tissue's surface; rows written, fewer than ticks where it diverged.
 
-    The loop reads the force that the hand had under the last command; ``noise``: of the sensor [N].
+    The controller reads the force that the hand had under the last command; ``noise``: of the sensor [N].
     """
     block = loop.block
     x, v, hand = np.zeros_like(c.xe), np.zeros_like(c.xe), np.zeros_like(c.xe)
@@ -79,111 +77,9 @@ def run_sampled(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -
     return len(out)
 
 
-class Forces(NamedTuple):
-    """Forces and accelerations of a continuous loop at one moment; shape (n,) where nothing else is said."""
-
-    push: FloatArray
-    disturbed: FloatArray
-    hand: FloatArray
-    u: FloatArray
-    rho: FloatArray
-    robust: FloatArray
-    #: Accelerations of the device and of the tool.
-    a: FloatArray
-    ae: FloatArray
-    Y: FloatArray  # (n, p), regressor
-
-
-@kernel()
-def _forces(loop: Loop, time: float, motion: FloatArray, estimates: FloatArray, touched: float) -> Forces:
-    """Solve the algebraic loop at one moment.
-
-    ``motion`` (4, n): position and velocity of the device, of the tool.  The hand's force holds its own
-    acceleration: Fh = f0 - Mh a, ar = ar0 - Mh a / Mt, u = u0 - (M^ Mh / Mt) a [+ Mh a in variant B], with M^
-    of the estimates, so that (M + M^ Mh / Mt [- Mh]) a = F* - d + u0 - c.
-    """
-    block = loop.block
-    x, v, xe, ve = motion[0], motion[1], motion[2], motion[3]
-    n = x.size
-    at_rest = np.zeros(n)
-    push, disturbed = law.hand_push(block, loop.drive, time), law.disturbance(loop.drive, time)
-    M, Mh, Mc = law.inertia(loop.total, n), law.inertia(loop.operator, n), law.inertia(estimates, n)
-    hand = push - law.generalised_force(loop.operator, x, v, at_rest)
-    ae = law.tool_acceleration(block, ve, hand, touched)
-    vr, ar, rho = law.reference(block, (x, v), (xe, ve, ae))
-    robust = law.robust_term(block, rho, law.sigma_at(block, time))
-    u = law.control_force(block, law.regressor(x, vr, ar), estimates, rho, robust, hand)
-    held = law.generalised_force(loop.total, x, v, at_rest)
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                M[i, j] += Mc[i, k] * Mh[k, j] / block.tool_mass_kg
-            if block.variant_B:
-                M[i, j] -= Mh[i, j]
-    a = law.solved(M, push - disturbed + u - held)
-    for j in range(n):
-        hand -= Mh[:, j] * a[j]
-    ae = law.tool_acceleration(block, ve, hand, touched)
-    vr, ar, rho = law.reference(block, (x, v), (xe, ve, ae))
-    Y = law.regressor(x, vr, ar)
-    u = law.control_force(block, Y, estimates, rho, robust, hand)
-    return Forces(push, disturbed, hand, u, rho, robust, a, ae, Y)
-
-
-@kernel()
-def _tissue(loop: Loop, state: FloatArray, motion: FloatArray) -> float:
-    """Force of the environment [N] on whatever touches it, a step later."""
-    block = loop.block
-    return law.environment_force(
-        block, loop.law, state, motion[0 if block.touched_by_device else 2], block.period_s
-    )
-
-
-@kernel()
-def _step(
-    loop: Loop, time: float, motion: FloatArray, estimates: FloatArray, state: FloatArray, now: Forces
-) -> float:
-    """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
-    block = loop.block
-    h = block.period_s
-    slope = np.stack((motion[1], now.a, motion[3], now.ae))
-    guess = estimates.copy()
-    law.adapt(block, now.Y, now.rho, loop.gains, loop.bounds, h, guess)
-    ahead = motion + h * slope
-    then = _forces(loop, time + h, ahead, guess, _tissue(loop, state.copy(), ahead))
-    moved = guess.copy()
-    law.adapt(block, then.Y, then.rho, loop.gains, loop.bounds, h, moved)
-    estimates[:] = 0.5 * (estimates + moved)
-    motion += 0.5 * h * (slope + np.stack((ahead[1], then.a, ahead[3], then.ae)))
-    return _tissue(loop, state, motion)
-
-
-@kernel()
-def run_continuous(loop: Loop, every: int, estimates: FloatArray, out: FloatArray) -> int:
-    """Run a loop without sampling from rest at the surface; a row every ``every`` steps of the period."""
-    block = loop.block
-    motion, state = np.zeros((4, loop.drive.shape[1])), np.zeros(STATE_SIZE)
-    touched = 0.0
-    for row in range(len(out)):
-        for step in range(every):
-            time = (row * every + step) * block.period_s
-            now = _forces(loop, time, motion, estimates, touched)
-            if step == 0:
-                terms = (now.rho, now.robust, law.not_covered(block, now.push, now.disturbed))
-                V, rate = law.lyapunov(block, terms, loop.truth, estimates, loop.gains)
-                led = (motion[0], motion[1], motion[2], motion[3])
-                vectors = (*led, now.hand, now.u, now.rho, now.push, now.disturbed)
-                scalars = (touched, law.sigma_at(block, time), V, rate)
-                out[row] = law.recorded(time, vectors, scalars, estimates)
-            touched = _step(loop, time, motion, estimates, state, now)
-        if not (np.abs(motion[0]) < LARGEST_M).all():
-            return row + 1
-    return len(out)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlRun:
-    """Record of a loop, a row a tick; a continuous loop keeps rows at the controller's rate as well."""
+    """Record of a loop, a row a tick."""
 
     settings: ControlSettings
     time_s: FloatArray  # (rows,)
@@ -194,8 +90,7 @@ class ControlRun:
     tool_position_m: FloatArray
     tool_velocity_m_s: FloatArray  # (rows, n)
     hand_force_N: FloatArray  # (rows, n), as the controller reads it
-    #: (rows, n): u, rho, F* and d; in a sampled loop rho is of where the tool will be at the end of the
-    #: period.
+    #: (rows, n): u, rho (of where the tool will be at the end of the period), F* and d.
     control_force_N: FloatArray
     rho_m_s: FloatArray  # (rows, n)
     push_N: FloatArray  # (rows, n)
@@ -220,7 +115,7 @@ class ControlRun:
 
 
 def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> LoopBlock:
-    """Numbers of a loop whose tick, or step where it is continuous, takes ``period_s``."""
+    """Numbers of a loop whose tick takes ``period_s``."""
     gains = settings.gains
     touched_by_device = settings.environment == "impedance"
     return LoopBlock(
@@ -271,21 +166,15 @@ def simulate(settings: ControlSettings) -> ControlRun:
     rows = max(1, round(settings.seconds * settings.rate_Hz))
     out = np.zeros((rows, 1 + settings.axes * len(law.VECTORS) + len(law.SCALARS) + truth.size))
 
-    def loop(block: LoopBlock) -> Loop:
-        adaptation = settings.adaptation_gains(), settings.estimate_bounds()
-        parameters = (device + operator, operator, truth)
-        return Loop(block, tissue_law(settings), _drive(settings), *parameters, *adaptation)
-
-    if settings.continuous_step_s is None:
-        block = loop_block(settings, period_s=1.0 / settings.rate_Hz, substeps=settings.tool_substeps())
-        noise = np.zeros((rows, settings.axes))
-        if settings.sensor_noise_N > 0.0:
-            noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
-        written = run_sampled(loop(block), law.new_controller(settings.axes, start), noise, out)
-    else:
-        every = max(1, math.ceil(1.0 / (settings.rate_Hz * settings.continuous_step_s) - 1e-9))
-        block = loop_block(settings, period_s=1.0 / (settings.rate_Hz * every), substeps=1)
-        written = run_continuous(loop(block), every, start, out)
+    block = loop_block(settings, period_s=1.0 / settings.rate_Hz, substeps=settings.tool_substeps())
+    adaptation = settings.adaptation_gains(), settings.estimate_bounds()
+    loop = Loop(
+        block, tissue_law(settings), _drive(settings), device + operator, operator, truth, *adaptation
+    )
+    noise = np.zeros((rows, settings.axes))
+    if settings.sensor_noise_N > 0.0:
+        noise = np.random.default_rng(settings.seed).normal(0.0, settings.sensor_noise_N, noise.shape)
+    written = run_loop(loop, law.new_controller(settings.axes, start), noise, out)
     return _as_run(settings, out[:written], complete=written == rows)
 
 
