@@ -71,6 +71,8 @@ def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts(falco
     assert (homed_bits(answers[0]), homed_bits(answers[-1])) == (0, 7)
     assert np.abs(np.diff(counts, axis=0)).max() > 200  # the unknown zero of power-up goes
     np.testing.assert_allclose(kinematics.forward(angles(counts[-1])), falcon.position_m, atol=1e-4)
+    # before that the counters begin at nought, wherever the grip hangs
+    assert np.abs(counts[0]).max() <= 1
 
 
 @pytest.mark.needs_jit
@@ -318,6 +320,9 @@ def test_the_loader_answers_at_its_rates_only_and_starts_at_the_last():
     assert falcon.receive(HELLO) == GREETING
     falcon.set_baud(140_000)  # what a tty makes of the divisor is 1.5 % off
     assert falcon.receive(b"A") == b"A"
+    falcon.set_baud(9600)
+    assert falcon.receive(b"firmware") == b""
+    falcon.set_baud(140_000)
     assert falcon.receive(b"firmware") == b"firmware"
     assert not falcon.running
     falcon.set_baud(1_500_000)

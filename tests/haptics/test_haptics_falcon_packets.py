@@ -122,7 +122,9 @@ def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none():
     "before", [b"", b"<", b"<<<<", b"<AAAAAAAAAAAAAA", b"<AAAA<A", b">", b"<AAAAAAAAAAAA<", b"\x00<"]
 )
 def test_a_published_reply_is_read_whatever_bracket_stands_before_it(before):
-    assert PacketParser().feed(before + b"<HNGPOKOPFPOPAA>") == [Reply((-2345, -338, -267), 0, 0)]
+    parser = PacketParser()
+    assert parser.feed(before + b"<HNGPOKOPFPOPAA>") == [Reply((-2345, -338, -267), 0, 0)]
+    assert (parser.invalid, parser.dropped) == (before.count(b"<"), len(before))
 
 
 def test_a_reply_two_bytes_short_never_reads_as_homed():

@@ -250,7 +250,7 @@ COMPILED = (
     *faults(
         "haptics/falcon/servo_io.py",
         ("tests/render/test_render_faults.py::test_a_late_wire_lights_its_lamp_and_lowers_the_force",),
-        {"commands are never counted": ("    parts.flags[UNANSWERED] += 1\n    ready", "    ready")},
+        {"commands are never counted": ("    parts.flags[UNANSWERED] += 1\n    events", "    events")},
     ),
     *faults(
         "haptics/falcon/servo_io.py",

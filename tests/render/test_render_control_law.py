@@ -64,9 +64,7 @@ def mismatch(run: ControlRun) -> float:
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize("scale", [1.0, 100.0])
-def test_the_equality_of_the_proof_holds_along_the_run_and_not_where_it_learns_wrongly(
-    variant, scale
-):
+def test_the_equality_of_the_proof_holds_along_the_run_and_not_where_it_learns_wrongly(variant, scale):
     run = learning(variant, scale)
     V, rate = by_hand(run)
     np.testing.assert_allclose(run.lyapunov, V, rtol=1e-9)

@@ -78,18 +78,6 @@ def test_a_device_that_fails_is_exit_5_with_its_reason_on_the_screen_and_in_the_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["short", "garbled", "doubled", "stall"])
-def test_one_spoilt_answer_is_exit_0(monkeypatch, tmp_path, kind):
-    log = tmp_path / "out.h5"
-    with emulated(monkeypatch, ScriptedFault(kind, 4.2, size=100.0)):
-        code, _ = run(*FALCON, "--seconds", "5", "--log", log)
-    assert code == 0
-    records = read_session_log(log).records
-    assert set(records["fault"]) == {Fault.NONE}
-    assert records["depth_mm"].max() > 0.5
-
-
-@pytest.mark.slow
 def test_firmware_that_fails_twice_is_exit_0(monkeypatch, tmp_path):
     firmware = tmp_path / "any.bin"
     firmware.write_bytes(bytes(range(256)) * 2)

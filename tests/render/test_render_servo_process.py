@@ -94,7 +94,7 @@ class TestProcess:
     @pytest.mark.parametrize(
         "number",
         [
-            signal.SIGTERM,
+            pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
             pytest.param(signal.SIGINT, marks=pytest.mark.slow),
             pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
             # Ctrl-Z would stop it, Ctrl-\ kill it, with the last force commanded
@@ -112,15 +112,7 @@ class TestProcess:
         assert end.reason == "signal"
         assert servo._spawned.process.returncode == 0
 
-    def test_a_killed_process_is_told_of_and_leaves_the_owner_standing(self):
-        servo = ServoProcess(PLAN)
-        servo.start()
-        os.kill(servo._spawned.process.pid, signal.SIGKILL)
-        with pytest.raises(DeviceError, match=r"died without a word.*-9"):
-            ended(servo)
-        servo.close()
-
-    def test_after_a_killed_process_its_owner_takes_the_force_away(self, monkeypatch):
+    def test_a_killed_process_is_told_of_and_its_owner_takes_the_force_away(self, monkeypatch):
         done = []
 
         class Motors:
@@ -139,7 +131,7 @@ class TestProcess:
         servo.start()
         monkeypatch.setattr(registry, "device_class", lambda _name: Motors)
         os.kill(servo._spawned.process.pid, signal.SIGKILL)
-        with pytest.raises(DeviceError, match="died without a word"):
+        with pytest.raises(DeviceError, match=r"died without a word.*-9"):
             ended(servo)
         servo.close()
         assert done == ["opened", "closed with zero force"]
@@ -184,14 +176,6 @@ class TestSpawned:
         spawned.close()
         assert capfd.readouterr() == ("", "")
 
-    @pytest.mark.needs_jit
-    def test_an_owner_that_dies_before_the_plan_ends_it(self, capfd):
-        spawned = spawn_servo()
-        os.close(spawned.owner)
-        assert spawned.process.wait(PATIENCE_S) == 5
-        os.close(spawned.report)
-        assert capfd.readouterr() == ("", "")
-
 
 @pytest.mark.needs_jit
 @pytest.mark.usefixtures("same_priority")
@@ -214,9 +198,10 @@ class TestInOneProcess:
         # seen within 5 ms, and 20 zeros
         assert pipes.ring.published < 100
 
-    def test_an_owner_that_dies_before_it_sent_a_plan_ends_it(self, pipes):
+    def test_an_owner_that_dies_before_it_sent_a_plan_ends_it_without_a_word(self, pipes, capfd):
         os.close(pipes.ours)
         assert pipes.main() == 5
+        assert capfd.readouterr() == ("", "")
 
     def test_the_wish_to_end_ends_it(self, pipes):
         pipes.block.order(COMMAND_STOP)

@@ -14,7 +14,7 @@ from numba import config, types
 from numba.extending import intrinsic
 
 from tissueid.arrays import IntArray
-from tissueid.compiled import kernel
+from tissueid.compiled import kernel, tick_kernel
 
 _UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))
 _CTYPES: dict[Any, Any] = {
@@ -63,6 +63,21 @@ def by_address(result: Any, *arguments: Any) -> Callable[..., Any]:
         return result(types.int64, values), emit
 
     return call
+
+
+#: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
+POLL_IN, POLL_OUT, POLL_BROKEN = 0x1, 0x4, 0x8 | 0x10 | 0x20
+_EVENTS_SHIFT, _RETURNED_SHIFT = 32, 48
+_poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
+
+
+@tick_kernel
+def ready(descriptor: int, events: int, word: IntArray) -> int:
+    """Events of a descriptor that hold now, by a word of room; POLL_BROKEN bits if the other end is gone."""
+    word[0] = descriptor | (events << _EVENTS_SHIFT)
+    if _poll(word.ctypes.data, 1, 0) < 0:
+        return 0
+    return int((word[0] >> _RETURNED_SHIFT) & 0xFFFF)
 
 
 _WORD_BYTES = 8

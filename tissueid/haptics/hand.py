@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,21 +93,21 @@ class Hand:
         return block
 
 
-def _along(
+def along(
     surface_m: FloatArray,
     inward: FloatArray,
-    times_s: list[float],
-    depths_m: list[float],
-    grips: list[float] | None = None,
+    times_s: Sequence[float],
+    depths_m: FloatArray,
+    grips: Sequence[float] | None = None,
 ) -> Hand:
     """Hand that moves along ``inward`` through ``surface_m``: depth [m] by time [s]."""
     axis = np.asarray(inward, dtype=np.float64)
-    points = np.asarray(surface_m)[None, :] + np.outer(depths_m, axis)
+    points = np.asarray(surface_m) + np.outer(depths_m, axis)
     return Hand(
-        times_s=tuple(float(time) for time in times_s),
-        positions_m=tuple((float(x), float(y), float(z)) for x, y, z in points),
+        times_s=tuple(times_s),
+        positions_m=tuple(map(tuple, points.tolist())),
         grips=tuple(grips or [1.0] * len(times_s)),
-        tremor_axis=(float(axis[0]), float(axis[1]), float(axis[2])),
+        tremor_axis=tuple(axis.tolist()),
     )
 
 
@@ -137,7 +138,7 @@ def preset(
     if damping_N_s_per_m is None:
         damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
     return replace(
-        _along(surface_m, inward, times, depths, grips),
+        along(surface_m, inward, times, np.array(depths), grips),
         stiffness_N_per_m=stiffness_N_per_m,
         damping_N_s_per_m=damping_N_s_per_m,
         tremor_m=tremor_m if name == "tremor" else 0.0,
@@ -180,13 +181,14 @@ class Stroke:
     duration_s: float
 
 
-_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
-_SPEED = rf"at\s+{_NUMBER}\s*mm\s*/\s*(min|s)"
+#: Numbers and speeds in what a user writes, as regular expressions.
+NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+SPEED = rf"{NUMBER}\s*mm\s*/\s*(min|s)"
 _MOVES = {
-    "indent": re.compile(rf"indent\s+{_NUMBER}\s*mm\s+{_SPEED}"),
-    "retract": re.compile(rf"retract\s+(?:to\s+{_NUMBER}\s*mm\s+)?{_SPEED}"),
+    "indent": re.compile(rf"indent\s+{NUMBER}\s*mm\s+at\s+{SPEED}"),
+    "retract": re.compile(rf"retract\s+(?:to\s+{NUMBER}\s*mm\s+)?at\s+{SPEED}"),
 }
-_HOLD = re.compile(rf"hold\s+{_NUMBER}\s*s")
+_HOLD = re.compile(rf"hold\s+{NUMBER}\s*s")
 
 
 def _speed(value: str, per: str, line: str) -> float:
@@ -240,5 +242,4 @@ def scripted_hand(
         time += stroke.duration_s
         times.append(time)
         depths.append(stroke.depth_mm)
-    travel = [depth * MM * motion_scale for depth in depths]
-    return replace(_along(surface_m, inward, times, travel), rigid=True)
+    return replace(along(surface_m, inward, times, MM * motion_scale * np.array(depths)), rigid=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
+from tissueid.haptics.hand import NUMBER, S_PER_MIN, SPEED
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle
@@ -21,12 +22,8 @@ from tissueid.store.bundle import Bundle
 WEBER_SHARE = 0.07
 #: Force below which the difference that is noticed no longer shrinks [N].
 WEBER_FROM_N = 0.5
-S_PER_MIN = 60.0
 
-_FUNCTIONAL = re.compile(
-    r"force\s+at\s+(?P<depth>\d+(?:\.\d*)?|\.\d+)\s*mm\s*,\s*"
-    r"(?P<speed>\d+(?:\.\d*)?|\.\d+)\s*mm\s*/\s*(?P<per>min|s)"
-)
+_FUNCTIONAL = re.compile(rf"force\s+at\s+{NUMBER}\s*mm\s*,\s*{SPEED}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +62,11 @@ def parse_functional(text: str) -> Functional:
     if found is None:
         msg = f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}"
         raise UsageError(msg)
-    depth, speed = float(found["depth"]), float(found["speed"])
+    depth, speed = float(found[1]), float(found[2])
     if not (depth > 0.0 and speed > 0.0):
         msg = f"--of {printable(text)!r}: depth and speed must be above 0"
         raise UsageError(msg)
-    return Functional(depth, speed / (S_PER_MIN if found["per"] == "min" else 1.0))
+    return Functional(depth, speed / (S_PER_MIN if found[3] == "min" else 1.0))
 
 
 def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:

@@ -12,7 +12,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.hand import MOST_HOLD_S, MOST_STROKES, Hand
+from tissueid.haptics.hand import MOST_HOLD_S, MOST_STROKES, S_PER_MIN, Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
@@ -58,7 +58,6 @@ from tissueid.store.session_log import read_session_log
 
 MM = 1e-3
 DEFAULT_COUNT_M = 45e-6
-S_PER_MIN = 60.0
 #: Share of the identified depth that a simulated grip shows where no script was given.
 DEMONSTRATED_DEPTH = 0.75
 DEMONSTRATED_HOLD_S = 1.0

@@ -14,7 +14,7 @@ from numba import types
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.device import ZERO_COMMANDS
-from tissueid.haptics.foreign import libc_function
+from tissueid.haptics.foreign import POLL_IN, libc_function, ready
 from tissueid.haptics.guard import ENGAGED, FAULTED, HEARTBEAT_LOST, PARENT_DIED, STATE, transition
 from tissueid.haptics.limits import HEARTBEAT_S
 from tissueid.haptics.parameter_block import COMMAND_STOP, beats
@@ -23,18 +23,15 @@ from tissueid.haptics.states import Lamp
 from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
 
 #: int64 words of room: a ``timespec``, then one ``pollfd``.
-CLOCK_SIZE = 4
+CLOCK_SIZE = 3
 _POLLFD_AT = 2
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 INTERRUPTED = 4
 NANOSECONDS = 1_000_000_000
-#: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
-POLL_IN, EVENTS_SHIFT, RETURNED_SHIFT = 0x1, 32, 48
 
 _gettime = libc_function("clock_gettime", types.int32, types.int32, types.int64)
 _nanosleep = libc_function("clock_nanosleep", types.int32, types.int32, types.int32, types.int64, types.int64)
-_poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
 
 
 @tick_kernel
@@ -56,10 +53,7 @@ def sleep_until(deadline_ns: int, room: IntArray) -> None:
 @tick_kernel
 def readable(descriptor: int, room: IntArray) -> bool:
     """True where a descriptor has bytes, or its other end is gone; False for a negative one."""
-    if descriptor < 0:
-        return False
-    room[_POLLFD_AT] = descriptor | (POLL_IN << EVENTS_SHIFT)
-    return bool(_poll(room.ctypes.data + 8 * _POLLFD_AT, 1, 0) > 0 and room[_POLLFD_AT] >> RETURNED_SHIFT)
+    return bool(descriptor >= 0 and ready(descriptor, POLL_IN, room[_POLLFD_AT:]) != 0)
 
 
 #: Why a loop ended: a fault; the owner's wish; a signal; all ticks asked for are done.

@@ -16,6 +16,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError, printable
 from tissueid.haptics.device import Capabilities
+from tissueid.haptics.hand import NUMBER
 from tissueid.model.channels import ChannelModel
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
@@ -180,9 +181,8 @@ SMALLEST_DEPTHS = 2.0
 #: An edge nearer than this many tip radii (or depths, where the tip is not known) is felt.
 EDGE_DISTANCE = 3.0
 
-_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
-_SPHERE = re.compile(rf"sphere\s+{_NUMBER}\s*mm")
-_BOX = re.compile(rf"box\s+{_NUMBER}\s*x\s*{_NUMBER}\s*x\s*{_NUMBER}\s*mm")
+_SPHERE = re.compile(rf"sphere\s+{NUMBER}\s*mm")
+_BOX = re.compile(rf"box\s+{NUMBER}\s*x\s*{NUMBER}\s*x\s*{NUMBER}\s*mm")
 
 #: A surface in tissue units: kind, and sizes [mm]: radius, or full widths.
 Shape = tuple[str, tuple[float, ...]]

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.haptics.hand import Hand
+from tissueid.haptics.hand import Hand, along
 from tissueid.haptics.shared_hand import MAX_KNOTS
 from tissueid.rendering.session_plan import Script
 from tissueid.segment import segment
@@ -47,13 +47,8 @@ class Program:
 
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """A machine that carries the grip along it."""
-        points = np.asarray(surface_m) + np.outer(self.depth_mm * motion_scale * 1e-3, np.asarray(inward))
-        return Hand(
-            times_s=tuple(self.time_s.tolist()),
-            positions_m=tuple((float(x), float(y), float(z)) for x, y, z in points),
-            grips=(1.0,) * self.time_s.size,
-            rigid=True,
-        )
+        travel_m = self.depth_mm * motion_scale * 1e-3
+        return replace(along(surface_m, inward, self.time_s.tolist(), travel_m), rigid=True)
 
 
 def program_of_script(script: Script) -> Program:

@@ -26,7 +26,7 @@ from tissueid.haptics.falcon.packets import (
     parse_byte,
 )
 from tissueid.haptics.falcon.transport import ERROR_TIMEOUT, READ_BYTES, STATUS_BYTES, USB_PACKET_BYTES
-from tissueid.haptics.foreign import by_address, libc_function
+from tissueid.haptics.foreign import POLL_BROKEN, POLL_IN, POLL_OUT, by_address, libc_function, ready
 from tissueid.haptics.guard import (
     LAMPS,
     LATE_COMMANDS,
@@ -43,9 +43,6 @@ from tissueid.haptics.states import Lamp
 #: Constants: motor units for one newton metre, then the geometry block.
 UNITS_PER_NM, GEOMETRY = 0, 1
 CLIPPED = int(Lamp.CLIPPED)
-#: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
-POLL_IN, POLL_OUT, POLL_BROKEN = 0x1, 0x4, 0x8 | 0x10 | 0x20
-EVENTS_SHIFT, RETURNED_SHIFT = 32, 48
 #: Flags of a tuple: the transport is gone; damaged replies already reported; commands without an answer;
 #: ticks since one of them was given up, and since an answer came.
 LOST, REPORTED, UNANSWERED, WAITED, SILENT = 0, 1, 2, 3, 4
@@ -59,7 +56,6 @@ ALONE_COUNTS, STILL_COUNTS = 160, 4
 #: Counts before the first reply: from there every place is a jump.
 NOWHERE = 1 << 20
 
-_poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
 _read = libc_function("read", types.int64, types.int32, types.int64, types.int64)
 _write = libc_function("write", types.int64, types.int32, types.int64, types.int64)
 _bulk_transfer = by_address(
@@ -120,15 +116,6 @@ def _parts(given: CompiledIO) -> FalconParts:
         angles=np.zeros(3),
         grip=np.array(GUESS_M),
     )
-
-
-@tick_kernel
-def _ready(descriptor: int, events: int, word: IntArray) -> int:
-    """Events that hold now; POLL_BROKEN bits if the other end is gone."""
-    word[0] = descriptor | (events << EVENTS_SHIFT)
-    if _poll(word.ctypes.data, 1, 0) < 0:
-        return 0
-    return int((word[0] >> RETURNED_SHIFT) & 0xFFFF)
 
 
 @tick_kernel
@@ -208,14 +195,14 @@ def _sense_descriptor(
     """Parse what has arrived."""
     parts = io.parts
     replies = 0
-    ready = _ready(io.descriptor, POLL_IN, parts.word)
-    if (ready & POLL_IN) != 0:
+    events = ready(io.descriptor, POLL_IN, parts.word)
+    if (events & POLL_IN) != 0:
         length = _read(io.descriptor, parts.incoming.ctypes.data, READ_BYTES)
         if length <= 0:
             parts.flags[LOST] = 1
         for i in range(length):
             replies += parse_byte(parts.parser, int(parts.incoming[i]))
-    elif (ready & POLL_BROKEN) != 0:
+    elif (events & POLL_BROKEN) != 0:
         parts.flags[LOST] = 1
     _understand(parts, replies, position, counts, words)
 
@@ -228,8 +215,8 @@ def _command_descriptor(
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
     parts.flags[UNANSWERED] += 1
-    ready = _ready(io.descriptor, POLL_OUT, parts.word)
-    if (ready & POLL_OUT) != 0 and _write(io.descriptor, parts.outgoing.ctypes.data, PACKET_BYTES) < 0:
+    events = ready(io.descriptor, POLL_OUT, parts.word)
+    if (events & POLL_OUT) != 0 and _write(io.descriptor, parts.outgoing.ctypes.data, PACKET_BYTES) < 0:
         parts.flags[LOST] = 1
 
 

@@ -84,27 +84,6 @@ VECTORS = (
 
 
 @kernel()
-def recorded(
-    time: float,
-    vectors: tuple[FloatArray, ...],
-    scalars: tuple[float, float, float, float],
-    estimates: FloatArray,
-) -> FloatArray:
-    """Row: the time, :data:`VECTORS`, :data:`SCALARS`, the estimates."""
-    row = np.empty(1 + len(vectors) * vectors[0].size + len(scalars) + estimates.size)
-    row[0] = time
-    at = 1
-    for vector in vectors:
-        row[at : at + vector.size] = vector
-        at += vector.size
-    for scalar in scalars:
-        row[at] = scalar
-        at += 1
-    row[at:] = estimates
-    return row
-
-
-@kernel()
 def regressor(x: FloatArray, vr: FloatArray, ar: FloatArray) -> FloatArray:
     """Regressor of ``x``, ``vr`` and ``ar``, shape (n, 3 n (n + 1) / 2)."""
     n = x.size
@@ -321,12 +300,6 @@ def adapt(
 
 
 @kernel()
-def not_covered(block: LoopBlock, push: FloatArray, disturbed: FloatArray) -> FloatArray:
-    """Forces that the estimates don't cover [N]: F* - d in variant A, -d in B."""
-    return -disturbed if block.variant_B else push - disturbed
-
-
-@kernel()
 def lyapunov(
     block: LoopBlock,
     terms: tuple[FloatArray, FloatArray, FloatArray],
@@ -336,7 +309,7 @@ def lyapunov(
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    ``terms``: rho, robust term, and what is unknown of :func:`not_covered` [N].
+    ``terms``: rho, robust term, and the forces that the estimates don't cover [N].
     """
     rho, robust, unknown = terms
     M = inertia(truth, rho.size)

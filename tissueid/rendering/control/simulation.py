@@ -66,10 +66,13 @@ def run_loop(loop: Loop, c: Controller, noise: FloatArray, out: FloatArray) -> i
         xe, ve, before = c.xe.copy(), c.ve.copy(), touched
         sent = law.command(block, loop.law, c, time, (x, v), sensed, touched)
         touched = sent.touched
-        terms = (sent.rho, sent.robust, law.not_covered(block, push, disturbed))
+        # in variant B the push of the hand is measured, and fed back
+        unknown = -disturbed if block.variant_B else push - disturbed
+        terms = (sent.rho, sent.robust, unknown)
         V, rate = law.lyapunov(block, terms, loop.truth, c.estimates, loop.gains)
+        scalars = np.array([before, law.sigma_at(block, time), V, rate])
         vectors = (x, v, xe, ve, sensed, sent.u, sent.rho, push, disturbed)
-        out[tick] = law.recorded(time, vectors, (before, law.sigma_at(block, time), V, rate), c.estimates)
+        out[tick] = np.concatenate((np.array([time]), *vectors, scalars, c.estimates))
         law.adapt(block, sent.Y, sent.rho, loop.gains, loop.bounds, block.period_s, c.estimates)
         hand = _advance_plant(loop, time, sent.u, x, v)
         if not (np.abs(x) < LARGEST_M).all():
