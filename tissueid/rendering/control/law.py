@@ -218,21 +218,6 @@ def advance_tool(block: LoopBlock, law: FloatArray, c: Controller, hand: FloatAr
 
 
 @kernel()
-def reference(
-    block: LoopBlock,
-    device: tuple[FloatArray, FloatArray],
-    tool: tuple[FloatArray, FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """References vr, ar and rho of equations (16) and (17) by the tool's position, velocity, acceleration."""
-    x, v = device
-    xe, ve, ae = tool
-    rate = block.reference_rate_per_s
-    vr = ve + rate * (xe - x)
-    ar = ae + rate * (ve - v)
-    return vr, ar, vr - v
-
-
-@kernel()
 def sigma_at(block: LoopBlock, time: float) -> float:
     """Smoothing sigma(t) of equation (22) [N m/s]."""
     return float(max(block.sigma_start * math.exp(-block.sigma_rate_per_s * time), block.sigma_floor))
@@ -245,32 +230,6 @@ def length_of(vector: FloatArray) -> float:
     for one in vector:
         square += one * one
     return math.sqrt(square)
-
-
-@kernel()
-def robust_term(block: LoopBlock, rho: FloatArray, sigma: float) -> FloatArray:
-    """Robust term u_r [N], equation (21): smooth, along rho, of length delta at most."""
-    delta = block.disturbance_bound_N
-    below = delta * length_of(rho) + sigma
-    return delta * delta * rho / below if below > 0.0 else np.zeros(rho.size)
-
-
-@kernel()
-def control_force(
-    block: LoopBlock,
-    Y: FloatArray,
-    estimates: FloatArray,
-    rho: FloatArray,
-    robust: FloatArray,
-    hand: FloatArray,
-) -> FloatArray:
-    """Control force u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
-    total = block.damping_N_s_per_m * rho + robust
-    for k in range(estimates.size):
-        total += Y[:, k] * estimates[k]
-    if block.variant_B:
-        total -= hand
-    return total
 
 
 @kernel()
@@ -339,13 +298,24 @@ def command(
 
     Held until the next tick, the command aims at where the tool will be then.
     """
-    x = device[0]
+    x, v = device
     if block.touched_by_device:
         touched = environment_force(block, law, c.state, x, block.period_s)
     touched = advance_tool(block, law, c, hand, touched)
-    ae = tool_acceleration(block, c.ve, hand, touched)
-    vr, ar, rho = reference(block, device, (c.xe, c.ve, ae))
-    robust = robust_term(block, rho, sigma_at(block, time))
+    # the references of equations (16) and (17)
+    xe, ve, rate = c.xe, c.ve, block.reference_rate_per_s
+    vr = ve + rate * (xe - x)
+    ar = tool_acceleration(block, ve, hand, touched) + rate * (ve - v)
+    rho = vr - v
+    # the robust term of (21): smooth, along rho, of length delta at most
+    delta = block.disturbance_bound_N
+    below = delta * length_of(rho) + sigma_at(block, time)
+    robust = delta * delta * rho / below if below > 0.0 else np.zeros(rho.size)
+    # the command of (20), with the measured force of the hand in variant B
     Y = regressor(x, vr, ar)
-    u = saturated(block, control_force(block, Y, c.estimates, rho, robust, hand))
-    return Command(u, rho, robust, Y, touched)
+    total = block.damping_N_s_per_m * rho + robust
+    for k in range(c.estimates.size):
+        total += Y[:, k] * c.estimates[k]
+    if block.variant_B:
+        total -= hand
+    return Command(saturated(block, total), rho, robust, Y, touched)
