@@ -48,9 +48,6 @@ class Direct:
     def set_dtr(self, on: bool) -> None:
         self.said.append(f"dtr {on}")
 
-    def set_rts(self, on: bool) -> None:
-        self.said.append(f"rts {on}")
-
     def set_frame(self) -> None:
         self.said.append("8N1")
 

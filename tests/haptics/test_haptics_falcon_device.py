@@ -298,7 +298,6 @@ def test_modem_lines_are_set_one_by_one_and_do_no_harm_where_there_are_none(monk
             monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
         for transport in (terminal[1], socketed[1])[: 2 - there]:
             transport.set_frame()
-            transport.set_rts(on=False)
             transport.set_dtr(on=False)
             transport.set_dtr(on=True)
             # there is no timer of a pseudo-terminal

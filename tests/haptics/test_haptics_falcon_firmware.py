@@ -68,7 +68,7 @@ def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
     assert transport.falcon.running
     assert is_running(transport)
     assert transport.said == [
-        "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
+        "latency 16", "baud 9600", "8N1", "dtr False", "dtr True",
         "dtr False", "baud 142857", "latency 1", "baud 1500000",
     ]  # fmt: skip
 

@@ -181,7 +181,6 @@ def _say_hello(transport: Transport) -> None:
     transport.set_latency(LATENCY_UPLOAD_MS)
     transport.set_baud(BAUD_HELLO)
     transport.set_frame()
-    transport.set_rts(on=False)
     transport.set_dtr(on=False)
     transport.set_dtr(on=True)
     received = b""

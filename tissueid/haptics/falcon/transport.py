@@ -151,12 +151,9 @@ class FileTransport:
         """Data terminal ready."""
         self._set_line(termios.TIOCM_DTR, on)
 
-    def set_rts(self, on: bool) -> None:
-        """Request to send."""
-        self._set_line(termios.TIOCM_RTS, on)
-
     def set_frame(self) -> None:
-        """Raw mode already has 8 bits, no parity and no flow control."""
+        """No request to send; raw mode already has 8 bits, no parity and no flow control."""
+        self._set_line(termios.TIOCM_RTS, on=False)
 
     def set_latency(self, milliseconds: int) -> None:
         """By the driver's file in sysfs, which only root may write; without it the link is just slow."""
@@ -215,8 +212,7 @@ TRANSFER_TIMEOUT_MS = 2
 VENDOR_OUT = 0x40
 RESET, MODEM, FLOW, BAUD, DATA, LATENCY = 0, 1, 2, 3, 4, 9
 PURGE_RX, PURGE_TX = 1, 2
-DTR_HIGH, DTR_LOW = 0x0101, 0x0100
-RTS_HIGH, RTS_LOW = 0x0202, 0x0200
+DTR_HIGH, DTR_LOW, RTS_LOW = 0x0101, 0x0100, 0x0200
 FLOW_NONE, DATA_8N1 = 0, 8
 DIVISORS = {BAUD_HELLO: 0x4138, BAUD_UPLOAD: 0x0015, BAUD_RUN: 0x0002}
 
@@ -421,14 +417,11 @@ class UsbTransport:
         """Data terminal ready."""
         self.control(MODEM, DTR_HIGH if on else DTR_LOW)
 
-    def set_rts(self, on: bool) -> None:
-        """Request to send."""
-        self.control(MODEM, RTS_HIGH if on else RTS_LOW)
-
     def set_frame(self) -> None:
-        """8 data bits, no parity, one stop bit, no flow control."""
+        """8 data bits, no parity, one stop bit, no flow control, no request to send."""
         self.control(DATA, DATA_8N1)
         self.control(FLOW, FLOW_NONE)
+        self.control(MODEM, RTS_LOW)
 
     def set_latency(self, milliseconds: int) -> None:
         """After how long an incomplete packet is passed on."""

@@ -7,6 +7,7 @@ of operator and device, in kg, N s/m and N/m, is a reading.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
@@ -240,13 +241,12 @@ class ControlSettings:
         return max(LEAST_SUBSTEPS, math.ceil(angle / LARGEST_ANGLE))
 
 
-def _problems(settings: ControlSettings) -> list[str]:
-    """Problems of the settings."""
-    found = []
+def _problems(settings: ControlSettings) -> Iterator[str]:
+    """Problems of the settings; only where there is no other before are the later ones looked for."""
     if settings.variant not in ("A", "B"):
-        found.append(f"there is no variant {settings.variant!r}; give A or B")
+        yield f"there is no variant {settings.variant!r}; give A or B"
     if settings.environment not in ("admittance", "impedance"):
-        found.append(f"there is no {settings.environment!r} environment; give admittance or impedance")
+        yield f"there is no {settings.environment!r} environment; give admittance or impedance"
     positive = {
         "the stiffness scale": settings.stiffness_scale,
         "the force scale": settings.force_scale,
@@ -256,24 +256,20 @@ def _problems(settings: ControlSettings) -> list[str]:
         "the virtual mass": settings.tool.mass_kg,
         "the number of sub-steps": 1.0 if settings.substeps is None else settings.substeps,
     }
-    found += [
-        f"{name} is {value:g}, must be above 0"
-        for name, value in positive.items()
-        if not 0.0 < value < math.inf
-    ]
+    for name, value in positive.items():
+        if not 0.0 < value < math.inf:
+            yield f"{name} is {value:g}, must be above 0"
     if settings.device.axes != settings.operator.axes:
-        found.append(f"the device has {settings.device.axes} axes and the hand {settings.operator.axes}")
+        yield f"the device has {settings.device.axes} axes and the hand {settings.operator.axes}"
     for name, signal in (("push", settings.push), ("disturbance", settings.disturbance)):
         parts = () if signal is None else astuple(signal)
         if any(len(part) != settings.axes for part in parts):
-            found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
+            yield f"the {name} needs {settings.axes} offsets, amplitudes and frequencies"
     if not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
-        found.append("the device needs a mass along every axis")
-    if not found and settings.start_estimates is not None:
-        size = settings.estimated_truth().size
-        if np.shape(settings.start_estimates) != (size,):
-            found.append(f"the first estimates are {size}: masses, dampings, stiffnesses")
-    return found
+        yield "the device needs a mass along every axis"
+    size = settings.estimated_truth().size
+    if settings.start_estimates is not None and np.shape(settings.start_estimates) != (size,):
+        yield f"the first estimates are {size}: masses, dampings, stiffnesses"
 
 
 #: Virtual mass over its bound that a loop should have.
