@@ -14,11 +14,6 @@ from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle, bundle_from_fit
 
 DEPTH_MM = 8.0
-#: Speeds and holds of paper A.
-SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
-HOLDS_MM = (2.0, 4.0, 6.0, 8.0)
-HOLD_SPEED_MM_MIN = 250.0
-
 PAPER_A = Tissue(
     kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM),
     np.array([47.42, -5.577, 0.3804, 63.62, 0.021]),

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from rendered_tissues import (
     DEPTH_MM,
-    HOLD_SPEED_MM_MIN,
-    HOLDS_MM,
     PAPER_A,
-    SPEEDS_MM_MIN,
     TWO_BRANCHES,
     pressed,
     walk,
 )
-from scipy.integrate import solve_ivp
 from tissue_stepper import TissueStepper
 
 from tissueid.arrays import FloatArray
@@ -43,66 +38,9 @@ def lit(infos: FloatArray, lamp: int) -> FloatArray:
     return (infos[:, env.INFO_FLAGS].astype(int) & lamp) > 0
 
 
-def ode_force(
-    tissue: Tissue, times: FloatArray, depth: object, speed: object, corners: list[float]
-) -> FloatArray:
-    """Force of ``tau s' + s = tau x'`` by an adaptive integrator that restarts at every corner."""
-    static, stiffness, tau = tissue.model.split(tissue.theta)
-    states = np.zeros((tau.size, times.size))
-    state = np.zeros(tau.size)
-    edges = [times[0], *corners, times[-1]]
-    for start, stop in itertools.pairwise(edges):
-        inside = (times >= start) & (times <= stop)
-        middle = 0.5 * (start + stop)
-        solved = solve_ivp(
-            lambda t, s, m=middle: speed(t, m) - s / tau,
-            (start, stop),
-            state,
-            method="DOP853",
-            rtol=1e-11,
-            atol=1e-12,
-            dense_output=True,
-        )
-        states[:, inside] = solved.sol(times[inside])
-        state = solved.y[:, -1]
-    x = depth(times)
-    powers = x ** np.arange(stiffness.shape[1])[:, None]
-    force = static[0] * x + static[1] * x**2 + static[2] * x**3
-    return np.asarray(force + ((stiffness @ powers) * states).sum(axis=0))
-
-
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("speed_mm_min", SPEEDS_MM_MIN)
-def test_a_ramp_is_felt_as_an_independent_integrator_computes_it(speed_mm_min):
-    v = speed_mm_min / 60.0
-    times = np.arange(0.0, DEPTH_MM / v, PERIOD_S)
-    expected = ode_force(PAPER_A, times, lambda t: v * t, lambda _t, _m: v, [])
-    forces, _ = felt(v * times, times)
-    # 0.1 % of the peak is asked for; the recursion is exact for a ramp, so rounding is what is left
-    assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 1e-6 * expected.max()
-
-
-@pytest.mark.parametrize("depth_mm", HOLDS_MM)
-def test_a_hold_relaxes_as_an_independent_integrator_computes_it(depth_mm):
-    v = HOLD_SPEED_MM_MIN / 60.0
-    corner = depth_mm / v
-    times = np.arange(0.0, corner + 1.0, PERIOD_S)
-    expected = ode_force(
-        TWO_BRANCHES,
-        times,
-        lambda t: np.minimum(v * t, depth_mm),
-        lambda _t, middle: v if middle < corner else 0.0,
-        [corner],
-    )
-    forces, _ = felt(np.minimum(v * times, depth_mm), times, TWO_BRANCHES)
-    # the corner lies between two ticks: half a tick of a millisecond is unseen
-    assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 1e-3 * expected.max()
-
-
-@pytest.mark.needs_jit
 def test_what_is_felt_is_what_was_fitted_on_any_path_through_loss_of_contact():
     rng = np.random.default_rng(11)
-    times = np.cumsum(rng.uniform(0.0005, 0.002, 3000))
+    times = np.cumsum(rng.uniform(0.0005, 0.002, 1000))
     depth = 3.0 * np.sin(7.0 * times) + 1.5 * np.sin(31.0 * times)
     forces, infos = felt(depth, times, TWO_BRANCHES)
     stepper = TissueStepper(TWO_BRANCHES.model, TWO_BRANCHES.theta)

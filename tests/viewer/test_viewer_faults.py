@@ -114,11 +114,6 @@ def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(led, monkeypatch):
     led.press()
 
 
-def test_a_page_that_is_closed_while_it_presses_lets_go(led):
-    led.press()
-    until(lambda: led.height_m == REST_M[2])
-
-
 @contextmanager
 def pressed() -> Iterator[tuple[Live, Any, SharedHand]]:
     """A hand that a page presses through a server in this process."""
