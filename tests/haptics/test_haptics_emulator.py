@@ -14,7 +14,6 @@ import pytest
 from emulator_wire import HOME, HOMED_AFTER, ZERO, angles, command, encoders, homed_bits, homed_falcon
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics import shared_hand as layout
 from tissueid.haptics.falcon import kinematics
 from tissueid.haptics.falcon.emulator import (
     EmulatedFalcon,
@@ -27,16 +26,12 @@ from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
 from tissueid.haptics.falcon.emulator.machine import (
     AZIMUTHS,
     LENGTHS,
-    MOTOR_DELAY_S,
     grip_force,
     leg_angles,
     parse_fault,
 )
 from tissueid.haptics.falcon.emulator.wire import CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
-
-#: Carried to a point off the axis and let go there.
-OFF_AXIS = (0.012, -0.018, 0.125)
 
 
 @pytest.fixture
@@ -100,34 +95,6 @@ def test_a_user_who_waits_for_the_blue_lamp_holds_time_up_until_it_is_lit():
     assert falcon.time_s == waiting
     falcon.receive(10 * command((0, 0, 0), 1 | 4) + HOME)
     assert falcon.time_s == pytest.approx(waiting + 0.010, abs=1.1e-3)
-
-
-def at_rest_off_axis() -> EmulatedFalcon:
-    """A homed Falcon whose grip, without friction, was carried off the axis, at rest, and just let go."""
-    hand = Hand((0.0, 0.3, 0.4), (OFF_AXIS, OFF_AXIS, OFF_AXIS), (1.0, 1.0, 0.0), rigid=True)
-    falcon = homed_falcon(hand=hand)
-    falcon.parameters[[layout.DAMPING, layout.FRICTION]] = 0.0
-    falcon.advance(3.5 - falcon.time_s)
-    return falcon
-
-
-def units_of(falcon: EmulatedFalcon, force: list[float]) -> tuple[int, ...]:
-    """Motor units by which the driver means a force."""
-    torque = kinematics.torque(falcon.position_m, np.array(force))
-    return tuple(round(-6600.0 * float(value)) for value in torque)
-
-
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("force", [[1.5, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 2.0], [0.7, 0.9, -1.1]])
-def test_motor_units_push_the_grip_with_the_force_the_driver_meant_after_the_delay_of_the_motors(force):
-    falcon = at_rest_off_axis()
-    start, units = falcon.position_m, units_of(falcon, force)
-    falcon.receive(21 * command(units))
-    moved = falcon.position_m - start
-    # F/(2 m) t^2 over 20 ms from the tick after the first command, less the delay; half a motor unit of 6600
-    # is 0.1 mN m
-    way = np.array(force) / 0.5 * (0.020 - MOTOR_DELAY_S) ** 2
-    np.testing.assert_allclose(moved, way, atol=0.02 * np.abs(moved).max())
 
 
 def spoilt_answers(fault: ScriptedFault, count: int = 60) -> list[bytes]:

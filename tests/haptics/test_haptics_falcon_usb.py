@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 
@@ -77,25 +75,6 @@ def test_device_reads_and_commands_over_usb(usb):
     device.close()
     assert usb.lines.count(zero) >= 20
     assert usb.lines[-3:] == ["release 0", "close", "exit"]
-
-
-def test_compiled_servo_is_given_libusbs_own_transfer(usb):
-    device = FalconDevice(calibration=Calibration())
-    assert device.compiled() is None
-    device.open()
-    given = device.compiled()
-    address, handle, bulk_out, bulk_in, timeout = given.handles[:5].tolist()
-    assert (given.kind, bulk_out, bulk_in) == ("tissueid.haptics.falcon.servo_io:USB", 0x02, 0x81)
-    assert 0 < timeout <= 5
-    packet = np.frombuffer(b"<BAAAPPPPAAAAAA>", np.uint8).copy()
-    moved = np.zeros(1, np.int32)
-    size, byte = ctypes.c_size_t, ctypes.c_ubyte
-    transfer = ctypes.CFUNCTYPE(ctypes.c_int, size, byte, size, ctypes.c_int, size, ctypes.c_uint)(address)
-    assert transfer(handle, bulk_out, packet.ctypes.data, 16, moved.ctypes.data, timeout) == 0
-    assert moved[0] == 16
-    assert usb.lines[-1] == "out " + packet.tobytes().hex(" ")
-    assert given.constants.tolist() == [6600.0, *Calibration().legs().block()]
-    device.close()
 
 
 @pytest.mark.parametrize(

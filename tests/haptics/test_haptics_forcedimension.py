@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 
@@ -108,16 +106,3 @@ def test_buttons_are_those_of_the_wire_and_centre_is_the_dead_mans(sdk):
             assert device.read().buttons == sum(bit for k, bit in enumerate(order) if mask >> k & 1)
         assert device.limits.dead_man_buttons == bits["centre"]
         assert device.limits.dead_man
-
-
-def test_compiled_servo_is_given_three_addresses_and_the_mapping(sdk):
-    device = ForceDimensionDevice()
-    assert device.compiled() is None
-    with device:
-        given = device.compiled()
-        assert given.kind == "tissueid.haptics.forcedimension.servo_io:SDK"
-        assert given.handles[3] == 5
-        assert given.constants.tolist() == [*ROTATION.ravel(), *ORIGIN_M]
-        prototype = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_double] * 3, ctypes.c_int8)
-        assert prototype(int(given.handles[1]))(0.1, 0.2, 0.3, 5) == 0
-        assert sdk["force"] == [0.1, 0.2, 0.3]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import socket
 
 import numpy as np
 import pytest
-from c_library import SdkStub
 
 from tissueid.haptics import guard as machine
 from tissueid.haptics.device import HOMED, PRESSED, REPLY, WORDS_SIZE, CompiledIO, compiled_io
@@ -16,15 +14,13 @@ from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.kinematics import DEFAULT_GEOMETRY, GUESS_M, forward
 from tissueid.haptics.falcon.transport import FileTransport
+from tissueid.haptics.forcedimension.device import ForceDimensionDevice
 from tissueid.haptics.guard import REPLY_APART, REPLY_LOST, REPLY_VALID, new_guard
 from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.servo_io import command, sense
 from tissueid.rendering.servo_tick import send
 
 LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
-#: Turns the driver's x, y, z into our y, z, x; its origin lies 0.1 m out.
-ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-ORIGIN = np.array([0.0, 0.0, 0.1])
 
 
 class Loop:
@@ -46,37 +42,31 @@ class Loop:
             send(self.io, self.memory, LIMITS, np.array(force), 1e-3, self.out)
 
 
-def address(library: ctypes.CDLL, name: str) -> int:
-    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-
-
-def force_dimension(stub: SdkStub) -> Loop:
-    """A loop on the stand-in of the driver, open."""
-    stub.library.dhdOpenType(60)
-    names = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
-    handles = np.array([*(address(stub.library, name) for name in names), 5], np.int64)
-    constants = np.concatenate([ROTATION.ravel(), ORIGIN])
-    return Loop(CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants))
-
-
 class TestForceDimension:
-    def test_position_and_buttons_are_read_in_our_frame(self, sdk):
+    @pytest.fixture
+    def device(self, sdk):
+        assert ForceDimensionDevice().compiled() is None
+        with ForceDimensionDevice() as opened:
+            yield opened
+
+    def test_position_and_buttons_are_read_in_our_frame(self, sdk, device):
         sdk.move(0.01, 0.02, 0.03)
         sdk["buttons"] = 0x5
-        loop = force_dimension(sdk)
+        loop = Loop(device.compiled())
         assert loop.read() == REPLY_VALID
-        assert loop.position.tolist() == (ROTATION @ [0.01, 0.02, 0.03] + ORIGIN).tolist()
+        # x right, y up, z to the user; theirs are x to the user, y right, z up, about the middle
+        assert loop.position == pytest.approx([0.02, 0.03, 0.14], abs=1e-15)
         # centre and up of the SDK are centre and forward of the wire
         assert (loop.words[PRESSED], loop.words[HOMED]) == (0x4 | 0x2, 1)
 
-    def test_a_force_passes_the_guard_and_arrives_in_the_drivers_frame(self, sdk):
-        loop = force_dimension(sdk)
+    def test_a_force_passes_the_guard_and_arrives_in_the_drivers_frame(self, sdk, device):
+        loop = Loop(device.compiled())
         loop.send((0.0, 3.0, 4.0), times=10)
         assert loop.out == pytest.approx([0.0, 1.2, 1.6], rel=1e-12)
-        assert sdk["force"] == pytest.approx(ROTATION.T @ loop.out, rel=1e-12)
+        assert sdk["force"] == pytest.approx([1.6, 0.0, 1.2], rel=1e-12)
 
-    def test_a_driver_that_fails_once_to_read_or_to_send_is_a_lost_device(self, sdk):
-        loop, sends = force_dimension(sdk), force_dimension(sdk)
+    def test_a_driver_that_fails_once_to_read_or_to_send_is_a_lost_device(self, sdk, device):
+        loop, sends = Loop(device.compiled()), Loop(device.compiled())
         sdk["fails"] = 1
         assert loop.read() == REPLY_LOST
         sends.send((0.0, 0.0, 0.0))
