@@ -38,24 +38,16 @@ def softer(share: float) -> np.ndarray:
     return np.append(PAPER_A.theta[:4] * share, PAPER_A.theta[4])
 
 
-@pytest.mark.parametrize(
-    ("text", "depth", "speed"),
-    [
+def test_a_functional_is_read_as_it_is_said_or_refused():
+    for text, depth, speed in (
         ("force at 6 mm, 250 mm/min", 6.0, 250.0 / 60.0),
         ("  force  at 2.5mm ,  4 mm/s ", 2.5, 4.0),
         ("force at .5 mm, 10 mm / min", 0.5, 10.0 / 60.0),
-    ],
-)
-def test_a_functional_is_read_as_it_is_said(text, depth, speed):
-    assert parse_functional(text) == Functional(depth, pytest.approx(speed))
-
-
-@pytest.mark.parametrize(
-    "text", ["", "stiffness", "force at 6 mm", "force at 0 mm, 250 mm/min", "force at -1 mm, 2 mm/s"]
-)
-def test_what_is_no_functional_is_refused(text):
-    with pytest.raises(UsageError):
-        parse_functional(text)
+    ):
+        assert parse_functional(text) == Functional(depth, pytest.approx(speed))
+    for text in ("", "stiffness", "force at 6 mm", "force at 0 mm, 250 mm/min", "force at -1 mm, 2 mm/s"):
+        with pytest.raises(UsageError):
+            parse_functional(text)
 
 
 def test_the_quantile_is_rendered_by_the_nearest_draw():

@@ -108,17 +108,6 @@ def test_one_spoilt_answer_is_dropped_and_counted_and_rendering_goes_on(kind, da
         assert np.abs(np.diff(session.forces()[-300:])).max() < 0.05
 
 
-def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump():
-    # 17 ms without an answer while the hand moves at some 0.4 m/s: over 100 counts in one reading
-    hand = firm((0.0, 1.2, 1.28), ((0.0, 0.0, 0.170), (0.0, 0.0, 0.170), (0.0, 0.0, 0.140)))
-    with EmulatedSession(ScriptedFault("silence", 4.240, duration_s=0.017), hand=hand) as session:
-        session.run(4.6)
-        assert session.states()[-1] is State.ENGAGED
-        assert session.faults() == {Fault.NONE}
-        counts = np.array([record["counts"][0] for record in session.records])
-        assert 100 < np.abs(np.diff(counts[10:])).max() < 200
-
-
 def test_a_hiccup_of_30_ms_in_contact_pauses_and_resumes():
     with EmulatedSession(ScriptedFault("silence", FAULT_S, duration_s=0.030)) as session:
         session.run(FAULT_S - 1.5 * TICK_S)
@@ -159,18 +148,6 @@ def test_a_leg_that_counts_alone_is_a_fault_before_it_makes_a_force(counts_a_sec
         assert int(session.records[-1]["fault"]) == Fault.LEGS_APART
         # the hand's way there was damped while the force was ramped up
         assert (session.forces()[-round((170.0 / counts_a_second + 0.05) / TICK_S) :] == 0.0).all()
-
-
-def test_a_leg_that_runs_away_in_contact_is_a_fault():
-    limits = replace(limits_of(Calibration()), dead_man=False)
-    begins = HOMED_S + 1.5
-    with EmulatedSession(ScriptedFault("creep", begins, size=3000.0), limits=limits) as session:
-        session.run(begins)
-        before = session.forces().max()
-        session.run(begins + 0.5)
-        assert int(session.records[-1]["fault"]) == Fault.LEGS_APART
-        # seen before the believed pose is deep in the tissue
-        assert session.forces().max() <= 1.1 * before
 
 
 def test_a_stroke_along_two_legs_or_a_trembling_one_along_one_is_a_hand():
@@ -239,22 +216,6 @@ def test_a_late_wire_lights_its_lamp_and_lowers_the_force(late_ticks):
             assert all(lamps[60:])
             assert share == pytest.approx(1.5 / (1.5 + late_ticks), rel=0.35)
             assert session.forces()[-1] == pytest.approx(share * undisturbed().forces()[-1], rel=0.25)
-
-
-def test_a_wire_that_becomes_late_in_contact_lowers_the_force_and_gives_it_back():
-    with LateSession(0) as session:
-        session.run(FAULT_S)
-        before, begins = session.forces()[-1], len(session.records)
-        session.late_ticks = 4
-        session.run(FAULT_S + 0.4)
-        assert 1.5 / 6.5 <= session.servo.guard_memory[GAIN] <= 1.5 / 4.5
-        assert int(session.records[-1]["lamps"]) & Lamp.LATENCY
-        session.late_ticks = 0
-        session.run(FAULT_S + 2.2)
-        assert session.servo.guard_memory[GAIN] == 1.0
-        assert not int(session.records[-1]["lamps"]) & Lamp.LATENCY
-        assert np.abs(np.diff(session.forces()[begins:])).max() <= RAMP_STEP_N
-        assert session.forces()[-1] > 0.8 * before
 
 
 def test_lost_answers_now_and_then_are_no_late_wire():

@@ -46,13 +46,6 @@ def test_the_scale_is_lowered_until_the_devices_damping_bears_it() -> None:
     assert "not measured on this unit" in text
 
 
-def test_a_lowered_scale_is_borne_when_it_is_given_back() -> None:
-    for times in np.linspace(0.5, 3.0, 40):
-        stiffer = Tissue(PAPER_A.model, PAPER_A.theta * np.array([1, 1, 1, times, 1.0]), PAPER_A.speeds_mm_s)
-        scale = check_before_force(stiffer, FALCON_LIKE).scaling.force
-        assert check_before_force(stiffer, FALCON_LIKE, force_scale=scale).scaling.force == scale
-
-
 def test_a_scale_that_was_asked_for_is_kept_or_refused_with_the_largest_that_fits() -> None:
     kept = check_before_force(PAPER_A, FALCON_LIKE, force_scale=0.01)
     assert kept.scaling.force == 0.01

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_server import client, frame_of, record, served, until
+from live_server import client, frame_of, record, served
 from rendered_tissues import PAPER_A, bundle_of
 from session_heads import head_of, indentation, records_of, summary_of
 
@@ -49,33 +49,6 @@ def ws(viewer: ServedViewer) -> str:
     return viewer.url.replace("http", "ws").replace("/?", "/ws?").removesuffix("/") + (
         "" if "?" in viewer.url else "/ws"
     )
-
-
-def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it(ring, hand):
-    reading = ring.read_only()
-    with ServedViewer(ViewerOptions(port=None)) as viewer:
-        viewer.show_live(
-            hello(head_of(), pointer=True), [reading, hand.descriptor], rest_m=REST_M, workspace_m=WORKSPACE_M
-        )
-        os.close(reading)
-        with client(ws(viewer)) as one:
-            assert json.loads(one.recv())["session"]["pointer"] is True
-            for number in range(5):
-                ring.append(record(number))
-            seen: list[int] = []
-            while len(seen) < 5:
-                seen += frame_of(one).samples["tick"].tolist()
-            assert seen == [0, 1, 2, 3, 4]
-            one.send('{"v": 1, "pointer": [0.0, 0.0, 0.12]}')
-            until(lambda: hand.parameters[16] == 0.12)
-            viewer.tell(recording_stopped="the disk is full")
-            status = one.recv(10)
-            assert isinstance(status, str)
-            assert json.loads(status) == {"type": "status", "recording_stopped": "the disk is full"}
-            viewer.close()
-            assert frame_of(one).ended
-    assert not viewer.runs
-    viewer.close()
 
 
 def test_a_process_plays_a_log(tmp_path):
