@@ -268,14 +268,16 @@ def _held(device: HapticDevice, pace: Pace) -> FloatArray:
             f"time: {LIGHTER}"
         )
         raise DeviceError(msg)
-    means = []
-    for period in range(SETTLING, SETTLING + PERIODS):
-        begin = APPROACH_S + period * PERIOD_S
-        inside = (motion.time_s >= begin) & (motion.time_s < begin + PERIOD_S)
-        # a force holds until the next tick
-        steps = np.diff(motion.time_s[inside])
-        means.append(np.average(motion.force_N[inside, UP][:-1], weights=steps))
-    return np.array(means)
+    begins = APPROACH_S + PERIOD_S * np.arange(SETTLING, SETTLING + PERIODS)
+    return np.array([_means(motion, begin, begin + PERIOD_S)[1, UP] for begin in begins])
+
+
+def _means(motion: Motion, begin_s: float, end_s: float) -> FloatArray:
+    """Mean position and force over a stretch of time, shape (2, 3); a force holds until the next tick."""
+    inside = np.flatnonzero((motion.time_s >= begin_s) & (motion.time_s < end_s))
+    steps = np.diff(motion.time_s[inside])
+    both = np.stack([motion.position_m, motion.force_N])[:, inside[:-1]]
+    return np.asarray(np.average(both, axis=1, weights=steps))
 
 
 def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
@@ -284,16 +286,14 @@ def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
     diagonal = np.full(3, 3.0**-0.5)
     holder = _Holder(device.read().position_m, POSE_APPROACH_S, POSE_PERIOD_S, diagonal, np.ones(3))
     settled_s = POSE_APPROACH_S + POSE_SETTLING * POSE_PERIOD_S
-    places, forces = [], []
+    means = []
     for pose in POSES_M:
         holder.go(np.array(pose))
         motion = record(device, holder, settled_s + POSE_PERIODS * POSE_PERIOD_S, pace)
-        used = motion.time_s >= settled_s
-        steps = np.diff(motion.time_s[used], append=motion.time_s[-1])
-        places.append(np.average(motion.position_m[used], axis=0, weights=steps))
-        forces.append(np.average(motion.force_N[used], axis=0, weights=steps))
+        means.append(_means(motion, settled_s, math.inf))
     device.disengage()
-    return fitted(np.array(places), np.array(forces))
+    places, forces = np.array(means).transpose(1, 0, 2)
+    return fitted(places, forces)
 
 
 def fitted(places_m: FloatArray, forces_N: FloatArray) -> GripWeight:

@@ -8,7 +8,6 @@ int64 words: magic, size, version published, version taken, heartbeat, command; 
 from __future__ import annotations
 
 import mmap
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.foreign import load_acquire, store_release
-from tissueid.haptics.ring import HEAD_BYTES, counted, read_ordered, shared_memory, write_ordered
+from tissueid.haptics.ring import HEAD_BYTES, Shared, counted, read_ordered, shared_memory, write_ordered
 
 #: "tissparm" as a little-endian integer.
 MAGIC = int.from_bytes(b"tissparm", "little")
@@ -57,10 +56,9 @@ def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterBlock:
+class ParameterBlock(Shared):
     """Shared parameters of one session, mapped into this process."""
 
-    descriptor: int  # of the memory; the servo's process is sent one of its own
     head: IntArray  # (8,)
     values: FloatArray  # (2, size)
 
@@ -112,7 +110,3 @@ class ParameterBlock:
     def order(self, what: int) -> None:
         """Tell the servo what is wanted: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
         write_ordered(self.head, _COMMAND_AT, what)
-
-    def close(self) -> None:
-        """Give the descriptor back; the mapping lives as long as its arrays."""
-        os.close(self.descriptor)

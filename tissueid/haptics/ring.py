@@ -23,6 +23,17 @@ from tissueid.errors import DeviceError
 HEAD_BYTES = 64
 
 
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """Memory that processes share, mapped into this one."""
+
+    descriptor: int  # of the memory; another process is sent one of its own
+
+    def close(self) -> None:
+        """Give the descriptor back; the mapping lives as long as its arrays."""
+        os.close(self.descriptor)
+
+
 def shared_memory(name: str, size: int) -> int:
     """Descriptor of new memory, all zero, for whom it is handed to; DeviceError on systems without any."""
     try:
@@ -104,10 +115,9 @@ PUBLISHED_AT = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Ring:
+class Ring(Shared):
     """Shared memory of one session, mapped into this process."""
 
-    descriptor: int  # of the memory; the servo's process is sent one of its own
     head: IntArray  # (8,)
     records: NDArray[Any]  # (capacity,)
 
@@ -156,10 +166,6 @@ class Ring:
     def reader(self, *, from_start: bool = False) -> RingReader:
         """A reader of its own pace, from now on or from the oldest record."""
         return RingReader(self, 0 if from_start else self.published)
-
-    def close(self) -> None:
-        """Give the descriptor back; the mapping lives as long as its arrays."""
-        os.close(self.descriptor)
 
 
 class RingReader:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.ring import shared_memory
+from tissueid.haptics.ring import Shared, shared_memory
 
 # --- the arm's
 MASS, DAMPING, FRICTION, SUBSTEP = 0, 1, 2, 3
@@ -43,10 +43,9 @@ BYTES = 8 * SIM_PARAMETERS
 
 
 @dataclass(frozen=True, slots=True)
-class SharedHand:
+class SharedHand(Shared):
     """Parameters of a simulated device, mapped into this process."""
 
-    descriptor: int  # of the memory; another process is sent one of its own
     parameters: NDArray[np.float64]  # (SIM_PARAMETERS,)
 
     @classmethod
@@ -84,7 +83,3 @@ class SharedHand:
         """Time since that was last said [s]; 0 where it never was."""
         said = float(self.parameters[LED_AT])
         return time.monotonic() - said if said > 0.0 else 0.0
-
-    def close(self) -> None:
-        """Give the descriptor back; the mapping lives as long as its array."""
-        os.close(self.descriptor)

@@ -15,6 +15,7 @@ from tissueid.model.kernels import tissue_step_in
 from tissueid.model.rupture import static_force_in, stored_energy_in
 from tissueid.rendering.guidance import (
     GUIDANCE_MEMORY,
+    M_TO_MM,
     SAID_BONE_N,
     SAID_HEIGHT_M,
     SAID_PENETRATION_M,
@@ -69,7 +70,6 @@ SPEED_FILTER_S = 0.05
 #: Share over the identified depth, and over the fastest identified speed, that is rounding and ripple.
 DEPTH_MARGIN = 0.01
 SPEED_MARGIN = 0.05
-M_TO_MM = 1000.0
 
 
 @tick_kernel

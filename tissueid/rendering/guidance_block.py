@@ -18,15 +18,9 @@ from tissueid.model.passivity import damping_bound
 from tissueid.model.restitution import Variant, damping_factor
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
-from tissueid.rendering.guidance import CONE, HYPERBOLOID, hyperboloid_constants
+from tissueid.rendering.guidance import CONE, HYPERBOLOID, M_TO_MM, hyperboloid_constants
 from tissueid.rendering.precheck import DAMPING_SHARE, Demands
-from tissueid.rendering.tissue_block import free_air_block
-
-Vector = tuple[float, float, float]
-
-M_TO_MM = 1000.0
-UNIT_TOLERANCE = 1e-9
-
+from tissueid.rendering.tissue_block import UNIT_TOLERANCE, Vector, free_air_block
 
 # Pires et al. print the form of the contact law, the form of the surface and tau = 0.05 s.  All other numbers
 # below are assumed, forces such that a device of which nothing was measured renders them stably.

@@ -12,11 +12,11 @@ import numpy as np
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.hand import MOST_HOLD_S, MOST_STROKES, S_PER_MIN, Hand
+from tissueid.haptics.hand import MM, MOST_HOLD_S, MOST_STROKES, S_PER_MIN, Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
-from tissueid.haptics.sim import carried
+from tissueid.haptics.sim import DEFAULT_QUANTUM_M, carried
 from tissueid.rendering.choice import (
     Functional,
     Picked,
@@ -56,8 +56,6 @@ from tissueid.rendering.tissue_block import (
 from tissueid.store.bundle import Bundle, load_bundle
 from tissueid.store.session_log import read_session_log
 
-MM = 1e-3
-DEFAULT_COUNT_M = 45e-6
 #: Share of the identified depth that a simulated grip shows where no script was given.
 DEMONSTRATED_DEPTH = 0.75
 DEMONSTRATED_HOLD_S = 1.0
@@ -318,7 +316,9 @@ def _blocks(
 ) -> tuple[FloatArray, ...]:
     """A block for each presentation: the tissues themselves, or the blind order of them."""
     control = PassivityLimits(
-        on=options.control, count_m=DEFAULT_COUNT_M, stiffness_N_per_m=check.scaling.device_stiffness_N_per_m
+        on=options.control,
+        count_m=DEFAULT_QUANTUM_M,
+        stiffness_N_per_m=check.scaling.device_stiffness_N_per_m,
     ).block()
     presented = range(len(picked)) if order is None else order.tissues
     scales = {"force_scale": check.scaling.force, "motion_scale": check.scaling.motion}

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import UsageError, printable
+from tissueid.haptics.hand import MM
 from tissueid.model.channels import DampedModel
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.store.bundle import load_bundle
 from tissueid.store.schema import first_problem
 
-MM = 1e-3
 #: The one shape of a static law that a wall takes.
 EXPONENT = "static_exponent"
 #: Keys of a scene that are lengths or speeds in millimetres -> fields in metres.

@@ -16,7 +16,7 @@ from tissueid.arrays import FloatArray
 from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError, printable
 from tissueid.haptics.device import Capabilities
-from tissueid.haptics.hand import NUMBER
+from tissueid.haptics.hand import MM, NUMBER
 from tissueid.model.channels import ChannelModel
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
@@ -170,7 +170,6 @@ def free_air_block(*, label: int = 0) -> FloatArray:
     return block
 
 
-MM = 1e-3
 #: Tips that differ by less are the same [share].
 SAME_TIP = 0.01
 #: Loss of stiffness by curvature that is remarked, and that is refused.
