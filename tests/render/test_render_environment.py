@@ -126,6 +126,7 @@ def test_lamps_tell_when_the_law_is_continued():
     assert not lit(infos, env.OUTSIDE_SPEED).any()
     _, infos = felt(2.0 * fastest * times[:400], times[:400])
     # the lamp waits for the speed's filter, 50 ms, then stays
+    assert not lit(infos, env.OUTSIDE_SPEED)[:20].any()
     assert lit(infos, env.OUTSIDE_SPEED)[100:].all()
     # within the margin of rounding and ripple it stays dark
     assert not lit(felt(1.03 * fastest * times[:400], times[:400])[1], env.OUTSIDE_SPEED).any()
