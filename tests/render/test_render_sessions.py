@@ -300,7 +300,8 @@ def test_ten_thousand_sessions_within_the_posteriors(capsys):
             f"\n{found.near.sum()} sessions near the bound; margin {1e6 * found.margin_J.min():.3f} uJ of "
             f"{1e6 * ALLOWANCE_J:.0f} uJ, by the quantised ledger {1e6 * found.ledger_J.min():.1f} uJ; share "
             f"kept {found.kept.min():.3f}; largest rise {found.rise_N.max():.3f} N, force "
-            f"{found.largest_N.max():.2f} N; controller: largest change {braked.kick_N.max():.3f} N a tick"
+            f"{found.largest_N.max():.2f} N; swing of holds {found.swing[found.resting].max():.0f} counts; "
+            f"controller: largest change {braked.kick_N.max():.3f} N a tick"
         )
     assert found.near.sum() >= 1_000
     must_be_passive_quiet_and_gentle(found)
