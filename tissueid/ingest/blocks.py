@@ -92,12 +92,15 @@ def specimen_columns(
 ) -> list[SpecimenColumns]:
     """The specimens of a table, each beginning under its name, or else at a column of time."""
     by_name = [index for index, name in enumerate(above[: len(names)]) if name.strip()]
-    spans = _spans(by_name, names)
-    if len(spans) > 1 and all(
-        _holds_force(names[start:stop], units[start:stop], options) for start, stop in spans
+    spans, repeats = _spans(by_name, names), _repeats(names)
+    # names that stand elsewhere than above what repeats are not those of specimens
+    above_all = not repeats or by_name == [start for start, _ in repeats]
+    if (
+        above_all
+        and len(spans) > 1
+        and all(_holds_force(names[start:stop], units[start:stop], options) for start, stop in spans)
     ):
         return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
-    repeats = _repeats(names)
     spans = repeats or _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
     if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
         return []

@@ -25,6 +25,9 @@ FEWEST_ROWS, REACH = 20, 50
 LOST_TIMES, LOST_STEPS = 5.0, 20.0
 #: Rows without decimals in a run, from which on the run is no accident of round numbers.
 LOST_RUN = 3
+#: Rows that are a tenth of both their neighbours, as a share of all, and the share of the largest value that
+#: these have at least; the neighbours agree within a share of themselves, the tenth within the digits left.
+TENTHS_SHARE, TENTHS_HEIGHT, ALIKE, LEFT_DIGITS = 0.01, 0.05, 0.1, 1e-3
 #: Steps that exchanged columns continue crosswise within this share of what they jump by.
 CROSSWISE = 0.05
 #: Usual steps of travel, and of force, by which no sample stands off both its neighbours.
@@ -79,7 +82,10 @@ def _broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.b
     travel, force = columns[1], columns[2]
     steps = np.abs(np.diff(travel)), np.abs(np.diff(force))
     return (
-        _lost_marks(columns, fractional) or _exchanged(travel, force, steps) or _foreign(travel, force, steps)
+        _lost_marks(columns, fractional)
+        or _tenths(columns)
+        or _exchanged(travel, force, steps)
+        or _foreign(travel, force, steps)
     )
 
 
@@ -101,6 +107,28 @@ def _lost_marks(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.b
                 " no decimals: decimal marks were lost; go back to the original export"
             )
             return BrokenRow(start, k, "damaged_number", message)
+    return None
+
+
+def _tenths(columns: Sequence[FloatArray]) -> BrokenRow | None:
+    """Rows that are a tenth of their neighbours, again and again.
+
+    A spreadsheet that takes points for thousands makes ``1.0114`` 10,114, but leaves ``1.063`` at 1,063.
+    """
+    for k, column in enumerate(columns):
+        before, here, after = column[:-2], column[1:-1], column[2:]
+        mean, apart = np.abs(before + after) / 2.0, np.abs(after - before)
+        tenth = np.abs(10.0 * np.abs(here) - mean) <= apart + LEFT_DIGITS * mean
+        tenth &= (apart <= ALIKE * mean) & (mean > TENTHS_HEIGHT * np.abs(column).max())
+        rows = np.flatnonzero(tenth) + 1
+        if rows.size >= max(LOST_RUN, TENTHS_SHARE * column.size):
+            around = column[rows[0] - 1 : rows[0] + 2]
+            message = (
+                f"the {CHANNELS[k]} is {around[1]:g} between {around[0]:g} and {around[2]:g}, and {rows.size}"
+                " rows are such a tenth: a spreadsheet took decimal marks for thousands; go back to the"
+                " original export"
+            )
+            return BrokenRow(int(rows[0]), k, "damaged_number", message)
     return None
 
 

@@ -104,7 +104,7 @@ def split_name(name: str) -> tuple[str, str | None]:
                 return before, unit
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
             return match[1], inside
-        return name, None
+        return ("time", inside) if not match[1] and quantity_of(inside) == "time" else (name, None)
     if _NAMED_BY_UNIT.fullmatch(name):
         return name, name
     for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE, _AFTER_DOT):

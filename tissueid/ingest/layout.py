@@ -209,6 +209,8 @@ _UNITS_KEY = re.compile(r"(?:y )?units?(?: ?name| label)?s?|einheit(?:en)?|unite
 _UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S{1,12})")
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
+#: What a program writes before a line of words that is no data of its own.
+_COMMENT_MARK = re.compile(r"\s*(?:#+|%+|//+)\s*(?=[^\W\d_]|[(\[])")
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
@@ -255,6 +257,11 @@ def split_line(line: str, delimiter: str) -> Row:
         return tuple(next(csv.reader([line], delimiter=delimiter)))
     except (csv.Error, StopIteration):
         return tuple(line.split(delimiter))
+
+
+def _unmarked(row: Row) -> Row:
+    """A line of a header without the mark that makes it a comment."""
+    return (_COMMENT_MARK.sub("", row[0]), *row[1:])
 
 
 @lru_cache(maxsize=1024)
@@ -407,7 +414,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     for count in (_HEAD_LINES, len(raw)):  # of few headers the table begins so far down
         lines = [text.decode(line) for line in raw[:count]]
         delimiter = options.delimiter or _find_delimiter(lines)
-        rows = [split_line(line, delimiter) for line in lines]
+        rows = [_unmarked(split_line(line, delimiter)) for line in lines]
         found = anchor(rows, options)
         if found is not None or count >= len(raw):
             break

@@ -68,7 +68,7 @@ def begins_a_table(cells: Sequence[str], names: Sequence[str], units: Sequence[s
     filled = _stripped(cells)
     if filled in (_stripped(names), _stripped(units)):
         return False
-    return is_units_row(filled) or has_channels(filled, (), ReadOptions())
+    return (len(filled) > 1 and is_units_row(filled)) or has_channels(filled, (), ReadOptions())
 
 
 def _stripped(cells: Sequence[str]) -> tuple[str, ...]:

@@ -160,6 +160,8 @@ _MAGIC = (
 )
 MARKUP = "XML or HTML"
 _BOMS_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+#: Some programs end a line by one.
+_NUL_AT_END = re.compile(rb"(?<!\0)\0(?=\r?\n)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 #: A quoted number with its marks is a cell, not a row.
 _ONE_NUMBER = re.compile(rb"[+-]?(?:\d+[.,]?\d*|\d{1,3}(?:[.,]\d{3})+(?:[.,]\d*)?)")
@@ -196,6 +198,7 @@ def foreign_kind(head: bytes) -> str | None:
             return kind
     if _is_utf16(head):
         return None
+    head = _NUL_AT_END.sub(b"", head)
     if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
         return "binary data"
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
@@ -240,6 +243,7 @@ def decode_text(data: bytes, place: Place) -> Text:
     _refuse_long_lines(data, place)
     if _is_utf16(head):
         return _from_utf16(data, place)
+    data = _NUL_AT_END.sub(b"", data) if b"\0" in data else data
     if head.startswith(codecs.BOM_UTF8):
         text = Text(_line_ends(data[3:]), "utf-8", "utf-8-sig")
     elif data.isascii():

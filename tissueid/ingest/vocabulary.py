@@ -35,7 +35,8 @@ _NAMES: dict[Channel, dict[int, str]] = {
         ),
         1: (  # elapsed time of a cycle or step, which starts again; a time stamp; LabVIEW's X_Value
             r"(?:cycle |step |segment )?elapsed(?: time)?|time elapsed|(?:cycle|step|segment) time"
-            r"|temps ecoule|経過時間|time ?stamp|date ?time|zeitstempel|uhrzeit|x value|tiempo transcurrido"
+            r"|temps ecoule|経過時間|time ?stamp|epoch|unix time|date ?time|zeitstempel|uhrzeit"
+            r"|x value|tiempo transcurrido"
         ),
     },
     "displacement": {
@@ -118,17 +119,19 @@ _LOOSE_SYMBOLS = {
 _LOOSE_WORDS = {
     "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
-        r"\b(?:displacement|extension|indentation|depth|travel|position|height|displ?|distance|weg|deplacement"
-        r"|stroke|actuator|crosshead"
+        r"\b(?:displacement|extension|indentation|depth|travel|pos(?:ition)?|height|displ?|distance|weg|deplacement"
+        r"|stroke|actuator|crosshead|piston|p?z"
         # strain in other languages, and letters of an indenter: with a unit of length alone
         r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
     "force": re.compile(
-        r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|fn"
+        r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila|f[nz]"
         # what a scale shows, with a unit of force or weight alone
         r"|weight|mass|gewicht|masse|poids|peso)\b|载荷"
     ),
 }
+#: Where a word begins by its capital alone: ``ProbePos``, ``XForce``.
+_CAPITALS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 #: Rank of a loose name with the letter of a sideways axis.
 SIDEWAYS_RANK = 10
 _SIDEWAYS = re.compile(r"\b[xy]\b")
@@ -139,7 +142,7 @@ _NOT_A_CHANNEL = re.compile(
     r"|position [xy]|[xy] position|command(?:ed)?|cmd|set ?point"
     r"|set (?=force|load|pos|disp|dist|travel|depth)|demand(?:ed)?|sp|preset|ref(?:erence)?|limit|threshold"
     r"|shear|lateral|tangential|friction(?:al)?"
-    r"|desired|programmed|nominal|target|soll\w*|consigne|valor nominal)\b"
+    r"|set$|des|goal|desired|programmed|nominal|target|soll\w*|consigne|valor nominal)\b"
 )
 
 #: A longer text is no key, and would cost the patterns the square of its length.
@@ -195,8 +198,9 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
             return rank
         if numbered and re.fullmatch(pattern, numbered[1]):
             return rank + _CHANNEL_PENALTY * (numbered[2] != "1")
-    if loose and _LOOSE_WORDS[channel].search(words) and not _NOT_A_CHANNEL.search(words):
-        return SIDEWAYS_RANK if _SIDEWAYS.search(words) and channel != "time" else _LOOSE_RANK
+    apart = plain_words(_CAPITALS.sub(" ", name)) if loose else ""
+    if _LOOSE_WORDS[channel].search(apart) and not _NOT_A_CHANNEL.search(apart):
+        return SIDEWAYS_RANK if _SIDEWAYS.search(apart) and channel != "time" else _LOOSE_RANK
     letter = name.strip()
     if letter in _SYMBOLS[channel] or (loose and _LOOSE_SYMBOLS[channel].fullmatch(words)):
         return SYMBOL_RANK

@@ -64,8 +64,15 @@ def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
     basis, _ = np.linalg.qr(slow)
     left = force_N - basis @ (basis.T @ force_N)
     sd = float(np.sqrt(left @ left / (left.size - SLOW_POWERS - 1)))
-    shown = max(COARSE * quantum(force_N), ROUNDING * float(np.abs(force_N).max()))
-    return np.asarray(left) if sd > shown else None
+    step = quantum(force_N)
+    shown = max(COARSE * step, ROUNDING * float(np.abs(force_N).max()))
+    # where most neighbours are equal, what is left does not show how they scatter
+    hidden = _neighbours_sd(left) < step / float(np.sqrt(12.0))
+    return None if hidden or sd <= shown else np.asarray(left)
+
+
+def _neighbours_sd(left: FloatArray) -> float:
+    return white_noise_sd(np.arange(float(left.size)), left)
 
 
 def long_run_ratio(stretches: Sequence[FloatArray]) -> float:
@@ -75,7 +82,7 @@ def long_run_ratio(stretches: Sequence[FloatArray]) -> float:
     of which there are enough, their correlation is taken to fall as a power.
     """
     samples = sum(one.size for one in stretches)
-    differences = sum(one.size * white_noise_sd(np.arange(float(one.size)), one) ** 2 for one in stretches)
+    differences = sum(one.size * _neighbours_sd(one) ** 2 for one in stretches)
     if differences <= 0.0:
         return 1.0
     size, correlated, ratio = 1, False, 1.0
