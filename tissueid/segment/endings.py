@@ -158,8 +158,13 @@ class Held(Piece):
 def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
     """Moves and standstills, of which none goes on through a held load."""
     for held in _held_loads(path, found):
-        if _relaxes(path, held, next((one for one in found if one.stop > held.stop), held)):
-            continue
+        behind = [one for one in found if one.stop > held.stop]
+        if behind and behind[0].direction == 0 and not _stays(path, held, behind[0]):
+            continue  # of a crosshead that slowed down, and then relaxes
+        for one in behind:
+            if one.direction < 0 or not _stays(path, held, one):
+                break
+            held = replace(held, stop=one.stop)
         before = [replace(one, stop=min(one.stop, held.start)) for one in found if one.start < held.start]
         if len(before) > 1 and before[-1].stop - before[-1].start < FEWEST_HELD:  # rest of a rounded corner
             before[-2:] = [replace(before[-2], stop=held.start)]
@@ -168,14 +173,12 @@ def with_creep(path: Path, found: list[Piece]) -> list[Piece]:
     return found
 
 
-def _relaxes(path: Path, held: Piece, after: Piece) -> bool:
-    """True where the tool stands after a level force, which then falls: of a crosshead that slowed down."""
-    if after.direction != 0:
-        return False
+def _stays(path: Path, held: Piece, after: Piece) -> bool:
+    """True where the force of a held load stays at its level behind it."""
     level = float(np.median(path.force_N[held.start : held.stop + 1]))
     within = max(HELD_SHARE * abs(level), HELD_SD * path.noise_N)
-    standing = path.force_N[max(after.start, held.stop) : after.stop + 1]
-    return float(np.mean(np.abs(standing - level) <= within)) < HELD_MOST
+    behind = path.force_N[max(after.start, held.stop) : after.stop + 1]
+    return float(np.mean(np.abs(behind - level) <= within)) >= HELD_MOST
 
 
 def _held_loads(path: Path, found: list[Piece]) -> list[Held]:

@@ -20,6 +20,9 @@ LATE_SHARE = 1.0 / 3.0
 SLOW_POWERS = 3
 #: Fewest samples of a quiet stretch.
 FEWEST = 48
+#: The last sample of a standstill, its corner, belongs to the next move where it is so many sd of the rest
+#: away: friction turns, or the tool darts off.
+CORNER_SD = 30.0
 #: Shares of the samples that a swing leaves out on either side, and its reserve: of white noise 7 sd.
 SWING_SHARES, SWING = (0.01, 0.99), 1.5
 #: Fewest means by which a variance and a correlation are judged.
@@ -45,6 +48,8 @@ def quiet_stretches(time_s: FloatArray, force_N: FloatArray, found: Sequence[Pie
         late = time_s[piece.stop] - LATE_SHARE * (time_s[piece.stop] - time_s[piece.start])
         rows = slice(int(np.searchsorted(time_s, late)), piece.stop + 1)
         left = without_slow(time_s[rows], force_N[rows])
+        if left is not None and abs(float(left[-1])) > CORNER_SD * float(np.std(left[:-1])):
+            left = without_slow(time_s[rows][:-1], force_N[rows][:-1])
         if left is not None:
             stretches.append(left)
     return stretches
