@@ -120,7 +120,7 @@ _LOOSE_WORDS = {
     "time": re.compile(r"\b(?:time|timestamp|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
         r"\b(?:displacement|extension|indentation|depth|travel|pos(?:ition)?|height|displ?|distance|weg|deplacement"
-        r"|stroke|actuator|crosshead|piston|p?z"
+        r"|stroke|actuator|crosshead|piston|p[xyz]|(?<=\w )[xy]|z"
         # strain in other languages, and letters of an indenter: with a unit of length alone
         r"|desplazamiento|spostamento|przemieszczenie|deformation|compression|deformace|деформация|pd)\b|位移"
     ),
@@ -134,7 +134,7 @@ _LOOSE_WORDS = {
 _CAPITALS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 #: Rank of a loose name with the letter of a sideways axis.
 SIDEWAYS_RANK = 10
-_SIDEWAYS = re.compile(r"\b[xy]\b")
+_SIDEWAYS = re.compile(r"\bp?[xy]\b")
 #: A name with one of these is a rate, a result or another quantity, never a channel.
 _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
