@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_files import put, read, refusal
+from ingest_files import codes, put, read, refusal
 
 from tissueid.ingest import read_each
 from tissueid.segment import segment
@@ -120,6 +120,15 @@ def test_tenths_that_a_spreadsheet_made_are_refused(tmp_path: Path, channel: int
     assert (error.code, error.column) == ("damaged_number", channel + 1)
     assert f"the {name} is" in error.message
     assert "original export" in error.message
+
+
+@pytest.mark.parametrize("row", ["{0:.0f},{1:.0f},{2:.0f}\n", "{0:.2f},{3:.1f},{2:.1f}\n"])
+def test_counts_of_a_logger_and_noise_about_zero_have_lost_no_marks(tmp_path: Path, row: str) -> None:
+    rows = press(50.0, noise_N=2e-3)
+    text = "".join(row.format(1e3 * t, 1e3 * x, 1e3 * f, 1e3 * x + 0.3) for t, x, f in rows)
+    trial = read(put(tmp_path / "a.csv", "time(ms),position(um),force(mN)\n" + text))
+    assert "no_decimals" not in codes(trial)
+    assert trial.force_N.max() == pytest.approx(max(r[2] for r in rows), abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["noise", "square wave of 1 and 10"])

@@ -227,8 +227,10 @@ def lost_marks(
         column.size >= _WHOLE_FROM and not decimals.any() and not has_marks
         for column, decimals, has_marks in zip(columns, fractional, marked, strict=True)
     ]
-    for channel, column, is_whole in zip(CHANNELS, columns, whole, strict=True):
-        if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all(whole)):
+    all_whole = all(whole)
+    counts = all_whole and max(factors.values()) < 1.0  # of a logger in ms, µm and mN
+    for channel, column, is_whole in zip(CHANNELS, columns, () if counts else whole, strict=False):
+        if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all_whole):
             return _flag(channel, f"is a whole number in all {column.size} rows")
     for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):
         at = _far_above_neighbours(column, decimals)
@@ -262,5 +264,7 @@ def _far_above_neighbours(column: FloatArray, decimals: NDArray[np.bool_]) -> in
     after = np.searchsorted(fractional, whole)
     size = np.abs(column[fractional])
     around = np.maximum(size[np.maximum(after - 1, 0)], size[np.minimum(after, fractional.size - 1)])
-    far = np.flatnonzero(np.abs(column[whole]) >= _TIMES * around)
+    # about zero the noise is several times its neighbours as well
+    least = np.maximum(_TIMES * around, LOST_STEPS * _usual(np.abs(np.diff(column))))
+    far = np.flatnonzero(np.abs(column[whole]) >= least)
     return int(whole[far[0]]) if far.size else None
