@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissueid.arrays import FloatArray
+from tissueid.segment.hinge import STEP
 from tissueid.segment.motion import Piece
 from tissueid.signal_noise import quantum, white_noise_sd
 
@@ -72,7 +73,7 @@ def without_slow(time_s: FloatArray, force_N: FloatArray) -> FloatArray | None:
     step = quantum(force_N)
     shown = max(COARSE * step, ROUNDING * float(np.abs(force_N).max()))
     # where most neighbours are equal, what is left does not show how they scatter
-    hidden = _neighbours_sd(left) < step / float(np.sqrt(12.0))
+    hidden = _neighbours_sd(left) < step / STEP
     return None if hidden or sd <= shown else np.asarray(left)
 
 
