@@ -210,7 +210,7 @@ _UNIT_OF_NAME = re.compile(r"(.{1,40}\S) (?:[Uu]nits?|[Ee]inheit)\s?[:=,]?\s?(\S
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 #: What a program writes before a line of words that is no data of its own.
-_COMMENT_MARK = re.compile(r"\s*(?:#+|%+|//+)\s*(?=[^\W\d_]|[(\[])")
+_COMMENT_MARK = re.compile(r"\A\s*(?:#+|%+|//+)\s*(?=[^\W\d_]|[(\[])")
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
