@@ -184,15 +184,17 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHo
     move = move_before(segmentation.phases, number)
     push = None if move is None else _push(record, move, geometry)
     position = phase.kind == "hold"
-    inside = record.force_N[phase.start : phase.stop]
+    # the sample that a hold shares with the next move may belong to that
+    shared = number + 1 < len(segmentation.phases) and phase.stop - phase.start > 2
+    last = phase.stop - 1 - int(shared)
     return MeasuredHold(
         start_s=phase.start_s,
         end_s=phase.end_s,
         control="position" if position else "force",
         push=push,
         forces=_forces(record, number, phase, push) if position else (),
-        end_N=float(inside[-1]),
-        creep_mm=float(record.depth_mm[phase.stop - 1] - record.depth_mm[phase.start]),
+        end_N=float(record.force_N[last]),
+        creep_mm=float(record.depth_mm[last] - record.depth_mm[phase.start]),
         tau=_tau(record, phase) if position else None,
         after_rupture=phase.stop > usable_until(segmentation, phase.stop),
     )
