@@ -7,66 +7,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from ingest_files import put, read, refusal, zipped
+from ingest_files import (
+    DEPTH_MM,
+    HOLD_S,
+    SPEED_MM_S,
+    assert_equal,
+    expected,
+    log_of,
+    put,
+    read,
+    refusal,
+    zipped,
+)
 
 from tissueid.errors import InputError
 from tissueid.ingest import RECIPES, find_inputs, read_each, read_one, read_trials
-from tissueid.synth import DIALECTS, EXPORTS, SyntheticLog
-from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
+from tissueid.synth import DIALECTS, EXPORTS
+from tissueid.synth.machines import mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
 from tissueid.trial import Trial
-
-SPEED_MM_S, DEPTH_MM, HOLD_S = 0.5, 8.25, 60.0
-
-
-def log_of(count: int, *, name: str = "hold-1", start_s: float = 990.0) -> SyntheticLog:
-    """Past a thousand seconds and newtons, compression negative, offsets, a peak inside."""
-    i = np.arange(count)
-    grain = 3.7e-9 * (i % 7)  # seen where more than five decimals are printed
-    force = 4.319 - 31.25 * np.minimum(i, 2 * count // 3) + 3.125 * np.maximum(i - 2 * count // 3, 0)
-    return SyntheticLog(
-        name, "22L.3", start_s + 0.25 * i, -2.04726 - 0.01 * i + grain, force + grain, force,
-        {"speed_mm_s": SPEED_MM_S, "depth_mm": DEPTH_MM, "hold_s": HOLD_S},
-    )  # fmt: skip
-
-
-#: What turns newtons and millimetres into what is printed, decimals beyond five, and back to N and mm.
-PRINTED = {
-    "mach-1": (1 / GRAM_FORCE_N, 0, GRAM_FORCE_N),
-    "mts-793-de": (1e-3, 3, 1e3),
-}
-
-
-def expected(name: str, log: SyntheticLog) -> list[list[float]]:
-    """Time, displacement and force as the digits on paper say."""
-    time = [float(f"{v:.5f}") for v in log.time_s.tolist()]
-    if name.startswith("chiaro"):
-        travel = [float(f"{1e6 * v:.6f}") * 1e-6 for v in log.displacement_mm.tolist()]
-        force = [float(f"{1e6 * v:.6f}") * 1e-6 for v in log.force_N.tolist()]
-        return [time, travel, force]
-    factor, more, back = PRINTED.get(name, (1.0, 0, 1.0))
-    travel = [float(f"{v:.5f}") for v in log.displacement_mm.tolist()]
-    if factor == GRAM_FORCE_N**-1:
-        force = [float(f"{v / GRAM_FORCE_N:.5f}") * back for v in log.force_N.tolist()]
-    else:
-        force = [float(f"{v * factor:.{5 + more}f}") * back for v in log.force_N.tolist()]
-    return [time, travel, force]
-
-
-def assert_equal(trial: Trial, name: str, log: SyntheticLog) -> None:
-    """Count, first, last, peak and all between: bit for bit but for one rounding of a unit's factor."""
-    channels = (trial.time_s, trial.displacement_mm, trial.force_N)
-    assert trial.time_s.size == log.time_s.size
-    for recorded, wanted in zip(channels, expected(name, log), strict=True):
-        if name in PRINTED or name.startswith("chiaro"):
-            # parse, factor of the unit, product: one rounding each, twice
-            np.testing.assert_allclose(recorded, wanted, rtol=6e-16, atol=0.0)
-        else:
-            np.testing.assert_array_equal(recorded, wanted)
-    peak = int(np.argmax(np.abs(log.force_N)))
-    assert int(np.argmax(np.abs(trial.force_N))) == peak
-
 
 #: What a reader says of a variant beside its numbers.
 SAID = {
