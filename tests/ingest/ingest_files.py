@@ -26,6 +26,10 @@ def put(path: Path, content: str | bytes, encoding: str = "utf-8") -> Path:
     return path
 
 
+def written(path: Path, head: str, rows: str = ROWS) -> Path:
+    return put(path, f"{head}\n{rows}")
+
+
 def zipped(parts: Mapping[str, bytes | str]) -> bytes:
     """An archive of these members."""
     out = io.BytesIO()

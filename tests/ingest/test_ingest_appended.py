@@ -119,17 +119,15 @@ def test_a_row_of_numbers_between_names_and_units_is_said(tmp_path: Path) -> Non
     assert trial.flags[0].values["lines"] == [2]
 
 
-@pytest.mark.parametrize("row", ["err,1.500,8.500\n", "Total,1.500,8.500\n"])
-def test_a_last_row_whose_time_is_no_number_is_no_foot(tmp_path: Path, row: str) -> None:
-    error = refusal(put(tmp_path / "a.csv", HEAD + "".join(lines(30, 1.0)) + row))
-    assert (error.code, error.line) == ("text_in_numbers", 32)
-
-
-def test_a_remark_with_a_number_in_the_200th_line_ends_no_table(tmp_path: Path) -> None:
-    rows = lines(300, 1.0)
-    rows.insert(198, "Segment,2,hold\n")
+@pytest.mark.parametrize(
+    ("row", "line"),
+    [("err,1.500,8.500\n", 32), ("Total,1.500,8.500\n", 32), ("Segment,2,hold\n", 200)],
+)
+def test_a_row_whose_time_is_no_number_ends_no_table(tmp_path: Path, row: str, line: int) -> None:
+    rows = lines(30 if line == 32 else 300, 1.0)
+    rows.insert(line - 2, row)
     error = refusal(put(tmp_path / "a.csv", HEAD + "".join(rows)))
-    assert (error.code, error.line) == ("text_in_numbers", 200)
+    assert (error.code, error.line) == ("text_in_numbers", line)
 
 
 @pytest.mark.parametrize(("name", "count"), [("Specimen", 30), ("Test", 30), ("Test", 2)])

@@ -25,7 +25,6 @@ from tissueid.errors import InputError
 from tissueid.ingest import RECIPES, find_inputs, read_each, read_one, read_trials
 from tissueid.synth import DIALECTS, EXPORTS
 from tissueid.synth.machines import mach1_text, mts793_text, shimadzu_text, xlsx, zwick_workbook
-from tissueid.trial import Trial
 
 #: What a reader says of a variant beside its numbers.
 SAID = {
@@ -74,17 +73,6 @@ def test_results_are_no_header_entries(tmp_path: Path, name: str) -> None:
     assert not {"Mean", "1", "Mittelwert", "Média", "Średnia", "平均值"} & set(trial.source.metadata)
 
 
-def test_mach1_gives_one_trial_a_block_with_its_own_header(tmp_path: Path) -> None:
-    logs = [log_of(30, start_s=0.0), log_of(50, start_s=0.0)]
-    path = put(tmp_path / "synthetic.txt", mach1_text(logs))
-    trials = read_trials(path)
-    assert [trial.source.sheet for trial in trials] == ["2: Stress Relaxation", "3: Stress Relaxation"]
-    for trial, log in zip(trials, logs, strict=True):
-        assert_equal(trial, "mach-1", log)
-        assert trial.protocol.kind == "stress relaxation"
-    assert_equal(read_one(path, "3: Stress Relaxation"), "mach-1", logs[1])
-
-
 def test_mach1_refusals_point_at_the_line_of_the_file_and_spare_the_other_blocks(tmp_path: Path) -> None:
     logs = [log_of(30, start_s=0.0), log_of(50, start_s=0.0)]
     lines = mach1_text(logs).decode().split("\r\n")
@@ -92,9 +80,10 @@ def test_mach1_refusals_point_at_the_line_of_the_file_and_spare_the_other_blocks
     lines[spoilt] = lines[spoilt].replace("1.25000", "1.2.5")
     refusal, trial = read_each(put(tmp_path / "synthetic.txt", "\r\n".join(lines).encode()))
     assert (refusal.code, refusal.line, refusal.column) == ("damaged_number", spoilt + 1, 1)
-    assert refusal.sheet == "2: Stress Relaxation"
-    assert isinstance(trial, Trial)
+    assert (refusal.sheet, trial.source.sheet) == ("2: Stress Relaxation", "3: Stress Relaxation")
+    assert trial.protocol.kind == "stress relaxation"
     assert_equal(trial, "mach-1", logs[1])
+    assert_equal(read_one(tmp_path / "synthetic.txt", "3: Stress Relaxation"), "mach-1", logs[1])
 
 
 def test_mach1_time_that_starts_again_behind_a_divider_makes_two_trials(tmp_path: Path) -> None:

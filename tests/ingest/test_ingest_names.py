@@ -1,16 +1,20 @@
-"""Names as laboratories print them: glued units, French crossheads, letters, strain and stress, comments.
+"""Names and units as laboratories print them: glued, above or under names, letters, strain, comments.
 
 Mean curves, summaries and searches for contact are told by their names and left out of a fit; units that are
-known without pint are what pint makes of them.
+known without pint are what pint makes of them.  A row of units that is not understood is asked about: taken
+for a remark, it would leave pounds as newtons.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable
+from decimal import Decimal
 from pathlib import Path
 
 import pint
 import pytest
-from ingest_files import codes, put, read, refusal, workbook
+from ingest_files import ROWS, codes, put, read, refusal, workbook, written
 
 from tissueid.collection import TrialCache, collect
 from tissueid.ingest import ReadOptions, read_each, read_trials
@@ -19,16 +23,18 @@ from tissueid.ingest.reading import no_specimen
 from tissueid.segment import SegmentOptions
 from tissueid.units import INTERNAL_UNITS, KNOWN_UNITS, KNOWN_WORDS, REPEATS, factor_to, quantity_of
 
-ROWS = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
-
-
-def written(path: Path, head: str, rows: str = ROWS) -> Path:
-    return put(path, f"{head}\n{rows}")
-
 
 @pytest.mark.parametrize(
     ("head", "factors"),
     [
+        ("Time,Displacement,Force\nTimer,LVDT,Load cell\nsec,um,mN", (1e-3, 1e-3)),
+        ("Operator,lab\nUnits: s, um, mN\nTime,Position,Load", (1e-3, 1e-3)),
+        ("Operator,lab\nUnits,(s),(um),(mN)\nTime,Position,Load", (1e-3, 1e-3)),
+        *(
+            (f"Time {is_} s\nDisplacement {is_} um\nForce {is_} mN\n\n{names}", (1e-3, 1e-3))
+            for is_ in ("unit:", "unit,", "units =")
+            for names in ("Time,Displacement,Force", "Elapsed Time,Position,Load")
+        ),
         ("Time_s,Extension_mm,Load_N", (1, 1)),
         ("Time-s,Extension-um,Load-mN", (1e-3, 1e-3)),
         ("time_s,height_measured_m,force_N", (1e3, 1)),
@@ -101,37 +107,94 @@ def test_an_indenters_export_of_micrometres_and_micronewtons_is_read(tmp_path: P
     assert trial.force_N[2] == pytest.approx(1.5005e-3)
 
 
-@pytest.mark.parametrize("name", ["Deformation", "Compression", "Pd"])
-def test_what_may_be_a_strain_or_a_letter_needs_a_unit_of_length(tmp_path: Path, name: str) -> None:
-    assert refusal(written(tmp_path / "a.csv", f"Time (s),{name},Force (N)")).code == "no_columns"
-
-
-def test_whole_nanometres_have_lost_no_mark_and_whole_micrometres_may_have(tmp_path: Path) -> None:
-    rows = "".join(f"{k / 10:.1f},{k * 1500},{1 + k * 0.25:.3f}\n" for k in range(30))
-    assert codes(read(written(tmp_path / "a.csv", "Time (s),Depth (nm),Load (uN)", rows))) == []
-    coarse = read(written(tmp_path / "b.csv", "Time (s),Depth (um),Load (mN)", rows))
-    assert codes(coarse) == ["no_decimals"]
-
-
-def test_a_time_of_whole_numbers_may_be_in_ms_and_says_so(tmp_path: Path) -> None:
-    rows = "".join(f"{k * 100},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
-    trial = read(written(tmp_path / "a.csv", "Time,Depth (mm),Load (N)", rows))
-    assert codes(trial) == ["units_assumed", "no_decimals"]
-    assert "--units time=ms" in trial.flags[1].message
-
-
 def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
     trial = read(written(tmp_path / "a.csv", "t,x,F"))
     assert codes(trial) == ["units_assumed"] * 3
     assert "--axes displacement=strain" in trial.flags[1].message
     assert "--axes force=stress" in trial.flags[2].message
-    two = refusal(written(tmp_path / "b.csv", "t,x,F,u", ROWS.replace("\n", ",1.5\n")))
-    assert two.code == "no_columns"
-    # a capital T is a temperature
-    refusal(written(tmp_path / "c.csv", "T,x,F"))
-    head = "Time (s),x,Force (N),Extension (mm)"
-    named = read(written(tmp_path / "d.csv", head, ROWS.replace("\n", ",1.5\n")))
-    assert named.source.columns["displacement"] == "Extension (mm)"
+
+
+#: Five columns: a head takes as many of them as it has names.
+FIVE = [(k / 10, k * 0.05, 1 + k * 0.25, 2 + k * 0.125, k * 0.5) for k in range(30)]
+
+
+def five(head: str) -> str:
+    """The head with a row of numbers under each name."""
+    return f"{head}\n" + "".join(
+        ",".join(f"{v:.3f}" for v in row[: head.count(",") + 1]) + "\n" for row in FIVE
+    )
+
+
+def timed(times: Iterable[object], travel: float = 0.05) -> str:
+    """Rows with these times."""
+    return "".join(f"{t},{k * travel:g},{1 + k * 0.25:.3f}\n" for k, t in enumerate(times))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Time (s),Deformation,Force (N)",
+        "Time (s),Compression,Force (N)",
+        "Time (s),Pd,Force (N)",
+        "t,x,F,u",
+        "T,x,F",  # a capital T is a temperature
+        "Time (s),Extension (mm),Stress",
+        "Time (s),Strain rate (%/s),Force (N)",
+        "Time (s),Force X (N),Force Y (N),Displacement (mm)",
+        "Time (s),Travel (mm),Friction force (N)",
+        "Time (s),Travel (mm),Lateral force (N)",
+        "Time (s),Shear displacement (mm),Force (N)",
+        "Time (s),Travel_SP (mm),Force (N)",
+        "Time (s),Travel reference (mm),Force (N)",
+        "Time (s),Travel (mm),F1 (N),F2 (N)",
+    ],
+)
+def test_what_may_be_something_else_is_not_taken_for_want_of_another(tmp_path: Path, head: str) -> None:
+    error = refusal(put(tmp_path / "a.csv", five(head)))
+    assert error.code == "no_columns"
+    assert "--columns" in error.message
+
+
+@pytest.mark.parametrize(
+    ("head", "first", "step", "unit", "stated"),
+    [
+        ("%time,position_mm,force_N", "1552000000000", "100", "ms", "ms"),
+        ("%time,position_mm,force_N", "1552000000000000000", "100000000", "ns", "ns"),
+        ("%time,position_mm,force_N", "0", "100000000", "UNIT", "ns"),
+        ("Time,position_mm,force_N", "45021.4244", "0.0000011574074", "day", "day"),
+        ("Time,position_mm,force_N", "738000.4244", "0.0000011574074", "day", "day"),
+    ],
+)
+def test_a_stamp_that_is_no_seconds_is_asked_about(tmp_path, head, first, step, unit, stated) -> None:
+    rows = "".join(
+        f"{Decimal(first) + k * Decimal(step)},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30)
+    )
+    path = written(tmp_path / "a.csv", head, rows)
+    error = refusal(path)
+    assert error.code == "implausible_range"
+    assert f"--units time={unit}" in error.message
+    trial = read(path, ReadOptions(units={"time": stated}))
+    assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("head", "step", "travel", "said"),
+    [
+        ("Time (s),Depth (nm),Load (uN)", Decimal("0.1"), 1500, []),
+        ("Time (s),Depth (um),Load (mN)", Decimal("0.1"), 1500, ["no_decimals"]),
+        ("Time,Depth (mm),Load (N)", 100, 0.05, ["units_assumed", "no_decimals"]),
+    ],
+)
+def test_whole_numbers_may_have_lost_a_mark_where_they_are_coarse(tmp_path, head, step, travel, said) -> None:
+    trial = read(written(tmp_path / "a.csv", head, timed((k * step for k in range(30)), travel)))
+    assert codes(trial) == said
+    assert len(said) < 2 or "--units time=ms" in trial.flags[1].message
+
+
+def test_a_time_that_stands_still_is_refused(tmp_path: Path) -> None:
+    error = refusal(written(tmp_path / "a.csv", "Time_s,Extension_mm,Load_N", timed(["3.0"] * 30)))
+    assert error.code == "no_columns"
+    assert "--columns time=" in error.message
 
 
 @pytest.mark.parametrize(
@@ -151,15 +214,6 @@ def test_strain_and_stress_are_taken_as_such_where_nothing_else_is_there_and_sai
     assert "normalised_axes" in codes(trial)
     assert trial.displacement_mm[2] == pytest.approx(0.1 * factor[0])
     assert trial.force_N[2] == pytest.approx(1.5 * factor[1])
-
-
-def test_a_stress_without_unit_or_a_strain_rate_is_no_channel(tmp_path: Path) -> None:
-    for head in ("Time (s),Extension (mm),Stress", "Time (s),Strain rate (%/s),Force (N)"):
-        refusal(written(tmp_path / "a.csv", head))
-    # a length is taken before a strain
-    head = "Time (s),Extension (mm),Force (N),Strain (%)"
-    both = read(written(tmp_path / "b.csv", head, ROWS.replace("\n", ",1.5\n")))
-    assert (both.axes.length, both.axes.force) == ("mm", "N")
 
 
 SHIFTED = "".join(f"{k},{k / 10:.1f},{k * 0.5:.2f},{1 + k * 0.25:.3f}\n" for k in range(30))
@@ -305,12 +359,11 @@ def test_letters_that_number_repeats_are_no_units(letter):
     assert split_name(f"Load-{letter}") == (f"Load-{letter}", None)
 
 
-FOUR = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f},{2 + k * 0.125:.3f}\n" for k in range(30))
-
-
 @pytest.mark.parametrize(
     ("head", "displacement", "force"),
     [
+        ("Time (s),x,Force (N),Extension (mm)", "Extension (mm)", "Force (N)"),
+        ("Time (s),Extension (mm),Force (N),Strain (%)", "Extension (mm)", "Force (N)"),
         ("Time (s),Position Z (mm),Force X (N),Force Z (N)", "Position Z (mm)", "Force Z (N)"),
         ("Time (s),Load Y (N),Load (Z) (N),Displacement (mm)", "Displacement (mm)", "Load (Z) (N)"),
         ("Time (s),X displacement (mm),Z displacement (mm),Force (N)", "Z displacement (mm)", "Force (N)"),
@@ -345,34 +398,9 @@ FOUR = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f},{2 + k * 0.125:.
 def test_neither_a_sideways_axis_nor_what_was_asked_for_is_taken_for_what_was_measured(
     tmp_path: Path, head: str, displacement: str, force: str
 ) -> None:
-    rows = FOUR if not head.endswith("Comment") else ROWS.replace("\n", ",\n")
-    trial = read(written(tmp_path / "a.csv", head, rows))
+    text = five(head) if not head.endswith("Comment") else f"{head}\n" + ROWS.replace("\n", ",\n")
+    trial = read(put(tmp_path / "a.csv", text))
     assert (trial.source.columns["displacement"], trial.source.columns["force"]) == (displacement, force)
-
-
-def test_of_two_sideways_axes_either_may_be_meant(tmp_path: Path) -> None:
-    error = refusal(written(tmp_path / "a.csv", "Time (s),Force X (N),Force Y (N),Displacement (mm)", FOUR))
-    assert error.code == "no_columns"
-    assert "--columns" in error.message
-
-
-@pytest.mark.parametrize(
-    "head",
-    [
-        "Time (s),Travel (mm),Friction force (N)",
-        "Time (s),Travel (mm),Lateral force (N)",
-        "Time (s),Shear displacement (mm),Force (N)",
-        "Time (s),Travel_SP (mm),Force (N)",
-        "Time (s),Travel reference (mm),Force (N)",
-        "Time (s),Travel (mm),F1 (N),F2 (N)",
-    ],
-)
-def test_a_sideways_force_or_what_was_asked_for_is_not_taken_for_want_of_another(
-    tmp_path: Path, head: str
-) -> None:
-    error = refusal(written(tmp_path / "a.csv", head, FOUR if "F2" in head else ROWS))
-    assert error.code == "no_columns"
-    assert "--columns" in error.message
 
 
 @pytest.mark.parametrize("value", ["0.0000", "-1.2500"])
@@ -384,42 +412,6 @@ def test_a_sensor_that_was_not_attached_is_not_taken_for_the_travel(tmp_path: Pa
     assert "--columns displacement='Position (mm)'" in error.message
     answered = read(path, ReadOptions(columns={"displacement": "Position (mm)"}))
     assert answered.displacement_mm[2] == 0.1
-
-
-@pytest.mark.parametrize(
-    ("first", "step", "unit"),
-    [
-        (1_552_000_000_000, 100, "ms"),
-        (1_552_000_000_000_000_000, 100_000_000, "ns"),
-        (0, 100_000_000, "UNIT"),
-    ],
-)
-def test_a_stamp_that_is_no_seconds_is_asked_about(tmp_path: Path, first: int, step: int, unit: str) -> None:
-    rows = "".join(f"{first + k * step},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
-    path = written(tmp_path / "a.csv", "%time,position_mm,force_N", rows)
-    error = refusal(path)
-    assert error.code == "implausible_range"
-    assert f"--units time={unit}" in error.message
-    trial = read(path, ReadOptions(units={"time": "ms" if unit == "ms" else "ns"}))
-    assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-6)
-
-
-@pytest.mark.parametrize("first", [45021.4244, 738000.4244])
-def test_days_of_a_spreadsheet_are_no_seconds(tmp_path: Path, first: float) -> None:
-    rows = "".join(f"{first + k / 864_000:.10f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
-    path = written(tmp_path / "a.csv", "Time,position_mm,force_N", rows)
-    error = refusal(path)
-    assert error.code == "implausible_range"
-    assert "--units time=day" in error.message
-    trial = read(path, ReadOptions(units={"time": "day"}))
-    assert trial.time_s[29] - trial.time_s[0] == pytest.approx(2.9, abs=1e-3)
-
-
-def test_a_time_that_stands_still_is_refused(tmp_path: Path) -> None:
-    rows = "".join(f"3.0,{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
-    error = refusal(written(tmp_path / "a.csv", "Time_s,Extension_mm,Load_N", rows))
-    assert error.code == "no_columns"
-    assert "--columns time=" in error.message
 
 
 GROUPS = "Force (g),Distance (mm),Time (sec)"
@@ -477,10 +469,88 @@ def test_other_sensors_of_one_specimen_are_no_second_specimen(tmp_path: Path, he
 
 @pytest.mark.parametrize("stamps", ["Date/Time,Elapsed Time (s)", "Time,t [s]"])
 def test_a_time_with_a_unit_is_taken_before_a_stamp_of_whole_seconds(tmp_path: Path, stamps: str) -> None:
-    rows = "".join(
-        f"3/4/2019 2:53:{10 + k // 10:02d} PM,{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n"
-        for k in range(30)
-    )
+    rows = timed(f"3/4/2019 2:53:{10 + k // 10:02d} PM,{k / 10:.1f}" for k in range(30))
     trial = read(written(tmp_path / "a.csv", f"{stamps},Displacement (mm),Load (N)", rows))
     assert trial.time_s[29] == 2.9
     assert codes(trial) == ["column_choice"]
+
+
+POUND_N = 4.4482216152605
+
+
+@pytest.mark.parametrize(
+    ("units", "factors"),
+    [
+        (("SEC", "MM", "KGF"), (1, 1, 9.80665)),
+        (("Seconds", "Millimeters", "Newtons"), (1, 1, 1)),
+        (("Minutes", "Inches", "pounds"), (60, 25.4, POUND_N)),
+        (("msec", "microns", "gF"), (1e-3, 1e-3, 9.80665e-3)),
+        (("mSec", "micrometer", "gram-force"), (1e-3, 1e-3, 9.80665e-3)),
+        (("s", "mil", "ozf"), (1, 0.0254, POUND_N / 16)),
+        (("SECS", "IN", "LBF"), (1, 25.4, POUND_N)),
+        (("Sec.", "Inch", "Lbf"), (1, 25.4, POUND_N)),
+        (("sec", "mm", "kp"), (1, 1, 9.80665)),
+        (("s", "mm", "Kg"), (1, 1, 9.80665)),
+        (("sec", "mm", "g"), (1, 1, 9.80665e-3)),
+    ],
+)
+@pytest.mark.parametrize("where", ["names", "row", "above", "wide"])
+def test_units_are_read_however_they_are_spelled(
+    tmp_path: Path, units: tuple[str, str, str], factors: tuple[float, float, float], where: str
+) -> None:
+    names = ("Time", "Extension", "Load")
+    over, under = ",".join(names), ",".join(units)
+    head = {
+        "names": ",".join(f"{name} ({unit})" for name, unit in zip(names, units, strict=True)),
+        "row": f"{over}\n{under}",
+        "above": f"{under}\n{over}",
+        "wide": ",".join(f"{name}（{unit}）" for name, unit in zip(names, units, strict=True)),
+    }[where]
+    trial = read(put(tmp_path / "a.csv", f"{head}\n{ROWS}"))
+    assert trial.flags == ()
+    found = (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2])
+    # parse, factor, product: a rounding each
+    assert found == pytest.approx((0.2 * factors[0], 0.1 * factors[1], 1.5 * factors[2]), rel=1e-15)
+
+
+@pytest.mark.parametrize("unit", ["G", "MN", "Mn", "NM"])
+def test_capitals_that_may_mean_another_unit_are_not_guessed(unit: str) -> None:
+    with contextlib.suppress(ValueError):
+        assert factor_to(unit, "force") not in {9.80665e-3, 1e-3}
+
+
+@pytest.mark.parametrize("row", ["sek.,mm,Pond", "Sekunde,Milimeter,Newt"])
+def test_words_under_the_names_that_are_no_known_units_are_asked_about(tmp_path: Path, row: str) -> None:
+    path = put(tmp_path / "a.csv", f"Time,Extension,Load\n{row}\n{ROWS}")
+    error = refusal(path)
+    assert error.code == "unknown_unit"
+    assert "--units" in error.message
+    stated = ReadOptions(units={"time": "s", "displacement": "mm", "force": "lbf"})
+    assert read(path, stated).force_N[2] == pytest.approx(1.5 * POUND_N)
+
+
+@pytest.mark.parametrize("remark", ["Start of the test,,", "begin,,", '"","Timed",""', "n/a,n/a,n/a"])
+def test_a_remark_under_the_names_is_no_row_of_units(tmp_path: Path, remark: str) -> None:
+    trial = read(put(tmp_path / "a.csv", f"Time (s),Extension (mm),Load (N)\n{remark}\n{ROWS}"))
+    assert codes(trial) == ["rows_skipped"]
+
+
+@pytest.mark.parametrize("key", ["Y_Unit_Label", "UnitName=", "Units", "Einheiten:", "单位"])
+def test_units_in_a_line_of_the_header_are_those_of_the_columns_below(tmp_path: Path, key: str) -> None:
+    head = f"Operator\tlab\n{key}\tmN\tum\nSamples\t30\t30\n\nX_Value\tForce\tPosition"
+    rows = "".join(f"{k / 10:.1f}\t{1 + k * 0.25:.3f}\t{k * 0.05:.3f}\n" for k in range(30))
+    trial = read(put(tmp_path / "a.lvm", f"{head}\n{rows}"))
+    assert codes(trial) == ["units_assumed"]  # of the time alone
+    assert (trial.displacement_mm[2], trial.force_N[2]) == pytest.approx((0.1e-3, 1.5e-3))
+
+
+def test_units_of_another_table_are_not_those_of_the_columns(tmp_path: Path) -> None:
+    above = read(put(tmp_path / "b.csv", f"Units,N,um\n\nTime,Extension,Load\n{ROWS}"))
+    assert above.force_N[2] == 1.5
+    assert codes(above) == ["units_assumed"] * 3
+
+
+def test_missing_numbers_under_the_names_are_no_units(tmp_path: Path) -> None:
+    head = "Time (s),Extension (mm),Load (N)\n"
+    error = refusal(put(tmp_path / "a.csv", f"{head}0.0000,NaN,NaN\n{ROWS}"))
+    assert (error.code, error.line) == ("not_finite", 2)
