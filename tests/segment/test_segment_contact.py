@@ -1,33 +1,23 @@
-"""The contact point against the truth: bias and coverage of its sd, preload, air and its drift, overrides."""
+"""The contact point against the truth: bias and coverage of its sd, preload, air and its drift, overrides.
 
-from dataclasses import replace
+A condition of the statistics is a tissue, a way to start, a sampling rate and a force noise; its ramps are
+shared out evenly over the six speeds.  Bias is the mean of error over sd, coverage the share within 1.96 sd.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from told import codes, flag_of
 
 from tissueid.segment import SegmentOptions, segment
 from tissueid.segment.hinge import fit_contact
 from tissueid.signal_noise import quantum, white_noise_sd
-from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
+from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate
 from tissueid.trial import Trial, contact_frame
-
-
-@pytest.mark.parametrize("rate_Hz", [10.0, 100.0, 1000.0])
-def test_logs_that_start_at_contact_are_consistent_with_it(rate_Hz):
-    logs = simulate(replace(recipe("paper-a-30"), rate_Hz=rate_Hz), rng=np.random.default_rng(3))
-    for log, trial in zip(logs[:10], as_trials(logs)[:10], strict=True):
-        found = segment(trial)
-        contact = found.contact
-        assert not contact.in_record, log.name
-        assert contact.index == 0
-        assert contact.baseline_N == 0.0
-        assert contact.displacement_mm == 0.0
-        # what 1 N of noise hides, and what lies between two samples
-        spacing = log.truth["speed_mm_s"] / rate_Hz
-        assert 0.0 < contact.sd_mm < 0.2 + spacing
-        assert "starts_in_contact" in codes(found)
-        assert "preload" not in codes(found)
 
 
 @pytest.mark.parametrize("preload_mm", [0.3, 0.8])
@@ -76,23 +66,17 @@ def test_force_that_never_rises_is_no_contact():
     assert [phase.kind for phase in found.phases] == ["approach"]
 
 
-def test_user_contact_wins():
+@pytest.mark.parametrize(
+    ("stated_mm", "in_record", "said"), [(1.25, True, None), (-0.5, False, "before the first sample")]
+)
+def test_a_stated_contact_is_taken_where_it_lies(stated_mm, in_record, said):
     trial = ramp_in_air(seed=7)
-    options = SegmentOptions(contact_displacement_mm=1.25, contact_sd_mm=0.01)
-    contact = segment(trial, options=options).contact
-    assert (contact.displacement_mm, contact.sd_mm, contact.in_record) == (1.25, 0.01, True)
-    assert trial.displacement_mm[contact.index] >= 1.25 > trial.displacement_mm[contact.index - 1]
-
-
-def test_scaling_lengths_forces_and_times_scales_the_contact():
-    trial = ramp_in_air(seed=8, rate_Hz=200.0)
-    plain = segment(trial).contact
-    small = segment(
-        Trial("s", trial.time_s * 1e-3, trial.displacement_mm * 1e-4, trial.force_N * 1e-6)
-    ).contact
-    # the same arithmetic up to rounding and the last pass of the lattice
-    assert small.displacement_mm == pytest.approx(plain.displacement_mm * 1e-4, abs=0.2 * plain.sd_mm * 1e-4)
-    assert small.sd_mm == pytest.approx(plain.sd_mm * 1e-4, rel=0.2)
+    options = SegmentOptions(contact_displacement_mm=stated_mm, contact_sd_mm=0.01)
+    found = segment(trial, options=options)
+    contact = found.contact
+    assert (contact.displacement_mm, contact.sd_mm, contact.in_record) == (stated_mm, 0.01, in_record)
+    assert contact.index == int(np.searchsorted(trial.displacement_mm, stated_mm))
+    assert said is None or said in flag_of(found, "starts_in_contact").message
 
 
 @pytest.mark.parametrize("n", [30, 500, 20_000])
@@ -157,12 +141,6 @@ def test_a_stated_contact_that_is_never_reached_is_none_and_says_the_range(sign)
     ends = (trial.displacement_mm.min(), trial.displacement_mm.max())
     assert (flag.values["from_mm"], flag.values["to_mm"]) == pytest.approx(ends)
     assert "never reached" in flag.message
-
-
-def test_a_stated_contact_before_the_record_is_taken_and_said():
-    found = segment(ramp_in_air(), options=SegmentOptions(contact_displacement_mm=-0.5, contact_sd_mm=0.1))
-    assert (found.contact.displacement_mm, found.contact.in_record, found.contact.index) == (-0.5, False, 0)
-    assert "before the first sample" in flag_of(found, "starts_in_contact").message
 
 
 @pytest.mark.parametrize(
@@ -262,7 +240,9 @@ def in_air(
 @pytest.mark.parametrize("softness", [1.0, 2.0])
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 def test_steady_zeros_are_no_drift(noise: str, softness: float, rate: float) -> None:
-    found = (segment(in_air(seed, noise=noise, softness=softness, rate=rate)) for seed in range(12))
+    found = [segment(in_air(seed, noise=noise, softness=softness, rate=rate)) for seed in range(8)]
+    # 0.03 N/s: half a newton by the end, of 72
+    found.append(segment(in_air(2, drift=0.03)))
     assert not any("baseline_drift" in codes(one) for one in found)
 
 
@@ -272,11 +252,6 @@ def test_a_drift_is_told_with_its_slope(drift: float) -> None:
     assert flag.values["slope_N_per_s"] == pytest.approx(drift, abs=5 * flag.values["slope_sd_N_per_s"])
     # from the middle of what was looked at, 2.4 s, to the end at 20 s
     assert flag.values["by_the_end_N"] == pytest.approx(drift * 17.6, rel=0.15)
-
-
-def test_a_drift_that_would_not_matter_is_not_told() -> None:
-    # 0.03 N/s: half a newton by the end, of 72
-    assert "baseline_drift" not in codes(segment(in_air(2, drift=0.03)))
 
 
 def test_a_specimen_that_pulls_from_the_start_is_no_drift() -> None:
@@ -301,3 +276,106 @@ def test_digits_without_noise_are_no_noise_and_part_of_the_contact_s_sd(step_N):
     assert contact.in_record
     assert abs(contact.displacement_mm) < 2.5 * contact.sd_mm
     assert contact.sd_mm < 0.3 * step_N + 0.02
+
+
+SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
+DEPTH_MM = 8.0
+#: Bars of the issue.
+BIAS = 0.3
+COVERAGE = (0.92, 0.98)
+#: 1,000 and more ramps a condition in the slow run.
+RUNS = 1020
+CONSTANT = (Branch((63.62,), 0.021),)
+TISSUES = {
+    "seed": ((20.0, -1.2, 0.35), CONSTANT),
+    "growing K": ((20.0, -1.2, 0.35), (Branch((63.62, 10.0), 0.021),)),
+    "Table 1": ((47.42, -5.577, 0.3804), CONSTANT),
+    "soft toe": ((0.5, 0.0, 0.43), CONSTANT),
+    "slow branch": ((20.0, -1.2, 0.35), (Branch((5.0,), 5.0),)),
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is the same for a set of ramps."""
+
+    rate_Hz: float
+    sigma_N: float
+    tissue: str = "seed"
+    start: str = "air"
+
+    def __str__(self) -> str:
+        return f"{self.tissue}, {self.start}, {self.rate_Hz:g} Hz, {self.sigma_N:g} N"
+
+
+def one_score(condition: Condition, speed: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Error and stated sd of one ramp [mm]; a load cell that is off by up to 5 sigma in air."""
+    static, branches = TISSUES[condition.tissue]
+    offset = float(rng.uniform(0.6, 1.6) if condition.start == "air" else -rng.uniform(0.3, 0.8))
+    settings = Recipe(
+        "c",
+        (Log("ramp", (Move(DEPTH_MM, speed),)),),
+        rate_Hz=condition.rate_Hz,
+        static=static,
+        branches=branches,
+        sigma_N=condition.sigma_N,
+        contact_offset_mm=offset,
+    )
+    trial = as_trials(simulate(settings, rng=rng))[0]
+    # at 10 samples/s a reading that is off can't be told from a preload: there the cell is tared
+    zero = 5.0 * condition.sigma_N * float(rng.uniform(-1.0, 1.0))
+    zero *= condition.start == "air" and condition.rate_Hz > 10.0
+    contact = segment(Trial("c", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + zero)).contact
+    return contact.displacement_mm + 2.0 - offset, contact.sd_mm
+
+
+def scores(condition: Condition, *, runs: int, seed: int) -> NDArray[np.float64]:
+    """Errors and sds, shape (speeds, runs each, 2) [mm]."""
+    rng = np.random.default_rng(seed)
+    each = runs // len(SPEEDS_MM_MIN)
+    return np.array([[one_score(condition, v, rng) for _ in range(each)] for v in SPEEDS_MM_MIN])
+
+
+def bias(found: NDArray[np.float64]) -> float:
+    return float((found[..., 0] / found[..., 1]).mean())
+
+
+def coverage(found: NDArray[np.float64]) -> float:
+    return float((np.abs(found[..., 0]) <= 1.959964 * found[..., 1]).mean())
+
+
+@pytest.mark.parametrize(("rate_Hz", "sigma_N"), [(100.0, 0.02), (100.0, 0.3), (100.0, 3.0), (1000.0, 0.3)])
+def test_the_interval_of_a_contact_in_the_record_covers_it(rate_Hz: float, sigma_N: float) -> None:
+    found = scores(Condition(rate_Hz, sigma_N), runs=72, seed=31)
+    # 72 scores of sd 1: the mean has sd 0.12, and 63 or more are inside with probability 0.99
+    assert abs(np.median(found[..., 0] / found[..., 1])) <= BIAS + 2.6 * 0.12
+    assert round(72 * coverage(found)) >= 63
+
+
+MAIN = [Condition(rate, sigma) for rate in (10.0, 100.0, 1000.0) for sigma in (0.02, 0.3, 1.0, 3.0)]
+OTHERS = [Condition(100.0, 0.3, tissue) for tissue in TISSUES if tissue != "seed"]
+OTHERS += [Condition(100.0, sigma, start="preloaded") for sigma in (0.02, 0.3, 3.0)]
+OTHERS += [Condition(100.0, 0.3, "growing K", "preloaded")]
+#: Bars that are not reached, with the figure of 1,020 ramps and why.
+NO_HOLD = "bias -1.2, coverage 100 %: without a hold nothing tells how much of the stiffness relaxes"
+SHORT = {
+    Condition(100.0, 0.02, start="preloaded"): NO_HOLD,
+    Condition(100.0, 0.3, start="preloaded"): NO_HOLD,
+    Condition(100.0, 3.0, start="preloaded"): "bias -0.6: as with less noise",
+    Condition(100.0, 0.3, "growing K", "preloaded"): NO_HOLD,
+}
+
+
+def marked(condition: Condition) -> object:
+    reason = SHORT.get(condition)
+    marks = pytest.mark.xfail(reason=reason, strict=True) if reason else ()
+    return pytest.param(condition, marks=marks, id=str(condition))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("condition", [marked(one) for one in MAIN + OTHERS])
+def test_bias_and_coverage_are_within_the_bars(condition: Condition) -> None:
+    found = scores(condition, runs=RUNS, seed=47)
+    # 12 + 8 conditions: a band of 99 % for all of them is 3.5 sd of one, 0.11 in the mean, 2.4 points here
+    assert abs(bias(found)) <= BIAS + 3.5 / np.sqrt(RUNS)
+    assert COVERAGE[0] - 0.024 <= coverage(found) <= COVERAGE[1] + 0.015
