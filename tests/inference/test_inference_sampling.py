@@ -1,13 +1,60 @@
-"""Chains of known densities, Pareto smoothing, and runs that are killed and go on to the same draws."""
+"""Chains and proposals against known densities, Pareto smoothing, diagnostics, and runs that are killed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from density_cases import COVARIANCE, MEAN, Density, banana, correlated
+from arviz_stats.base.array import array_stats
 
 from tissueid.inference import sampling
+from tissueid.inference.diagnostics import WORST_R_HAT, diagnose
+from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal, learn_mixture
 from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample, smoothed
+
+
+class Density:
+    """A density with a wall far away; the normal beside it is the standard one."""
+
+    is_normal = False
+
+    def __init__(self, size: int, log_density: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.size, self._log = size, log_density
+        self.centre = np.zeros(size)
+        self.rows, self.walls = np.eye(size)[:1], np.array([-50.0])
+        self.likely = np.empty(0, dtype=np.int64)
+        self.calls = 0
+
+    def densities(self, z: np.ndarray) -> np.ndarray:
+        self.calls += 1
+        return self._log(z)
+
+    def bent(self, z: np.ndarray) -> np.ndarray:
+        return z
+
+
+MEAN = np.array([0.5, -0.3, 0.2, 0.0])
+_ROOT = np.linalg.cholesky(
+    np.array([[1.0, 0.8, 0.0, 0.1], [0.8, 1.5, 0.3, 0.0], [0.0, 0.3, 0.7, -0.4], [0.1, 0.0, -0.4, 1.2]])
+)
+COVARIANCE = _ROOT @ _ROOT.T
+
+
+def correlated() -> Density:
+    """A normal of :data:`MEAN` and :data:`COVARIANCE`."""
+    inverse = np.linalg.inv(_ROOT)
+    return Density(4, lambda z: -0.5 * (((z - MEAN) @ inverse.T) ** 2).sum(axis=1))
+
+
+def banana() -> Density:
+    """Standard normal first coordinate; the second about its square less one, within 0.4."""
+
+    def log_density(z):
+        return -0.5 * z[:, 0] ** 2 - 0.5 * ((z[:, 1] - z[:, 0] ** 2 + 1.0) / 0.4) ** 2
+
+    return Density(2, log_density)
+
 
 DRAWS = 1_500
 
@@ -245,3 +292,165 @@ def test_a_single_giant_is_cut_down_to_its_tail():
     # weights keep their order
     order = np.argsort(log_weight)
     assert (np.diff(found.weights[order]) >= -1e-15).all()
+
+
+CORNERS = {
+    "a wedge": (np.array([1.0, -2.0]), np.array([[1.0, 0.0], [-0.8, 0.6]]), np.array([0.0, -0.5])),
+    "a slab": (np.array([0.3, 0.2]), np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([-0.4, -0.9])),
+    "a corner": (np.array([-0.5, -0.5, 0.7]), np.eye(3), np.array([-0.2, 0.0, -1.0])),
+    "a skewed cone": (
+        np.array([0.2, -0.4, 0.1]),
+        np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.2], [-1.0, 0.3, 1.0], [0.0, -1.0, 2.0]]),
+        np.zeros(4),
+    ),
+}
+
+
+def rejected(centre, rows, least, count=6_000):
+    rng = np.random.default_rng(99)
+    kept = []
+    while sum(map(len, kept)) < count:
+        z = centre + WIDER * rng.standard_normal((200_000, centre.size))
+        kept.append(z[(z @ rows.T >= least).all(axis=1)])
+    return np.concatenate(kept)[: 4 * count]
+
+
+@pytest.mark.parametrize("case", list(CORNERS))
+@pytest.mark.parametrize("likely", [True, False])
+def test_moments_are_those_of_plain_rejection(case, likely):
+    centre, rows, least = CORNERS[case]
+    chosen = np.arange(len(rows)) if likely else np.empty(0, dtype=np.int64)
+    found = cut_normal(centre, rows, least, chosen, np.random.default_rng(5)).pool
+    assert (found @ rows.T >= least - 1e-9).all()
+    expected = rejected(centre, rows, least)
+    sd = expected.std(axis=0)
+    # a thousand independent chains: four standard errors of a mean, of an sd and of a correlation
+    assert (np.abs(found.mean(axis=0) - expected.mean(axis=0)) <= 4.0 * sd / np.sqrt(CHAINS)).all()
+    assert found.std(axis=0) == pytest.approx(sd, rel=4.0 * 0.75 / np.sqrt(CHAINS))
+    np.testing.assert_allclose(np.corrcoef(found.T), np.corrcoef(expected.T), atol=4.0 / np.sqrt(CHAINS))
+
+
+def test_a_wall_far_in_the_tail_leaves_an_exponential():
+    rng = np.random.default_rng(6)
+    ends = np.full(4_000, 40.0)
+    z = _truncated(np.zeros(4_000), 1.0, ends, np.full(4_000, np.inf), rng.random(4_000))
+    assert (z >= 40.0).all()
+    # beyond 40 sd the normal falls with rate 40
+    assert (z - 40.0).mean() == pytest.approx(1.0 / 40.0, rel=0.08)
+
+
+def test_the_density_is_that_of_the_draws():
+    cut = cut_normal(*CORNERS["a slab"], np.arange(2), np.random.default_rng(7))
+    a, b = np.array([[0.3, 0.2], [0.8, -0.1]])
+    ratio = cut.log_density(a[None]) - cut.log_density(b[None])
+    assert ratio[0] == pytest.approx(0.5 * ((b - [0.3, 0.2]) ** 2).sum() / WIDER**2)
+
+
+def weighed(target, seed=1, count=6_000):
+    rng = np.random.default_rng(seed)
+    cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
+    mixture, efficiency = learn_mixture(target, cut, rng)
+    z = mixture.draw(count, rng)
+    found = smoothed(target.densities(z) - mixture.log_density(z))
+    return z, found, efficiency
+
+
+def test_a_mixture_learns_a_banana():
+    z, found, efficiency = weighed(banana())
+    # the normal at the top of it covers a fifth of its curvature
+    assert efficiency > 0.4
+    assert found.worth > 0.35 * len(z)
+    assert found.pareto < 0.6
+    # E y = 0, var y = 2 + 0.16; 2,000 effective draws, y^2 with a heavy tail
+    assert float(found.weights @ z[:, 0]) == pytest.approx(0.0, abs=0.1)
+    assert float(found.weights @ z[:, 0] ** 2) == pytest.approx(1.0, abs=0.12)
+    assert float(found.weights @ z[:, 1]) == pytest.approx(0.0, abs=0.12)
+    assert float(found.weights @ z[:, 1] ** 2) == pytest.approx(2.16, abs=0.6)
+
+
+def test_a_mixture_of_a_normal_is_about_that_normal():
+    z, found, efficiency = weighed(correlated())
+    assert efficiency > 0.5
+    mean = found.weights @ z
+    covariance = (z - mean).T @ ((z - mean) * found.weights[:, None])
+    np.testing.assert_allclose(mean, MEAN, atol=0.1)
+    np.testing.assert_allclose(covariance, COVARIANCE, atol=0.15)
+
+
+def test_the_density_of_a_mixture_is_normalised():
+    target = banana()
+    rng = np.random.default_rng(3)
+    cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
+    mixture, _ = learn_mixture(target, cut, rng)
+    edge = np.linspace(-40.0, 40.0, 401)
+    grid = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(-1, 2)
+    # six degrees of freedom leave 1e-5 beyond
+    assert np.exp(mixture.log_density(grid)).sum() * 0.04 == pytest.approx(1.0, abs=2e-3)
+
+
+def _autoregressive(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = np.empty((chains, draws))
+    out[:, 0] = rng.standard_normal(chains)
+    for k in range(1, draws):
+        out[:, k] = phi * out[:, k - 1] + np.sqrt(1.0 - phi**2) * rng.standard_normal(chains)
+    return out
+
+
+@pytest.mark.parametrize("rounded", [False, True], ids=["continuous", "with ties"])
+def test_diagnostics_are_those_of_arviz_stats(rounded: bool) -> None:
+    draws = _autoregressive(0.7, 12, 400, seed=1) ** 3
+    if rounded:
+        draws = np.round(4.0 * draws)
+    found = diagnose({"x": draws})["x"]
+    # one table of normal scores instead of one a call: the same operations, to rounding
+    assert found.ess_bulk == pytest.approx(float(array_stats.ess(draws, method="bulk")), rel=1e-9)
+    tail = float(array_stats.ess(draws, method="tail", prob=(0.05, 0.95)))
+    assert found.ess_tail == pytest.approx(tail, rel=1e-9)
+    assert found.r_hat == pytest.approx(float(array_stats.rhat(draws, method="rank")), rel=1e-9)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
+def test_an_autoregressive_chain_has_its_closed_form_effective_size(phi: float) -> None:
+    draws = _autoregressive(phi, 16, 4000, seed=2)
+    expected = draws.size * (1.0 - phi) / (1.0 + phi)
+    # the estimate sums a few noisy lags: 10 % at 3,400 to 64,000 effective draws
+    assert diagnose({"x": draws})["x"].ess_bulk == pytest.approx(expected, rel=0.1)
+
+
+def test_walkers_that_disagree_are_told_by_r_hat() -> None:
+    draws = _autoregressive(0.0, 8, 500, seed=3)
+    draws[0] += 1.0
+    wider = _autoregressive(0.0, 8, 500, seed=3)
+    wider[0] *= 3.0
+    found = diagnose({"shifted": draws, "wider": wider, "same": _autoregressive(0.0, 8, 500, seed=4)})
+    assert found["shifted"].r_hat > 1.03
+    assert found["wider"].r_hat > 1.03
+    assert found["same"].r_hat < 1.01
+
+
+def test_independent_draws_in_one_chain_are_diagnosed() -> None:
+    draws = np.random.default_rng(5).standard_normal(4002)
+    found = diagnose({"flat": draws, "row": draws[None], "short": draws[:100]})
+    assert found["flat"] == found["row"]
+    assert found["short"] == diagnose({"short": draws[:100]})["short"]
+    assert found["flat"].ess_bulk == pytest.approx(4000, rel=0.1)
+    assert found["flat"].r_hat < 1.01
+
+
+def test_draws_that_never_differ_are_known_exactly_and_chains_that_never_moved_not_at_all() -> None:
+    found = diagnose(
+        {"same": np.full((4, 100), 2.5), "apart": np.repeat(np.arange(6.0)[:, None], 50, axis=1)}
+    )
+    assert (found["same"].ess_bulk, found["same"].ess_tail, found["same"].r_hat) == (400.0, 400.0, 1.0)
+    assert found["apart"].r_hat == WORST_R_HAT
+    assert found["apart"].ess_bulk < 15
+
+
+def test_draws_that_say_nothing_are_refused_by_name() -> None:
+    draws = np.random.default_rng(8).standard_normal((4, 100))
+    draws[2, 7] = np.nan
+    with pytest.raises(ValueError, match="tau: 1 draws are not finite"):
+        diagnose({"tau": draws})
+    with pytest.raises(ValueError, match="tau: draws of shape"):
+        diagnose({"tau": draws[:, :3]})

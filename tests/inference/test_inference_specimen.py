@@ -1,4 +1,4 @@
-"""One specimen from its logs to its result, for the three ways to pool them."""
+"""One specimen from its logs to its result: pooling, units, standard errors, profiles."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import by_name, draw, handle_for, handles_for, small_recipe
+from inference_cases import by_name, draw, handle_for, handles_for, identified, small_recipe
 
+from tissueid.inference.estimates import LEVEL_95, MAX_WIDTH, estimate_tissue, profile
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.synth import Branch, recipe
+from tissueid.synth import Branch, Hold, Log, Move
 
 TRUE = Branch((30.0,), 0.2)
 POOLINGS = ("partial", "shared", "scaled")
@@ -21,10 +22,6 @@ def fit(recipe_, seed=0, *, branches=1, degree=0, static="partial", sd_mm=1e-4, 
     handles = handles_for(draw(recipe_, seed), sd_mm=sd_mm)
     options = FitOptions(branches=branches, stiffness_degree=degree, static=static)
     return fit_with_state("knee", handles, options=options, tick=tick).fit
-
-
-def codes(fitted):
-    return {flag.code for flag in fitted.flags}
 
 
 @pytest.mark.parametrize("static", POOLINGS)
@@ -110,15 +107,165 @@ def test_the_same_logs_give_the_same_bytes_and_progress_names_what_is_done():
     assert [sum(word in one for one in said) for word in ("reading", "residuals")] == [10, 10]
 
 
-def test_chosen_model_comes_with_its_table():
-    found = fit(small_recipe(branches=(TRUE,)), 3, branches=None, degree=None, static="shared")
-    (row,) = [row for row in found.selection if row["chosen"]]
-    assert (row["branches"], row["stiffness_degree"]) == (found.model.branches, found.model.stiffness_degree)
+GROWING = Branch((30.0, 6.0), 0.2)
+SEEDS = 25
 
 
-def test_at_10_hz_viscosity_is_known_and_the_relaxation_time_is_not():
-    found = fit(recipe("paper-a-30-10Hz"))
-    tau, eta = (by_name(found)[name] for name in ("relaxation_time_s", "viscosity_N_s_per_mm"))
-    assert (tau.identified, tau.value, eta.identified) == (False, None, True)
-    assert abs(eta.value - 63.62 * 0.021) <= 4.0 * eta.stderr
-    assert {"not_identified", "compliance_unknown"} <= codes(found)
+def estimate(recipe, seed, pooling, *, branches=1, degree=0, offset_sd_mm=1e-4):
+    handles = handles_for(draw(recipe, seed), sd_mm=offset_sd_mm)
+    found = identified(handles, branches=(branches,), degrees=(degree,), pooling=pooling, noise="white")
+    return estimate_tissue(found)
+
+
+@pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
+def test_values_come_in_natural_units(pooling):
+    recipe = small_recipe(branches=(GROWING,), sigma_N=0.01)
+    found = by_name(estimate(recipe, 0, pooling, degree=1))
+    expected = {
+        "static_1_N_per_mm": (20.0, "N/mm"),
+        "static_2_N_per_mm2": (-1.2, "N/mm^2"),
+        "static_3_N_per_mm3": (0.35, "N/mm^3"),
+        "stiffness_0_N_per_mm": (30.0, "N/mm"),
+        "stiffness_1_N_per_mm2": (6.0, "N/mm^2"),
+        "relaxation_time_s": (0.2, "s"),
+        # K at half of 4 mm is 42 N/mm
+        "viscosity_N_s_per_mm": (42.0 * 0.2, "N s/mm"),
+    }
+    assert set(found) == set(expected)
+    for name, (value, unit) in expected.items():
+        assert found[name].unit == unit
+        assert found[name].identified
+        assert found[name].value == pytest.approx(value, rel=0.05)
+        assert abs(found[name].value - value) <= 6.0 * found[name].stderr
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("pooling", ["shared", "scaled", pytest.param("partial", marks=pytest.mark.slow)])
+def test_standard_errors_are_the_spread_over_repeated_recordings(pooling):
+    """25 seeds: an estimated sd scatters by 14 %, so that 0.65 to 1.45 fails an error of half or double.
+
+    Logs that may differ do: of logs without scatter five can't say that there is none.  Their static shapes
+    are alike here all the same, which leaves too wide an error of these.
+    """
+    recipe = small_recipe(branches=(GROWING,), cv_both=0.0 if pooling == "shared" else 0.05)
+    truth = {"relaxation_time_s": 0.2, "viscosity_N_s_per_mm": 8.4, "stiffness_0_N_per_mm": 30.0}
+    truth |= {"static_1_N_per_mm": 20.0, "static_2_N_per_mm2": -1.2, "static_3_N_per_mm3": 0.35}
+    found = [by_name(estimate(recipe, seed, pooling, degree=1)) for seed in range(SEEDS)]
+    for name, number in truth.items():
+        values, claims = ([one[name].detail[key] for one in found] for key in ("estimate", "estimate_stderr"))
+        spread, claim = np.std(values, ddof=1), np.mean(claims)
+        least = 0.4 if pooling == "scaled" and name.startswith("static") else 0.65
+        assert least <= spread / claim <= 1.45, (name, spread, claim)
+        assert abs(np.mean(values) - number) <= 4.0 * claim / np.sqrt(SEEDS), name
+
+
+def test_viscosity_is_known_far_better_than_stiffness_and_time():
+    found = by_name(estimate(small_recipe(branches=(Branch((63.62,), 0.021),)), 0, "shared"))
+    relative = {name: one.stderr / one.value for name, one in found.items() if one.value}
+    assert relative["viscosity_N_s_per_mm"] < 0.3 * relative["relaxation_time_s"]
+    assert relative["stiffness_0_N_per_mm"] == pytest.approx(relative["relaxation_time_s"], rel=0.3)
+
+
+def test_further_branches_are_numbered_by_ascending_time():
+    branches = (Branch((10.0,), 1.5), Branch((40.0,), 0.1))
+    found = by_name(estimate(small_recipe(branches=branches, sigma_N=0.02), 0, "shared", branches=2))
+    assert found["relaxation_time_s"].value == pytest.approx(0.1, rel=0.1)
+    assert found["relaxation_time_s_b2"].value == pytest.approx(1.5, rel=0.1)
+    assert found["viscosity_N_s_per_mm_b2"].value == pytest.approx(15.0, rel=0.1)
+    assert found["stiffness_0_N_per_mm_b2"].symbol == "b0,2"
+
+
+def test_what_is_not_identified_has_no_value_and_keeps_its_estimate():
+    # sampled at 10 Hz, a relaxation of 21 ms is not seen; the viscosity is
+    logs = tuple(log for log in small_recipe().logs if log.name != "ramp-600")
+    found = by_name(estimate(small_recipe(rate_Hz=10.0, logs=logs), 1, "shared"))
+    tau = found["relaxation_time_s"]
+    assert (tau.identified, tau.value, tau.stderr) == (False, None, None)
+    low, high = tau.detail["profile_ci95"]
+    assert 0.0 < low <= tau.detail["estimate"] <= high
+    assert tau.detail["open_low"] or np.log(high / low) > MAX_WIDTH
+    assert found["viscosity_N_s_per_mm"].identified
+    # an elastic tissue has a static curve alone
+    tissue = estimate(small_recipe(branches=(Branch((1e-9,), 0.1),)), 0, "shared")
+    known = {name for name, one in by_name(tissue).items() if one.identified}
+    assert "static_1_N_per_mm" in known
+    assert not known & {"relaxation_time_s", "viscosity_N_s_per_mm"}
+    assert np.isfinite(tissue.covariance).all()
+
+
+def test_an_active_bound_is_said_and_leaves_a_passive_tissue():
+    recipe = small_recipe(branches=(Branch((60.0, -15.0), 0.2),), sigma_N=2.0)  # K is zero at 4 mm
+    tissues = [estimate(recipe, seed, "shared", degree=2) for seed in range(8)]
+    assert all(one.model.is_passive(one.theta) for one in tissues)
+    assert all((np.diag(one.covariance) >= 0.0).all() for one in tissues)
+    assert any(one.bounded for one in tissues)
+
+
+@pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
+def test_theta_is_in_the_order_of_the_model_and_passive(pooling):
+    tissue = estimate(small_recipe(branches=(GROWING,)), 0, pooling, degree=1)
+    found = [by_name(tissue)[name] for name in tissue.model.parameter_names]
+    stderr = np.sqrt(np.diag(tissue.covariance))
+    np.testing.assert_allclose([one.detail["estimate"] for one in found], tissue.theta, rtol=1e-12)
+    np.testing.assert_allclose([one.stderr for one in found], stderr, rtol=1e-9)
+    assert tissue.model.is_passive(tissue.theta)
+    assert np.linalg.eigvalsh(tissue.covariance / stderr / stderr[:, None]).min() >= -1e-9
+
+
+def test_a_covariance_is_symmetric_where_directions_are_nearly_flat():
+    one = Log("one", (Move(4.0, 240.0), Hold(1.0)))
+    recipe = replace(small_recipe(branches=(GROWING,), sigma_N=1e-9), logs=(one,))
+    tissue = estimate(recipe, 0, "shared", branches=3, degree=2)
+    assert (tissue.covariance == tissue.covariance.T).all()
+
+
+def profiled(recipe, seed=1, branch=0, **asked):
+    ours = identified(handles_for(draw(recipe, seed)), noise="white", **asked)
+    return ours, *profile(ours, branch)
+
+
+def test_a_well_determined_time_is_closed_and_about_its_standard_errors():
+    ours, interval, curve = profiled(small_recipe(branches=(Branch((30.0,), 0.2),)))
+    assert interval.closed
+    assert interval.low < np.log(0.2) < interval.high
+    half = np.sqrt(LEVEL_95 * ours.optimum.covariance[0, 0])
+    centre = ours.optimum.point.log_times[0]
+    assert interval.low == pytest.approx(centre - half, abs=0.05 * half)
+    assert interval.high == pytest.approx(centre + half, abs=0.05 * half)
+    assert interval.width == pytest.approx(2.0 * half, rel=0.05)
+    # the rise of a parabola in standard errors
+    rise = ((np.log(curve["tau_s"]) - centre) / np.sqrt(ours.optimum.covariance[0, 0])) ** 2
+    np.testing.assert_allclose(curve["rise"], rise, rtol=0.15, atol=0.05)
+    # K tau is what the ramps know
+    product = np.array(curve["tau_s"]) * curve["stiffness_N_per_mm"]
+    assert np.ptp(product) < 0.6 * np.ptp(curve["tau_s"]) / 0.2 * product.mean()
+
+
+RAMPS = tuple(Log(f"ramp-{v:.0f}", (Move(4.0, v),)) for v in (60.0, 120.0))
+SHORT_HOLD = (Log("hold", (Move(4.0, 240.0), Hold(2.0))),)
+
+
+@pytest.mark.parametrize(
+    ("branch", "given", "open_low"),
+    [
+        (Branch((60.0,), 0.005), {"logs": RAMPS, "rate_Hz": 20.0}, True),
+        (Branch((30.0,), 200.0), {"logs": SHORT_HOLD, "sigma_N": 0.5}, False),
+    ],
+)
+def test_a_time_far_below_the_sampling_or_beyond_the_record_is_open_there(branch, given, open_low):
+    _, interval, _ = profiled(small_recipe(branches=(branch,), **given))
+    assert interval.open_low or not open_low
+    assert interval.open_high or open_low
+    assert not interval.closed
+    if open_low:
+        assert interval.low == pytest.approx(np.log(0.2 / 20.0), abs=1e-6)
+
+
+def test_each_branch_has_its_own():
+    two = (Branch((30.0,), 0.05), Branch((25.0,), 1.5))
+    recipe = small_recipe(branches=two, sigma_N=0.05)
+    for branch, tau in enumerate((0.05, 1.5)):
+        ours, interval, curve = profiled(recipe, branches=(2,), branch=branch)
+        assert interval.closed
+        assert interval.low < np.log(tau) < interval.high
+        assert min(curve["tau_s"]) < np.exp(ours.optimum.point.log_times[branch]) < max(curve["tau_s"])

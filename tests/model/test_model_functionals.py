@@ -1,11 +1,16 @@
-"""Closed forms of quoted numbers against the running model, and their errors against Monte Carlo."""
+"""Closed forms of quoted numbers and of rupture against the running model, and errors against Monte Carlo."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from passive_tissues import of_law
+from scipy.integrate import cumulative_trapezoid
 
 from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.functionals import (
     complex_stiffness,
     delta_method,
@@ -17,7 +22,11 @@ from tissueid.model.functionals import (
 )
 from tissueid.model.grammar import parsed
 from tissueid.model.kelvin_voigt import kelvin_voigt
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.rupture import hardening_ratio, rupture_at_speed, rupture_measures, stored_energy_in
+from tissueid.model.servo_law import servo_law
 from tissueid.model.states import branch_states
+from tissueid.rupture_law import CRITERIA
 
 MODEL = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=4.0)
 THETA = MODEL.join(
@@ -128,3 +137,133 @@ def test_a_depth_just_above_the_surface_has_no_force() -> None:
     force = law.static_force(np.array([2.0, 1.5, 1.0, 0.1, 0.5]), np.array([-1e-9, 0.0, 1.0]))
 
     assert force.tolist() == [0.0, 0.0, 2.0]
+
+
+#: 10 to 500 mm/min, the ends of paper A's rates.
+ENDS_MM_S = (10.0 / 60.0, 500.0 / 60.0)
+HARDENING = (0.0, 0.0, 0.43)
+TABLE_1 = (47.42, -5.577, 0.3804)
+STIFFNESS, TAU_S = 63.62, 0.021
+
+
+def hard_tissue(static: tuple[float, ...]) -> tuple[ChannelModel, np.ndarray]:
+    return kelvin_voigt(1, 0, 9.0), np.array([*static, STIFFNESS, TAU_S])
+
+
+def static_work(static: tuple[float, ...], depth: float) -> float:
+    return sum(a * depth ** (k + 2) / (k + 2) for k, a in enumerate(static))
+
+
+def forces_at(of: tuple[ChannelModel, np.ndarray], work: float, speeds_mm_s: Sequence[float]) -> list[float]:
+    """Force at rupture under constant work, by speed."""
+    return [rupture_at_speed(*of, "work", work, speed_mm_s=speed)["force"] for speed in speeds_mm_s]
+
+
+def stretched(stiffness, x: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """int_{x - s}^{x} K dy of a polynomial K."""
+    return sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(stiffness))
+
+
+def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
+    (model, theta), x = hard_tissue(HARDENING), np.linspace(0.0, 5.0, 501)
+    force = loading_force(model, theta, x, speed_mm_s=8.0)
+    for weight, expected in ((1.0, force), (0.0, 0.43 * x**3)):
+        found = rupture_measures(model, theta, ContactPath(x / 8.0, x), weight=weight)["weighted-force"]
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> None:
+    model, theta = hard_tissue(TABLE_1)
+    x = np.linspace(0.0, 9.0, 90_001)
+    measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
+    threshold = float(measures[criterion][50_000])
+    point = rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=8.0)
+    assert point["depth"] == pytest.approx(x[50_000], abs=1e-5)
+    assert point["force"] == pytest.approx(measures["force"][50_000], rel=1e-5)
+    assert point["work"] == pytest.approx(measures["work"][50_000], rel=1e-5)
+    assert point["dynamic"] == pytest.approx(STIFFNESS * 8.0 * TAU_S, rel=1e-6)
+
+
+def test_a_threshold_beyond_the_depth_is_no_rupture_and_an_unknown_criterion_refused() -> None:
+    model, theta = hard_tissue(HARDENING)
+    assert rupture_at_speed(model, theta, "work", 1e6, speed_mm_s=1.0) is None
+    assert rupture_at_speed(model, theta, "depth", 9.5, speed_mm_s=1.0) is None
+    with pytest.raises(ValueError, match="no criterion of rupture 'torque'; there are work, weighted-force"):
+        rupture_at_speed(model, theta, "torque", 1.0, speed_mm_s=1.0)
+
+
+@pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
+def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: tuple[float, ...]) -> None:
+    model, theta = hard_tissue(static)
+    speed = 0.3  # v tau = 0.0063 mm, a thousandth of the depth
+    work = static_work(static, 6.0)
+    near = forces_at((model, theta), work, [0.8 * speed, 1.2 * speed])
+    point = rupture_at_speed(model, theta, "work", work, speed_mm_s=speed)
+    ratio = hardening_ratio(model, theta, point["depth"], point["force"])
+    slope = (near[1] - near[0]) / (0.4 * speed)
+    # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x
+    assert slope == pytest.approx(STIFFNESS * TAU_S * (1.0 - ratio), rel=0.02)
+
+
+OF_EVERY_KIND = (
+    "power * tangent * prony", "power * tangent * fung", "polynomial * tangent * prony:2",
+    "hertz * linear * stretched", "flat * fractional", "sneddon * quadratic * power-law",
+    "flat * poroelastic", "power * spectrum", "polynomial * quadratic * prony:3",
+)  # fmt: skip
+
+
+def heat_of(model: ChannelModel, theta: np.ndarray, path: ContactPath) -> np.ndarray:
+    """What the dampers of every exponential have turned into heat, (n,) [N mm]."""
+    x, elastic, power = path.depth_mm, model.static_force(theta, path.depth_mm), np.zeros(path.time_s.size)
+    fine = np.linspace(0.0, x.max(), 20_001)
+    force = model.static_force(theta, fine)
+    for part in model.parts:
+        weights, tau = model.exponentials(theta, part)
+        for weight, time, state in zip(
+            weights, tau, branch_states(path.time_s, elastic if model.inside else x, tau), strict=True
+        ):
+            if part.ratio is not None:
+                way = x - np.interp(elastic - state, force, fine)
+                power += theta[part.ratio] * weight * state * way / time
+                continue
+            power += weight * state / time * stretched(theta[part.stiffness], x, state)
+    return cumulative_trapezoid(power, path.time_s, initial=0.0)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("name", OF_EVERY_KIND)
+def test_stored_energy_and_heat_make_up_the_work_under_any_law(name: str) -> None:
+    model, theta = of_law(name, 6.0, 2.0)
+    time = np.linspace(0.0, 1.0, 20_001)
+    # forth, a little back, and forth again
+    path = ContactPath(time, 4.0 * time * (1.0 + 0.3 * np.sin(20.0 * time)))
+    measures = rupture_measures(model, theta, path)
+    stored = measures["stored-energy"] + heat_of(model, theta, path)
+    assert stored == pytest.approx(measures["work"], rel=1e-3, abs=1e-4 * measures["work"].max())
+    assert (measures["stored-energy"] >= 0.0).all()
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("name", OF_EVERY_KIND)
+def test_the_servo_stores_the_energy_of_the_law(name: str) -> None:
+    model, theta = of_law(name, 6.0, 2.0)
+    time = np.arange(0.0, 1.0, 1e-3)
+    path = ContactPath(time, 5.0 * time * (1.0 + 0.2 * np.sin(12.0 * time)))
+    expected = rupture_measures(model, theta, path)["stored-energy"]
+    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
+    found = np.zeros(time.size)
+    for k, depth in enumerate(path.depth_mm[1:], 1):
+        tissue_step_in(law, 0, state, 0, float(depth), 1e-3)
+        found[k] = stored_energy_in(law, 0, state, 0)
+    assert found == pytest.approx(expected, rel=2e-3, abs=2e-3 * expected.max())
+
+
+def test_a_damped_law_stores_its_static_work_alone() -> None:
+    model = parsed("power * impact").model(6.0, 0.01, 2.0)
+    x = np.linspace(0.0, 4.0, 2001)
+    theta = np.array([12.0, 1.4, 0.8])
+    measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
+    assert measures["stored-energy"] == pytest.approx(12.0 * x**2.4 / 2.4, rel=1e-5, abs=1e-6)
+    assert measures["dynamic"] == pytest.approx(model.factor(theta) * 12.0 * x**1.4, rel=1e-9, abs=1e-9)
