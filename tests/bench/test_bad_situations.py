@@ -108,9 +108,7 @@ SITUATIONS: dict[str, Situation] = {
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links and such names need rights there")
 @pytest.mark.parametrize("what", SITUATIONS)
-def test_a_bad_situation_ends_in_one_sentence_with_a_way_out(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bad_situation_ends_in_one_sentence_with_a_way_out(what, tmp_path, monkeypatch) -> None:
     one = SITUATIONS[what]
     for name, content in one.files.items():
         path = tmp_path / name

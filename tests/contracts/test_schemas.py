@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -205,9 +204,7 @@ def test_inspect_lists_trials_and_refusals_and_nothing_between() -> None:
     assert first_problem([inspected() | {"compression_sign": 0}], "inspect") is not None
 
 
-def test_schemas_are_found_in_an_installed_package_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_schemas_are_found_in_an_installed_package_first(tmp_path, monkeypatch) -> None:
     packaged = tmp_path / "schemas"
     packaged.mkdir()
     (packaged / "flag.schema.json").write_text(json.dumps({"title": "packaged"}), encoding="utf-8")

@@ -242,18 +242,6 @@ def test_what_is_asked_for_is_what_is_looked_for():
     assert scanned("ar1", sigma_N=0.5).memory.time_s > 0.0
 
 
-def test_samples_in_blocks_show_the_same_memory_as_all_of_them():
-    """Blocks keep means; the memory of their samples is read off these."""
-    noise = {"sigma_N": 0.0, "ar1_sigma_N": 0.5, "ar1_phi": 0.9}
-    short = tuple(Log(f"a-{k}", (Move(4.0, 240.0), Hold(2.8))) for k in range(6))
-    by_samples = [scanned(seed=seed, logs=short, **noise) for seed in range(3)]
-    by_blocks = [scanned(seed=seed, **noise) for seed in range(3)]
-    apart = np.mean([np.log(one.memory.time_s) for one in by_samples]) - np.mean(
-        [np.log(one.memory.time_s) for one in by_blocks]
-    )
-    assert abs(apart) < 0.35
-
-
 SPECIMENS = 200
 
 

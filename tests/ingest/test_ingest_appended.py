@@ -73,9 +73,7 @@ def test_a_specimen_named_in_its_first_row_alone_goes_on_below_it(tmp_path: Path
 
 
 @pytest.mark.parametrize(("start", "count"), [(0.0, 2), (3.0, 1)])
-def test_a_column_of_runs_parts_them_where_the_time_starts_again(
-    tmp_path: Path, start: float, count: int
-) -> None:
+def test_a_column_of_runs_parts_them_where_the_time_starts_again(tmp_path, start, count) -> None:
     rows = [f"liver,1,{line}" for line in lines(30, 1.0)]
     rows += [f"liver,2,{line}" for line in lines(30, 8.5, start=start)]
     trials = read_trials(put(tmp_path / "a.csv", f"Organ,Trial,{HEAD}" + "".join(rows)))

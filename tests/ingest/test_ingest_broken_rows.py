@@ -39,9 +39,7 @@ def written(path: Path, rows: list[list[str]]) -> Path:
     ("lost", "column"),
     [(slice(25, COUNT), 2), (slice(200, COUNT), 2), (slice(380, COUNT), 2), (slice(120), 1)],
 )
-def test_a_decimal_mark_lost_from_a_row_on_or_up_to_one_is_refused(
-    tmp_path: Path, lost: slice, column: int
-) -> None:
+def test_a_decimal_mark_lost_from_a_row_on_or_up_to_one_is_refused(tmp_path, lost, column) -> None:
     rows = table()
     for row in rows[lost]:
         row[column] = f"{float(row[column].replace(',', '.')):.5f}".replace(".", "").replace("-0", "-")

@@ -102,9 +102,7 @@ def endless_lines(folder: Path, size: int) -> list[Path]:
 @pytest.mark.parametrize(
     ("size", "longest_s"), [(64 * MEBI, LONGEST_S), pytest.param(1 << 30, 60.0, marks=pytest.mark.slow)]
 )
-def test_a_line_of_64_mib_or_more_is_refused_by_its_beginning(
-    tmp_path: Path, size: int, longest_s: float
-) -> None:
+def test_a_line_of_64_mib_or_more_is_refused_by_its_beginning(tmp_path, size, longest_s) -> None:
     paths = endless_lines(tmp_path, size)
     try:
         verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE + 2 * size, timeout_s=300.0)
@@ -135,9 +133,7 @@ def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> N
     [(MemoryError(), "memory"), (OSError(116, "Stale file handle"), "Stale file handle")],
     ids=["little memory", "a server that went away"],
 )
-def test_what_keeps_a_file_from_being_read_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, word: str
-) -> None:
+def test_what_keeps_a_file_from_being_read_is_told(tmp_path, monkeypatch, fault, word) -> None:
     def failing(handle: int, size: int) -> bytes:
         raise fault
 
@@ -229,9 +225,7 @@ def test_links_of_a_folder_do_not_lead_outside_it(tmp_path: Path) -> None:
     assert [path.name for path in find_inputs([inside / "away"])] == ["a.csv"]
 
 
-def test_a_file_that_grows_while_it_is_read_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch) -> None:
     path = put(tmp_path / "a.csv", hostile.HEAD + b"0.1,1.5,2.5\n" * 9)
     real = os.read
 
@@ -251,9 +245,7 @@ def test_a_file_that_grows_while_it_is_read_is_refused(
 
 
 @linux_only
-def test_a_slow_folder_is_read_once_and_byte_by_byte_as_it_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_folder_is_read_once_and_byte_by_byte_as_it_comes(tmp_path, monkeypatch) -> None:
     """A network folder gives few bytes a call: no byte is asked for twice, and none is missed."""
     path = tmp_path / "a.csv"
     rows = b"".join(b"%.1f,%.2f,%.2f\n" % (0.1 * i, 0.1 * i, 0.2 * i) for i in range(200))

@@ -58,9 +58,7 @@ def test_a_map_and_an_archive_of_curves_give_one_trial_a_curve(tmp_path: Path) -
         ("lcd-info.10.encoder.type", "measuredHeight in a known type"),
     ],
 )
-def test_a_curve_without_its_calibration_is_refused_by_what_it_lacks(
-    tmp_path: Path, lacking: str, word: str
-) -> None:
+def test_a_curve_without_its_calibration_is_refused_by_what_it_lacks(tmp_path, lacking, word) -> None:
     shared = {key: value for key, value in SHARED.items() if key != lacking}
     error = refusal(put(tmp_path / "cell.jpk-force", zipped(Curve(shared).files())))
     assert error.code == "unreadable_archive"

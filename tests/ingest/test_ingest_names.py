@@ -230,9 +230,7 @@ def test_numbers_under_comments_are_asked_about(tmp_path: Path, name: str) -> No
     assert trial.time_s[2] == pytest.approx(0.2)
 
 
-def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_comments(
-    tmp_path: Path,
-) -> None:
+def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_comments(tmp_path) -> None:
     rows = "".join(line + ",\n" for line in SHIFTED.splitlines())
     error = refusal(written(tmp_path / "a.csv", ",Time,Extension,Load,Comment", rows))
     assert (error.code, error.column) == ("ragged_rows", 1)
@@ -256,9 +254,7 @@ def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Pa
     assert second.force_N[7] == pytest.approx(7 / 6, abs=1e-4)
 
 
-def test_a_mach1_force_negative_in_compression_keeps_its_sign_and_the_search_is_no_specimen(
-    tmp_path: Path,
-) -> None:
+def test_a_mach1_force_negative_in_compression_keeps_its_sign_and_the_search_is_no_specimen(tmp_path) -> None:
     def block(name: str, head: str, first: float) -> str:
         rows = "".join(
             f"{k * 0.1:.5f}\t{first + min(k, 50) * 0.01:.5f}\t0.00000\t{-20.0 * max(min(k, 50) - 10, 0) / 40 * (1 if k < 50 else 0.6 + 0.4 * 0.98 ** (k - 50)):.6f}\n"  # noqa: E501
@@ -433,9 +429,7 @@ GROUPS = "Force (g),Distance (mm),Time (sec)"
         ),
     ],
 )
-def test_specimens_side_by_side_whose_time_stands_last_are_all_read(
-    tmp_path: Path, above: str, head: str, sheets: list[str]
-) -> None:
+def test_specimens_side_by_side_whose_time_stands_last_are_all_read(tmp_path, above, head, sheets) -> None:
     rows = "".join(
         f"{k * 10:.1f},{k * 0.05:.3f},{k / 10:.1f},"
         + (f"{k * 20:.1f},{k * 0.1:.3f},{k / 5:.1f}\n" if k < 20 else ",,\n")
@@ -495,9 +489,7 @@ POUND_N = 4.4482216152605
     ],
 )
 @pytest.mark.parametrize("where", ["names", "row", "above", "wide"])
-def test_units_are_read_however_they_are_spelled(
-    tmp_path: Path, units: tuple[str, str, str], factors: tuple[float, float, float], where: str
-) -> None:
+def test_units_are_read_however_they_are_spelled(tmp_path, units, factors, where) -> None:
     names = ("Time", "Extension", "Load")
     over, under = ",".join(names), ",".join(units)
     head = {

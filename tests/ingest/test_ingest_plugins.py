@@ -137,9 +137,7 @@ def test_a_reader_that_breaks_while_it_looks_is_out_for_that_file(site: Path, ba
         "yield Table(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), {'time': 't'})",
     ],
 )
-def test_a_reader_that_breaks_while_it_reads_is_a_refusal_of_that_file(
-    site: Path, bare: Path, tmp_path: Path, body: str
-) -> None:
+def test_a_reader_that_breaks_while_it_reads_is_a_refusal_of_that_file(site, bare, tmp_path, body) -> None:
     module = (
         "import numpy as np\nfrom tissueid.ingest import Recipe, Table\n"
         "NAMES = dict.fromkeys(('time', 'displacement', 'force'), 'a')\n"

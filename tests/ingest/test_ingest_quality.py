@@ -306,9 +306,7 @@ def test_a_noiseless_encoder_with_a_real_stop_is_not_suspected(stop_s, kernel, r
         ("Test : Rate 1", "10 mm/min", None),
     ],
 )
-def test_the_capacity_of_the_cell_is_read_from_the_header(
-    key: str, value: str, capacity_N: float | None
-) -> None:
+def test_the_capacity_of_the_cell_is_read_from_the_header(key, value, capacity_N) -> None:
     assert capacity_in({key: value}, decimal="," if "," in value else ".") == capacity_N
 
 

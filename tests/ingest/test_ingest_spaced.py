@@ -95,9 +95,7 @@ def test_other_texts_stay_as_they_are(data: bytes, why: str) -> None:
         ("{h:02d}:{m:02d}:{s:06.3f}", ",", "."),
     ],
 )
-def test_clock_times_are_seconds_even_past_midnight(
-    clock: str, delimiter: str, decimal: str, tmp_path: Path
-) -> None:
+def test_clock_times_are_seconds_even_past_midnight(clock, delimiter, decimal, tmp_path) -> None:
     def row(t: float, x: float, f: float) -> str:
         whole = (86398.0 + t) % 86400.0
         stamp = clock.format(h=int(whole // 3600), m=int(whole // 60 % 60), s=whole % 60)
@@ -208,9 +206,7 @@ def test_lines_of_one_kind_are_looked_at_once(line: bytes) -> None:
         ("Time (hh:mm:ss.fff)", "00:{m:02d}:{s:02d}.{ms:03d}", ","),
     ],
 )
-def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(
-    tmp_path: Path, name: str, form: str, delimiter: str
-) -> None:
+def test_clocks_without_hours_and_with_milliseconds_behind_a_colon(tmp_path, name, form, delimiter) -> None:
     mark = "," if delimiter == ";" else "."
 
     def row(t: float, x: float, f: float) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from ingest_files import codes, put, read
@@ -27,9 +25,7 @@ def recording(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ("rate_hz", "tick_s"), [(50.0, 0.1), (20.0, 0.1), (30.0, 0.1), (10.0, 1.0), (7.0, 1.0)]
 )
 @pytest.mark.parametrize("rounds", [np.floor, np.round])
-def test_rows_of_one_tick_are_spread_and_divided_as_if_the_clock_were_fine(
-    tmp_path: Path, rate_hz: float, tick_s: float, rounds: np.ufunc
-) -> None:
+def test_rows_of_one_tick_are_spread_and_divided_as_if_the_clock_were_fine(tmp_path, rate_hz, tick_s, rounds):
     true = np.arange(0.0, 66.0, 1.0 / rate_hz)
     x, force = recording(true)
     shown = rounds(true / tick_s + 1e-9) * tick_s

@@ -111,9 +111,7 @@ def test_what_is_sound_is_kept_without_a_reason(case: str) -> None:
         ((1.0, 1.01, 0.99, 1.0), 1.2, None),
     ],
 )
-def test_softer_than_the_last_push_by_more_than_they_spread(
-    gains: tuple[float, ...], now: float, said: str | None
-) -> None:
+def test_softer_than_the_last_push_by_more_than_they_spread(gains, now, said) -> None:
     earlier = tuple(shown(gain=gain, seed=number) for number, gain in enumerate(gains))
     found = judged(pushed(gain=now, seed=9), earlier)
     assert found.level == ("good" if said is None else "look"), found

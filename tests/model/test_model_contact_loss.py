@@ -108,9 +108,7 @@ def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
 @pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(-1.0, 9.0))
 @MODEL_SETTINGS
-def test_contact_is_unilateral(
-    tissue_: tuple[ChannelModel, np.ndarray], corners: list[tuple[float, float]]
-) -> None:
+def test_contact_is_unilateral(tissue_, corners) -> None:
     """Force never negative, surface never above tool or rest level, a detached surface free of force."""
     model, theta = tissue_
     stepper = TissueStepper(model, theta)
@@ -205,9 +203,7 @@ def law_at(part: str, coefficients: tuple[float, ...], x: float) -> float:
 
 
 @pytest.mark.parametrize("part", ["static", "stiffness"])
-def test_law_is_continued_along_its_end_tangent_where_it_grows_and_as_a_constant_where_it_falls(
-    part: str,
-) -> None:
+def test_law_is_continued_along_its_end_tangent_where_it_grows_and_as_a_constant_where_it_falls(part) -> None:
     d, rising, falling = 1e-5, (2.0, 0.5, 0.3), (10.0, 0.0, -0.4)
     end = law_at(part, rising, 4.0)
     tangent = (end - law_at(part, rising, 4.0 - d)) / d

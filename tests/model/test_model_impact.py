@@ -120,9 +120,7 @@ CHATTER = [-0.2, -0.1, 0.1, -0.01, 0.01]
         (CHATTER, 0.0, -1, 0.1 * 3.0),
     ],
 )
-def test_force_follows_the_speed_latched_at_contact_and_never_pulls(
-    depths: list[float], hysteresis_mm: float, at: int, expected: float
-) -> None:
+def test_force_follows_the_speed_latched_at_contact_and_never_pulls(depths, hysteresis_mm, at, expected):
     found = forces(depths, hysteresis_mm=hysteresis_mm)
     assert found[at] == pytest.approx(expected, abs=1e-12)
     assert min(found) == 0.0

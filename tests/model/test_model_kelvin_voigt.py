@@ -143,9 +143,7 @@ def test_split_inverts_join_and_branches_are_ordered_by_relaxation_time() -> Non
         ({1: np.inf}, False),
     ],
 )
-def test_passive_means_static_force_and_stiffness_are_not_negative(
-    change: dict[int, float], passive: bool
-) -> None:
+def test_passive_means_static_force_and_stiffness_are_not_negative(change, passive) -> None:
     theta = SEED_THETA.copy()
     for i, value in change.items():
         theta[i] = value

@@ -42,9 +42,7 @@ def in_air() -> Trial:
     return Trial("air", time, 0.5 * time, force, source=Source(path="air.csv"))
 
 
-def test_reloaded_samples_give_the_bytes_of_kept_samples(
-    holds: list[Trial], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reloaded_samples_give_the_bytes_of_kept_samples(holds, monkeypatch) -> None:
     of_path = {trial.source.path: trial for trial in holds}
     loads: list[str] = []
 
@@ -214,9 +212,7 @@ def names(*entries: tuple[str, str | None, str | None]) -> list[str]:
         ([("a.csv", None, "kidney"), ("kidney.csv", None, None)], ["kidney", "kidney.csv"]),
     ],
 )
-def test_display_names_are_short_and_tell_specimens_apart(
-    entries: list[tuple[str, str | None, str | None]], expected: list[str]
-) -> None:
+def test_display_names_are_short_and_tell_specimens_apart(entries, expected) -> None:
     assert names(*entries) == expected
 
 

@@ -140,9 +140,7 @@ def test_every_error_is_within_three_standard_errors(seed: int, rate_Hz: float) 
         ),
     ],
 )
-def test_fits_are_unbiased_and_as_sharp_as_their_standard_errors(
-    show: Callable[[str], None], name: str, options: FitOptions, truth: dict[str, float]
-) -> None:
+def test_fits_are_unbiased_and_as_sharp_as_their_standard_errors(show, name, options, truth) -> None:
     runs = run_jobs(jobs(name, range(20_100, 20_150), options, rate_Hz=100.0))
     show(table_row(f"{name}, no scatter, 100 Hz, {options}", runs, truth))
     for parameter, value in truth.items():
@@ -160,9 +158,7 @@ def test_fits_are_unbiased_and_as_sharp_as_their_standard_errors(
     ],
     ids=["scatter of gain and contact", "a rounded stop"],
 )
-def test_scatter_or_a_rounded_stop_hardly_moves_the_mean_relaxation_time(
-    show: Callable[[str], None], seeds: range, changes: dict[str, float]
-) -> None:
+def test_scatter_or_a_rounded_stop_hardly_moves_the_mean_relaxation_time(show, seeds, changes) -> None:
     runs = run_jobs(jobs("paper-a-30", seeds, CONSTANT, rate_Hz=100.0, **changes))
     show(table_row(f"{changes}, 100 Hz", runs, TRUTH))
     estimate, _ = column(runs, "tau")
@@ -189,13 +185,7 @@ def test_at_10_hz_the_relaxation_time_is_never_called_identified(show: Callable[
         ("paper-a-30", CONSTANT, TRUTH, {"tau": 1.64 * np.sqrt(10.0), "eta": 0.19 * np.sqrt(10.0)}),
     ],
 )
-def test_pooling_costs_no_precision_on_data_without_scatter(
-    show: Callable[[str], None],
-    name: str,
-    options: FitOptions,
-    truth: dict[str, float],
-    percent: dict[str, float],
-) -> None:
+def test_pooling_costs_no_precision_on_data_without_scatter(show, name, options, truth, percent) -> None:
     runs = run_jobs(jobs(name, range(20_500, 20_530), options, rate_Hz=100.0))
     show(table_row(f"{name}, no scatter, 100 Hz, limits 1.15 x {percent} %", runs, truth))
     for parameter, limit in percent.items():

@@ -395,9 +395,7 @@ def test_the_user_may_say_it_is_none() -> None:
     assert "rupture" not in codes(found)
 
 
-def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_drop_that_is_no_rupture_does_not_end_the_move_that_shows_contact(monkeypatch) -> None:
     trial = ramp(lambda x: 10.0 * np.maximum(x - 1.0, 0.0))
     dropped = Event("rupture", 8, float(trial.time_s[8]), values={"drop_fraction": 0.4})
     # in air, and so only while it is not known where the contact lies

@@ -25,9 +25,7 @@ def recording(rate_hz: float, *, noise_mm: float = 3e-4) -> tuple[np.ndarray, np
 
 @pytest.mark.parametrize(("rate_hz", "held"), [(100.0, 2), (100.0, 5), (100.0, 10), (50.0, 5), (500.0, 50)])
 @pytest.mark.parametrize("noise_mm", [0.0, 3e-4])
-def test_a_displacement_sampled_slower_than_the_force_is_one_ramp(
-    rate_hz: float, held: int, noise_mm: float
-) -> None:
+def test_a_displacement_sampled_slower_than_the_force_is_one_ramp(rate_hz, held, noise_mm) -> None:
     time, travel, force = recording(rate_hz, noise_mm=noise_mm)
     travel = travel[np.arange(travel.size) // held * held]
     found = segment(Trial("a", time, travel, force))
