@@ -51,26 +51,18 @@ def test_each_export_reads_back_exactly(tmp_path: Path, name: str, count: int) -
     assert_equal(trial, name, log)
     assert trial.source.recipe == READ_BY[name]
     assert [flag.code for flag in trial.flags if flag.code != "commanded_displacement"] == SAID.get(name, [])
-
-
-@pytest.mark.parametrize("name", [name for name in EXPORTS if name not in {"headless", "shimadzu"}])
-def test_each_header_states_its_protocol(tmp_path: Path, name: str) -> None:
-    trial = read(put(tmp_path / f"synthetic{EXPORTS[name].suffix}", EXPORTS[name].write(log_of(40))))
-    if not name.startswith(("mts", "testxpert-workbook")):
+    assert not {"Mean", "1", "Mittelwert", "Média", "Średnia", "平均值"} & set(trial.source.metadata)
+    # its header states its protocol
+    if name in {"headless", "shimadzu"}:
+        return
+    if not name.startswith(("mts", "testxpert-workbook", *(["chiaro"] if count > 40 else []))):
         assert trial.protocol.speed_mm_s == pytest.approx(SPEED_MM_S, rel=1e-12)
     if name == "mach-1" or (name in DIALECTS and DIALECTS[name].language != "en"):
-        assert trial.protocol.depth_mm == DEPTH_MM
-        assert trial.protocol.hold_s == HOLD_S
+        assert (trial.protocol.depth_mm, trial.protocol.hold_s) == (DEPTH_MM, HOLD_S)
     if name.startswith("chiaro"):
         assert trial.protocol.tip_radius_mm == pytest.approx(0.0275, rel=1e-12)
     if name in DIALECTS or name.startswith(("mts", "bluehill")):
         assert trial.specimen == "22L.3"
-
-
-@pytest.mark.parametrize("name", sorted(name for name, dialect in DIALECTS.items() if dialect.header))
-def test_results_are_no_header_entries(tmp_path: Path, name: str) -> None:
-    trial = read(put(tmp_path / "synthetic.csv", EXPORTS[name].write(log_of(40))))
-    assert not {"Mean", "1", "Mittelwert", "Média", "Średnia", "平均值"} & set(trial.source.metadata)
 
 
 def test_mach1_refusals_point_at_the_line_of_the_file_and_spare_the_other_blocks(tmp_path: Path) -> None:

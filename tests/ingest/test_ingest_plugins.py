@@ -72,20 +72,12 @@ def test_the_worked_example_reads_a_file_that_nothing_else_knows(site: Path, log
     assert trial.protocol.speed_mm_s == 0.5
     assert (trial.source.recipe, trial.source.recipe_reason) == ("indento", "the file begins INDENTO")
     assert reader_faults() == ()
-
-
-def test_the_worked_example_refuses_with_line_and_column(site: Path, log: Path) -> None:
-    install(site, "indento", example())
-    log.write_text(LOG.replace("10 5 2.5", "10 5,5 2.5"))
-    error = refusal(log)
-    assert (error.code, error.line, error.column) == ("inconsistent_decimal", 6, 2)
-
-
-def test_an_installed_reader_can_be_asked_for_by_its_key(site: Path, log: Path) -> None:
-    install(site, "indento", example())
     assert match_of(log, ReadOptions(recipe="indento")).recipe.key == "indento"
     with pytest.raises(UsageError, match="indento"):
         match_of(log, ReadOptions(recipe="other"))
+    log.write_text(LOG.replace("10 5 2.5", "10 5,5 2.5"))
+    error = refusal(log)
+    assert (error.code, error.line, error.column) == ("inconsistent_decimal", 6, 2)
 
 
 TAKES_OUR_KEY = """

@@ -7,6 +7,7 @@ import hashlib
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import openpyxl
 import pytest
 from ingest_files import put, read
@@ -24,12 +25,11 @@ def plain_rows(path: Path, columns: tuple[int, int, int], *, skip: int, encoding
     return [tuple(float(line[i]) for i in columns) for line in lines if line]
 
 
-def assert_same(trial: Trial, rows: Rows, factors: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> None:
+def assert_same(trial: Trial, rows: Rows, factors=(1.0, 1.0, 1.0), *, rtol: float = 4e-16) -> None:
     """Count, every sample, and so first, last and peak; one rounding each for parse and unit."""
     assert trial.time_s.size == len(rows)
-    for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
-        expected = [row[channel] * factors[channel] for row in rows]
-        assert recorded.tolist() == pytest.approx(expected, rel=4e-16, abs=0.0)
+    recorded = np.array([trial.time_s, trial.displacement_mm, trial.force_N])
+    np.testing.assert_allclose(recorded, (np.array(rows) * factors).T, rtol=rtol, atol=0.0)
 
 
 def test_bluehill_cyclic(shared_data):
@@ -143,11 +143,8 @@ def test_chiaro_text_and_archive(shared_data, tmp_path):
     unpacked = put(tmp_path / "export.txt", data)
     for source, sheet in ((path, member), (unpacked, None)):
         trial = read(source)
-        assert trial.time_s.size == len(rows)
-        for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
-            expected = [row[channel] * (1.0, 1e-6, 1e-6)[channel] for row in rows]
-            # parse, factor of the unit, product: one rounding each, twice
-            assert recorded.tolist() == pytest.approx(expected, rel=6e-16, abs=0.0)
+        # parse, factor of the unit, product: one rounding each, twice
+        assert_same(trial, rows, (1.0, 1e-6, 1e-6), rtol=6e-16)
         assert (trial.source.recipe, trial.source.sheet) == ("chiaro", sheet)
         assert trial.protocol.tip_radius_mm == pytest.approx(0.0275, rel=1e-12)
         assert trial.protocol.speed_mm_s == pytest.approx(0.007, rel=1e-12)

@@ -232,16 +232,6 @@ def test_whole_numbers_behind_a_clock_among_commas_are_no_fraction_of_it(tmp_pat
     assert whole.time_s[89] - whole.time_s[0] == 89.0
 
 
-def test_units_with_a_micro_sign_are_not_chinese(tmp_path: Path) -> None:
-    head = "Index\tTime [s]\tForce A [µN]\tPos Z [µm]\n"
-    rows = table(lambda t, x, f: f"{100 * t:.0f}\t{t:.3f}\t{1e6 * f:.2f}\t{1e3 * x:.3f}\n")
-    path = tmp_path / "a.txt"
-    path.write_bytes((head + rows).encode("cp1252"))
-    (trial,) = read_trials(path)
-    assert trial.force_N == pytest.approx(FORCE, abs=1e-6)
-    assert trial.displacement_mm == pytest.approx(DEPTH, abs=1e-5)
-
-
 @pytest.mark.parametrize(
     ("name", "per_s"), [("millis", 1e3), ("ms", 1e3), ("Micros", 1e6), ("seconds", 1.0), ("time_msec", 1e3)]
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ def judged(trial: Trial, earlier: tuple[MeasuredPush, ...] = ()) -> Verdict:
     return verdict_of(read, divided, measure(read, divided), earlier)
 
 
+@cache
 def shown(**made: Any) -> MeasuredPush:
     trial = pushed(**made)
     push = measure(trial, segment(trial)).push

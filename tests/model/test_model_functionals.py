@@ -139,8 +139,6 @@ def test_a_depth_just_above_the_surface_has_no_force() -> None:
     assert force.tolist() == [0.0, 0.0, 2.0]
 
 
-#: 10 to 500 mm/min, the ends of paper A's rates.
-ENDS_MM_S = (10.0 / 60.0, 500.0 / 60.0)
 HARDENING = (0.0, 0.0, 0.43)
 TABLE_1 = (47.42, -5.577, 0.3804)
 STIFFNESS, TAU_S = 63.62, 0.021
