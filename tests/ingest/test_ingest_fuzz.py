@@ -9,11 +9,10 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from fuzz_marks import MARKS
 from fuzz_mutant import Mutant, Mutation, Outcome, judge, judge_parts, original, remarks
 from fuzz_seeds import seeds
 from fuzz_structure import STRUCTURE
-from fuzz_values import VALUES
+from fuzz_values import MARKS, VALUES
 from fuzz_workbooks import WORKBOOK_MUTATIONS, WorkbookMutant, judge_workbook
 from ingest_files import put
 
