@@ -25,9 +25,7 @@ _TWO = kelvin_voigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
 TWO_BRANCHES = Tissue(
     _TWO,
     _TWO.join(
-        np.array([12.0, -1.5, 0.35]),
-        np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05]]),
-        np.array([0.021, 0.4]),
+        np.array([12.0, -1.5, 0.35]), np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05]]), np.array([0.021, 0.4])
     ),
     (10.0 / 60.0, 500.0 / 60.0),
     tip_radius_mm=2.0,

@@ -147,12 +147,7 @@ def _tables() -> list[Seed]:
     late, negative = _logs()
     t, x, f = (a.tolist() for a in (negative.time_s, negative.displacement_mm, negative.force_N))
     big = (12.0 * late.force_N).tolist()
-    tra_head = [
-        '"Prüfername","A. B."',
-        '"Specimen thickness",1.5,"mm"',
-        '"v1",1,"mm/min"',
-        "",
-    ]
+    tra_head = ['"Prüfername","A. B."', '"Specimen thickness",1.5,"mm"', '"v1",1,"mm/min"', ""]
     full = Intent(n_columns=6, channels=(0, 3, 1), units=("s", "mm", "kN"), words=frozenset({5}))
     return [
         _table(

@@ -80,10 +80,7 @@ def log_of(count: int, *, name: str = "hold-1", start_s: float = 990.0) -> Synth
 
 
 #: What turns newtons into what is printed, decimals beyond five, and back to newtons.
-PRINTED = {
-    "mach-1": (1 / GRAM_FORCE_N, 0, GRAM_FORCE_N),
-    "mts-793-de": (1e-3, 3, 1e3),
-}
+PRINTED = {"mach-1": (1 / GRAM_FORCE_N, 0, GRAM_FORCE_N), "mts-793-de": (1e-3, 3, 1e3)}
 
 
 def expected(name: str, log: SyntheticLog) -> list[list[float]]:

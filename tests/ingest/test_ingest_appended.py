@@ -118,8 +118,7 @@ def test_a_row_of_numbers_between_names_and_units_is_said(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("row", "line"),
-    [("err,1.500,8.500\n", 32), ("Total,1.500,8.500\n", 32), ("Segment,2,hold\n", 200)],
+    ("row", "line"), [("err,1.500,8.500\n", 32), ("Total,1.500,8.500\n", 32), ("Segment,2,hold\n", 200)]
 )
 def test_a_row_whose_time_is_no_number_ends_no_table(tmp_path: Path, row: str, line: int) -> None:
     rows = lines(30 if line == 32 else 300, 1.0)
