@@ -11,7 +11,7 @@ from tissue_stepper import TissueStepper
 
 from tissueid.inference.summaries import with_model_viscosity
 from tissueid.inference.trials import Adjustment
-from tissueid.measured.cycles import closed_area, cycle_rows, loops
+from tissueid.measured.cycles import cycle_rows, loops
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
@@ -62,13 +62,6 @@ def stepped(model, theta, depth, rate):
     """Force of the servo's law along a path."""
     stepper = TissueStepper(model, theta)
     return np.array([stepper.step(depth[0], 0.0)] + [stepper.step(x, 1 / rate) for x in depth[1:]])
-
-
-def test_area_of_a_closed_polygon_is_the_shoelace():
-    x = np.array([0.0, 2.0, 3.0, 1.0])
-    f = np.array([0.0, 1.0, 4.0, 2.0])
-    shoelace = 0.5 * float(f @ (np.roll(x, -1) - np.roll(x, 1)))
-    assert closed_area(x) @ f == pytest.approx(shoelace, rel=1e-15)
 
 
 def test_an_elastic_loop_loses_nothing_and_its_work_is_that_of_the_curve():
