@@ -10,7 +10,13 @@ from inference_cases import draw, handles_for, small_recipe
 from scipy.optimize import LinearConstraint, minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
-from tissueid.inference.posterior import PosteriorOptions, _at_mean_machine, _passive, with_posterior
+from tissueid.inference.posterior import (
+    PosteriorOptions,
+    _at_mean_machine,
+    _passive,
+    _with_gains,
+    with_posterior,
+)
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
 from tissueid.priors import CalibrationPrior, Priors
@@ -131,6 +137,19 @@ def test_a_law_that_lacks_a_branch_has_the_generalised_posterior():
     assert found.parameter(name).uncertainty.sd > 1.5 * plain
     # without a sampler the fit stands
     assert with_posterior(state, priors=Priors(), options=PosteriorOptions(sampler="none")) is state.fit
+
+
+def test_gains_of_the_channels_scale_the_tissue():
+    law, (force, travel) = kelvin_voigt_law(1, 1, 4.0), (1.02, 0.97)
+    theta, model = np.array([20.0, -1.2, 0.35, 30.0, 6.0, 0.2]), law.model()
+    found = _with_gains(law, theta[None], np.array([[force, travel]]))[0]
+    # F_shown = g_F F(x), x_shown = g_x x
+    x = np.linspace(0.1, 3.0, 5)
+    shown = model.static_force(theta, travel * x) / force
+    np.testing.assert_allclose(model.static_force(found, x), shown, rtol=1e-12)
+    shown = model.stiffness(theta, travel * x)[0] * travel / force
+    np.testing.assert_allclose(model.stiffness(found, x)[0], shown)
+    assert found[-1] == 0.2
 
 
 def test_draws_are_brought_inside_no_further_than_needed():
