@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,7 @@ def a_trial(**changes: Any) -> Trial:
     return Trial("liver", time, 2.0 * time, np.where(np.arange(2000) == 777, 9.0, time), **changes)
 
 
+@cache
 def everything() -> dict[str, Any]:
     fit = sampled(specimen_fit())
     return {
