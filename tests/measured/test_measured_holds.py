@@ -73,6 +73,16 @@ def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
     assert hold.tau.window_s == pytest.approx((STOP, END))
 
 
+def test_the_end_of_a_hold_is_the_last_sample_before_the_next_move():
+    trial, segmentation = recording()
+    trial = replace(trial, force_N=np.append(trial.force_N[:-1], -2.0))
+    assert measure(trial, segmentation).holds[0].end_N == -2.0
+    last = trial.time_s.size - 1
+    away = Phase("retract", last, last + 1, trial.time_s[-1], trial.time_s[-1], -2.0)
+    hold = measure(trial, replace(segmentation, phases=(*segmentation.phases, away))).holds[0]
+    assert hold.end_N == pytest.approx(10.0 * relaxed(END - STOP), rel=1e-3)
+
+
 def test_forces_of_a_loading_stand_at_round_depths_and_predict_the_next():
     logs = [measure(*recording(noise=noise, stretch=1.0)) for noise in (0.0, 0.02, 0.05)]
     own = {one.depth_mm: one.force_N for one in logs[0].push.forces}

@@ -171,7 +171,7 @@ _UTF16_FRACTION = 0.15
 #: Most NULs in the other byte, as a share.
 _UTF16_STRAY = 0.05
 #: ``mm²`` in latin-1 is ``mm˛`` in cp1250, and ``µN`` is a Chinese character.
-_SIGNED_UNIT = re.compile(r"[kcm]?m[²³]|[µμ](?:m|N|s)")
+_SIGNED_UNIT = re.compile(r"[kcm]?m[²³]|[µμ](?:m|N|s)(?:/(?:s|min))?")
 #: A minus sign that is no hyphen.
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
