@@ -56,7 +56,7 @@ def machine_file(folder: Path, text: str = MACHINE_TOML) -> str:
     return str(path)
 
 
-def test_a_machine_file_is_read_as_it_stands(tmp_path: Path) -> None:
+def test_a_machine_file_is_read_as_it_stands(tmp_path):
     machine = found_machine(machine_file(tmp_path))
     assert (machine.name, machine.max_speed_mm_min, machine.max_force_N) == ("ours", 300.0, 50.0)
     first, second = machine.settings
@@ -83,20 +83,18 @@ def test_a_machine_file_is_read_as_it_stands(tmp_path: Path) -> None:
         (("acceleration", "min_speed_mm_min = 400\nacceleration"), "is above max_speed_mm_min = 300"),
     ],
 )
-def test_a_machine_that_says_too_little_is_refused_with_the_way_out(
-    tmp_path: Path, change: tuple[str, str], says: str
-) -> None:
+def test_a_machine_that_says_too_little_is_refused_with_the_way_out(tmp_path, change, says):
     with pytest.raises(InputError, match=says):
         found_machine(machine_file(tmp_path, MACHINE_TOML.replace(*change)))
 
 
-def test_unknown_machines_are_answered_with_the_presets() -> None:
+def test_unknown_machines_are_answered_with_the_presets():
     for named in (None, "none.toml"):
         with pytest.raises(UsageError, match="paper-a, bench, texture-analyser, slow-logger"):
             found_machine(named)
 
 
-def test_wants_have_short_names() -> None:
+def test_wants_have_short_names():
     model = PAPER_A.model
     assert parsed_want("tau=5%", model).name == TAU
     assert parsed_want(" viscosity = 2.5 %", model) == parsed_want("eta=2.5%", model)
@@ -113,7 +111,7 @@ def test_wants_have_short_names() -> None:
         ("tau_b2=5%", "unknown number 'tau_b2'"),
     ],
 )
-def test_wants_that_cannot_be_had_are_refused(text: str, says: str) -> None:
+def test_wants_that_cannot_be_had_are_refused(text, says):
     with pytest.raises(UsageError, match=says):
         parsed_want(text, PAPER_A.model)
 
@@ -122,7 +120,7 @@ def guessed(*texts: str, draws: int = 16, depth_mm: float = 8.0):
     return plain_guesses([parsed_guess(text) for text in texts], depth_mm=depth_mm, count=draws)
 
 
-def test_guesses_become_draws_with_their_spread() -> None:
+def test_guesses_become_draws_with_their_spread():
     tissues = guessed("tau=0.02~30%", "eta=1.3", "static_1_N_per_mm=20", draws=64)
     numbers = tissues.numbers()
     assert tissues.theta.shape == (64, 5)
@@ -134,7 +132,7 @@ def test_guesses_become_draws_with_their_spread() -> None:
     assert (again.theta == tissues.theta).all()
 
 
-def test_guesses_of_two_branches_and_of_a_growing_stiffness() -> None:
+def test_guesses_of_two_branches_and_of_a_growing_stiffness():
     tissues = guessed(
         "tau=0.02", "K=60", "tau_b2=1", "eta_b2=5", "stiffness_1_N_per_mm2=10", "static_1_N_per_mm=20"
     )
@@ -160,17 +158,17 @@ def test_guesses_of_two_branches_and_of_a_growing_stiffness() -> None:
         (("tau=1", "eta=1", "static_1_N_per_mm=2", "static_2_N_per_mm2=-1"), "a negative force"),
     ],
 )
-def test_guesses_that_make_no_tissue_are_refused(texts: tuple[str, ...], says: str) -> None:
+def test_guesses_that_make_no_tissue_are_refused(texts, says):
     with pytest.raises(UsageError, match=says):
         guessed(*texts)
 
 
-def test_guesses_need_a_depth() -> None:
+def test_guesses_need_a_depth():
     with pytest.raises(UsageError, match="add --max-depth"):
         plain_guesses([parsed_guess("tau=1")], depth_mm=None, count=4)
 
 
-def test_a_recipe_gives_its_protocol_and_tissue() -> None:
+def test_a_recipe_gives_its_protocol_and_tissue():
     plan = given_recipe("paper-a-22")
     protocol = given_protocol(plan)
     assert sum(protocol.values()) == 22
@@ -184,7 +182,7 @@ def test_a_recipe_gives_its_protocol_and_tissue() -> None:
 
 
 @pytest.mark.needs_jit
-def test_the_files_of_a_plan_are_read_by_their_own_readers(tmp_path: Path) -> None:
+def test_the_files_of_a_plan_are_read_by_their_own_readers(tmp_path):
     machine = replace(
         PRESETS["paper-a"],
         settings=(Setting(100.0, 1.0, noise_correlation_s=0.02, filter_s=0.001, filter_sd_s=0.0001),),
@@ -218,7 +216,7 @@ def test_the_files_of_a_plan_are_read_by_their_own_readers(tmp_path: Path) -> No
 
 
 @pytest.mark.needs_jit
-def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path: Path) -> None:
+def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path):
     write_bundle(law_bundle("power * stretched", LAWS["power * stretched"]), tmp_path / "bundle.h5")
 
     tissues = of_bundle(tmp_path / "bundle.h5", count=16)
@@ -233,14 +231,14 @@ def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path: Path)
     assert not has_recipe(tissues.model)
 
 
-def test_a_tissue_of_which_nothing_relaxes_is_no_tissue_to_plan_for(tmp_path: Path) -> None:
+def test_a_tissue_of_which_nothing_relaxes_is_no_tissue_to_plan_for(tmp_path):
     write_bundle(law_bundle("hertz * impact", [12.0, 0.8]), tmp_path / "bundle.h5")
 
     with pytest.raises(UsageError, match="no relaxing branch"):
         of_bundle(tmp_path / "bundle.h5", count=16)
 
 
-def test_repeats_are_spread_over_the_session() -> None:
+def test_repeats_are_spread_over_the_session():
     machine = PRESETS["paper-a"]
     best = planned(machine, PAPER_A, asked_for({TAU: 0.02, ETA: 0.005}, machine), silent).best
     order = [test for test, _ in session_order(best)]

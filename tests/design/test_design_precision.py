@@ -34,9 +34,7 @@ MACHINE = PRESETS["paper-a"]
 @pytest.mark.parametrize("acceleration", [20.0, 200.0, 5e4])
 @pytest.mark.parametrize("speed", [10.0, 250.0, 500.0])
 @pytest.mark.parametrize("depth", [0.05, 2.0, 8.0])
-def test_the_ramp_keeps_speed_and_acceleration_and_ends_at_the_depth(
-    acceleration: float, speed: float, depth: float
-) -> None:
+def test_the_ramp_keeps_speed_and_acceleration_and_ends_at_the_depth(acceleration, speed, depth):
     machine = replace(MACHINE, acceleration_mm_s2=acceleration)
     ramp = ramp_of(Indentation(speed, depth), machine)
     time = np.linspace(0.0, ramp.seconds, 20_001)
@@ -51,14 +49,14 @@ def test_the_ramp_keeps_speed_and_acceleration_and_ends_at_the_depth(
     assert np.abs(np.diff(v)).max() <= acceleration * (time[1] - time[0]) * (1.0 + 1e-6) + 1e-7
 
 
-def test_a_short_way_does_not_reach_the_speed() -> None:
+def test_a_short_way_does_not_reach_the_speed():
     machine = replace(MACHINE, acceleration_mm_s2=10.0, standoff_mm=0.1)
     ramp = ramp_of(Indentation(500.0, 1.0), machine)
     # from rest over 1.1 mm and to rest again: the way is halved between them
     assert ramp.top_mm_s == pytest.approx(np.sqrt(10.0 * 1.1), rel=1e-9)
 
 
-def test_machine_time_counts_approach_ramp_hold_and_return() -> None:
+def test_machine_time_counts_approach_ramp_hold_and_return():
     machine = replace(MACHINE, acceleration_mm_s2=1e9, standoff_mm=2.0, return_speed_mm_min=300.0)
     seconds = seconds_of(Indentation(120.0, 4.0, 30.0), machine)
     # 2 mm and 4 mm at 2 mm/s, 30 s, 6 mm at 5 mm/s
@@ -91,14 +89,14 @@ def at_100_Hz() -> Case:
     [correlated, *(pytest.param(made, marks=pytest.mark.slow) for made in (at_100_Hz, two_branches))],
     ids=lambda made: made.__name__,
 )
-def test_estimates_of_simulated_recordings_scatter_as_predicted(made: Callable[[], Case]) -> None:
+def test_estimates_of_simulated_recordings_scatter_as_predicted(made):
     for name, ratio in ratios(made(), RUNS).items():
         assert BAND[0] <= ratio <= BAND[1], name
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("made", CASES, ids=lambda made: made.__name__)
-def test_estimates_scatter_as_predicted_over_many_runs(made: Callable[[], Case]) -> None:
+def test_estimates_scatter_as_predicted_over_many_runs(made):
     case = made()
     predicted, errors = case.predicted(), simulated_errors(case, SLOW_RUNS)
     found = {name: float(errors[name].std(ddof=1) / predicted[name]) for name in predicted}
@@ -127,7 +125,7 @@ def published(rate_Hz: float) -> tuple[float, float]:
     return 100.0 * found[TAU], 100.0 * found[ETA]
 
 
-def test_the_bounds_of_the_design_papers_come_out() -> None:
+def test_the_bounds_of_the_design_papers_come_out():
     # worked out there by two other programs: 1.24 and 0.10 % at 1 kHz for K constant
     assert published(1000.0) == pytest.approx((1.24, 0.10), rel=0.03)
 
@@ -194,7 +192,7 @@ def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) ->
     ],
     ids=["white", "ar1", "filter"],
 )
-def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) -> None:
+def test_information_is_that_of_the_whole_covariance_matrix(setting):
     chain = Chain(PRESETS["paper-a"], setting, 0.05, total=False)
     # two holds in one pass, the second beyond the point from where its samples are all alike
     holds = [0.4, 1.2]
@@ -209,7 +207,7 @@ def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) ->
 
 
 @pytest.mark.parametrize(("name", "tissue"), [*LAWS.items(), SPECTRUM])
-def test_information_of_any_law_is_that_of_its_simulated_forces(name: str, tissue: list[float]) -> None:
+def test_information_of_any_law_is_that_of_its_simulated_forces(name, tissue):
     setting, test = Setting(200.0, 0.5), Indentation(250.0, 2.0, 3.0)
     machine = replace(PRESETS["paper-a"], contact_sd_mm=1e-4)
     model, theta = law_of(name), np.array(tissue)
@@ -235,7 +233,7 @@ NUISANCES = {
 }
 
 
-def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
+def test_nuisances_of_the_instrument_act_as_in_a_recording():
     # little noise and next to no knowledge: what the data say is what is compared
     setting = Setting(400.0, 0.01, filter_s=0.01, filter_sd_s=0.1)
     machine = replace(
@@ -268,7 +266,7 @@ def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
     assert sd == pytest.approx(expected, rel=0.08)
 
 
-def test_a_filter_and_correlated_noise_cost_precision() -> None:
+def test_a_filter_and_correlated_noise_cost_precision():
     base = paper_a()
     white = base.predicted()[TAU]
     slow = replace(base, setting=Setting(1000.0, 1.0, filter_s=0.05)).predicted()[TAU]

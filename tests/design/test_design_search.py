@@ -39,7 +39,7 @@ def uncertain(draws: int = 6) -> Tissues:
     return of_draws("guesses", "uncertain", PAPER_A.model, theta, count=draws, known_depth_mm=6.0)
 
 
-def test_for_paper_a_s_precision_less_machine_time_is_needed() -> None:
+def test_for_paper_a_s_precision_less_machine_time_is_needed():
     given, better = paper_a(), better_than_paper_a()
     wanted, reached = given.predicted(), better.predicted()
     assert reached[TAU] <= wanted[TAU]
@@ -57,7 +57,7 @@ def test_for_paper_a_s_precision_less_machine_time_is_needed() -> None:
     assert working[0] < 0.25 * working[1]
 
 
-def test_a_plan_is_the_same_every_time_and_its_numbers_hold() -> None:
+def test_a_plan_is_the_same_every_time_and_its_numbers_hold():
     plan = plain_plan()
     again = planned(MACHINE, PAPER_A, ASKED, silent)
     assert [one.protocol for one in plan.ranked] == [one.protocol for one in again.ranked]
@@ -74,7 +74,7 @@ def test_a_plan_is_the_same_every_time_and_its_numbers_hold() -> None:
     assert all(later >= 0.99 * earlier for earlier, later in pairwise(reached))
 
 
-def test_no_protocol_of_a_brute_search_is_shorter() -> None:
+def test_no_protocol_of_a_brute_search_is_shorter():
     best = plain_plan().best
     ledger = ledger_of()
     tests = [test for test in learned_candidates(ledger) if test.hold_s in {0.0, 1.0, 3.1}]
@@ -92,7 +92,7 @@ def test_no_protocol_of_a_brute_search_is_shorter() -> None:
     assert best.seconds <= shortest * 1.001
 
 
-def test_one_log_fewer_misses_the_wants() -> None:
+def test_one_log_fewer_misses_the_wants():
     best = plain_plan().best
     ledger = ledger_of()
     spare = {test: count for test, count in best.protocol.items() if count > ASKED.repeats}
@@ -101,7 +101,7 @@ def test_one_log_fewer_misses_the_wants() -> None:
         assert ledger.precision({**best.protocol, test: count - 1}).worst > 1.0
 
 
-def test_tissues_that_are_known_less_need_more() -> None:
+def test_tissues_that_are_known_less_need_more():
     asked = replace(ASKED, assurance=1.0)
     sure = plain_plan().best
     unsure = planned(MACHINE, uncertain(), asked, silent).best
@@ -112,7 +112,7 @@ def test_tissues_that_are_known_less_need_more() -> None:
     assert half.seconds < unsure.seconds
 
 
-def test_force_and_depth_stay_below_what_is_allowed() -> None:
+def test_force_and_depth_stay_below_what_is_allowed():
     gentle = replace(ASKED, max_force_N=40.0, max_depth_mm=3.0)
     plan = planned(MACHINE, PAPER_A, gentle, silent)
     for one in plan.ranked:
@@ -121,7 +121,7 @@ def test_force_and_depth_stay_below_what_is_allowed() -> None:
     assert plan.best.seconds > plain_plan().best.seconds
 
 
-def test_ramps_of_one_speed_alone_are_not_proposed() -> None:
+def test_ramps_of_one_speed_alone_are_not_proposed():
     # so precise a machine would do with three of them
     quiet = replace(MACHINE, settings=(Setting(1000.0, 0.01),))
     plan = planned(quiet, PAPER_A, ASKED, silent)
@@ -131,7 +131,7 @@ def test_ramps_of_one_speed_alone_are_not_proposed() -> None:
         assert max(speeds) >= 1.5 * min(speeds) or max(holds) >= 3.0 * 0.021
 
 
-def test_where_none_can_the_nearest_and_its_limits_are_said() -> None:
+def test_where_none_can_the_nearest_and_its_limits_are_said():
     machine = PRESETS["slow-logger"]
     asked = asked_for({TAU: 0.05, ETA: 0.05}, machine)
     plan = planned(machine, PAPER_A, asked, silent)
@@ -148,7 +148,7 @@ def test_where_none_can_the_nearest_and_its_limits_are_said() -> None:
     assert 5.0 < noise.factor <= 10.0
 
 
-def test_an_unknown_instrument_sets_a_floor_that_no_time_passes() -> None:
+def test_an_unknown_instrument_sets_a_floor_that_no_time_passes():
     machine = replace(MACHINE, settings=(Setting(1000.0, 0.1),))
     asked = asked_for({ETA: 0.004}, machine, total=True, gain_sd=0.0)
     plan = planned(machine, PAPER_A, asked, silent)
@@ -159,7 +159,7 @@ def test_an_unknown_instrument_sets_a_floor_that_no_time_passes() -> None:
     assert planned(machine, PAPER_A, replace(asked, total=False), silent).best.reached
 
 
-def test_the_front_takes_more_time_for_more_precision() -> None:
+def test_the_front_takes_more_time_for_more_precision():
     plan = plain_plan()
     factors = [factor for factor, _ in plan.front]
     seconds = [one.seconds for _, one in plan.front]
@@ -168,7 +168,7 @@ def test_the_front_takes_more_time_for_more_precision() -> None:
     assert len(seconds) >= 4
 
 
-def test_a_protocol_that_the_machine_cannot_run_is_said_to_be_so() -> None:
+def test_a_protocol_that_the_machine_cannot_run_is_said_to_be_so():
     given = against("paper A", paper_a().protocol, PRESETS["slow-logger"], PAPER_A, ASKED)
     assert given.judged is None
     assert "50" in given.obstacle
@@ -183,16 +183,16 @@ def test_a_protocol_that_the_machine_cannot_run_is_said_to_be_so() -> None:
         ({"repeats": 9, "max_logs": 8}, "--repeats 9 does not fit --max-logs 8"),
     ],
 )
-def test_what_leaves_no_protocol_is_refused(change: dict[str, float], says: str) -> None:
+def test_what_leaves_no_protocol_is_refused(change, says):
     with pytest.raises(UsageError, match=says):
         planned(MACHINE, PAPER_A, replace(ASKED, **change), silent)  # type: ignore[arg-type]
 
 
-def test_an_enumeration_without_room_finds_nothing() -> None:
+def test_an_enumeration_without_room_finds_nothing():
     assert enumerated(ledger_of(asked=replace(ASKED, budget_s=650.0))) == ([], 0)
 
 
-def test_numbers_of_a_sheet_are_short_and_never_above() -> None:
+def test_numbers_of_a_sheet_are_short_and_never_above():
     assert [rounded(value) for value in (0.0, 0.1, 0.0419, 8.0, 4.799999999, 123.4, 0.299999999999999)] == [
         0.0, 0.1, 0.041, 8.0, 4.7, 120.0, 0.3,
     ]  # fmt: skip

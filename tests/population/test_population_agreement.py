@@ -37,7 +37,7 @@ def with_gains(*gains: tuple[float, ...]) -> tuple[Member, ...]:
     )
 
 
-def test_intraclass_correlation_is_the_ratio_of_variances() -> None:
+def test_intraclass_correlation_is_the_ratio_of_variances():
     # sums of squares in closed form: each specimen has ln gains -w, +w
     w, between = 0.04, 0.12
     cohort = with_gains(*[(math.exp(-w), math.exp(w))] * 40)
@@ -51,7 +51,7 @@ def test_intraclass_correlation_is_the_ratio_of_variances() -> None:
     assert found.icc_ci95[0] < found.icc < found.icc_ci95[1]
 
 
-def test_limits_of_agreement_are_those_of_bland_and_altman() -> None:
+def test_limits_of_agreement_are_those_of_bland_and_altman():
     changes = np.array([0.02, -0.05, 0.01, 0.06, -0.01, 0.03, -0.04, 0.05])
     cohort = with_gains(*[(1.0 / math.exp(c / 2), math.exp(c / 2)) for c in changes])
     force = {one.specimen: 100.0 for one in cohort}
@@ -67,7 +67,7 @@ def test_limits_of_agreement_are_those_of_bland_and_altman() -> None:
     assert [pair.force_N for pair in found.pairs] == pytest.approx([100.0] * 8)
 
 
-def test_a_slope_common_to_all_specimens_is_the_order_effect() -> None:
+def test_a_slope_common_to_all_specimens_is_the_order_effect():
     rng = np.random.default_rng(1)
     gains = [
         tuple(np.exp(rng.normal(0.0, 0.2) - 0.03 * np.arange(5) + 0.005 * rng.standard_normal(5)))
@@ -82,14 +82,14 @@ def test_a_slope_common_to_all_specimens_is_the_order_effect() -> None:
     assert found.p_value < 1e-6
 
 
-def test_logs_without_gains_of_their_own_say_nothing() -> None:
+def test_logs_without_gains_of_their_own_say_nothing():
     cohort = with_gains((1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0))
     assert repeatability(cohort, np.full(100, 0.1), np.random.default_rng(0)) is None
     assert agreement(cohort, {one.specimen: 1.0 for one in cohort}) is None
     assert order_effect(cohort) is None
 
 
-def test_logs_at_other_speeds_or_sites_are_no_repeats() -> None:
+def test_logs_at_other_speeds_or_sites_are_no_repeats():
     cohort = with_gains((0.9, 1.1))
     first, second = cohort[0].trials
     other_speed = replace(cohort[0], trials=(first, replace(second, speed_mm_s=2.0 * first.speed_mm_s)))
@@ -97,7 +97,7 @@ def test_logs_at_other_speeds_or_sites_are_no_repeats() -> None:
     assert repeatability((other_speed, other_site), np.full(100, 0.1), np.random.default_rng(0)) is None
 
 
-def test_cohort_size_gives_the_interval_it_promises() -> None:
+def test_cohort_size_gives_the_interval_it_promises():
     # simulated: means and spreads of as many normal specimens as the formula asks for
     between, own, precision = 0.2, 0.05, 0.05
     n = specimens_for_mean(between, own, precision)
@@ -127,9 +127,7 @@ SLOW, MIDDLE, FAST = 10.0 / 60.0, 100.0 / 60.0, 500.0 / 60.0
         (((SLOW,), (1.01 * SLOW,), (0.995 * SLOW,)), "single speed", "nothing is said of an effect of speed"),
     ],
 )
-def test_speeds_that_share_no_specimen_are_confounded_with_them(
-    speeds: tuple[tuple[float, ...], ...], kind: str, says: str
-) -> None:
+def test_speeds_that_share_no_specimen_are_confounded_with_them(speeds, kind, says):
     found = confounding_of(speeds)
     assert found is not None
     assert found.kind == kind

@@ -40,7 +40,7 @@ def holds_the_truth(seed: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_intervals_of_means_and_spreads_cover_in_200_cohorts() -> None:
+def test_intervals_of_means_and_spreads_cover_in_200_cohorts():
     held = np.array([holds_the_truth(seed) for seed in range(COHORTS)]).sum(axis=0)
     # 99 % for fourteen numbers together
     low, high = binomial_interval(COHORTS, 0.95, 0.01 / (2 * SIZE))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from tissueid.documents import plain
 from tissueid.errors import UsageError
 from tissueid.model.base import ContactPath
 from tissueid.model.grammar import parsed
-from tissueid.population.cohort import CohortFit, CohortOptions, cohort, prediction_error, shared_instrument
+from tissueid.population.cohort import CohortOptions, cohort, prediction_error, shared_instrument
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.document import as_document, population_bundle
 from tissueid.population.members import Member, TrialRow, common_model, design_of, fit_for_cohort
@@ -24,12 +23,12 @@ SHORT = SamplerOptions(blocks=2)
 
 
 @pytest.fixture(scope="module")
-def found() -> CohortFit:
+def found():
     return cohort(members(8, seed=2), CohortOptions(group_by="sex", covariates=("age_years",), sampler=SHORT))
 
 
 @pytest.mark.slow
-def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
+def test_a_cohort_is_described_compared_and_predicted(found):
     document = plain(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
     assert first_problem(document, "population") is None
     assert document["specimens_used"] == [f"head {k}" for k in range(1, 9)]
@@ -57,7 +56,7 @@ def test_a_cohort_is_described_compared_and_predicted(found: CohortFit) -> None:
 
 
 @pytest.mark.slow
-def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_path: Path) -> None:
+def test_a_bundle_of_the_population_is_written_and_read(found, tmp_path):
     document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
     bundle = population_bundle(found, document.provenance)
     assert bundle is not None
@@ -79,7 +78,7 @@ def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_pa
     assert 0.5 * (high - low) == pytest.approx(expected, rel=0.3)
 
 
-def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
+def test_prediction_error_of_a_scaled_tissue_is_in_closed_form():
     trial = members(1, seed=1, repeats=1, draws=100)[0].trials[0]
     assert trial.curve is not None
     theta = COORDINATES.to_theta(COORDINATES.to_phi(TYPICAL)[0])[0]
@@ -92,7 +91,7 @@ def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
     assert trial.curve.model_N.shape == trial.curve.force_N.shape
 
 
-def test_specimens_of_another_model_are_left_out_and_named() -> None:
+def test_specimens_of_another_model_are_left_out_and_named():
     four = members(4, draws=300)
     other = replace(four[1], model=replace(four[1].model, branches=2))
     old = replace(four[2], log_prior=None)
@@ -143,7 +142,7 @@ def of_law(name: str, count: int) -> tuple[Member, ...]:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: str, tmp_path: Path) -> None:
+def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name, tmp_path):
     found = cohort(of_law(name, 7), CohortOptions(sampler=SHORT))
     assert found.population is not None
     mean = np.median(found.population.draws.mean, axis=0)
@@ -166,14 +165,14 @@ def test_specimens_of_any_law_are_a_population_that_predicts_and_is_felt(name: s
     assert back.is_population
 
 
-def test_specimens_of_two_laws_are_no_population_and_the_rarer_is_named() -> None:
+def test_specimens_of_two_laws_are_no_population_and_the_rarer_is_named():
     (other,) = of_law("power * prony:2", 1)
     found = cohort((*of_law("hertz * impact", 3), other), CohortOptions(sampler=SHORT, hold_out=False))
     (left,) = found.left_out
     assert "fit all with --model 'hertz * impact'" in left.reason
 
 
-def test_spectra_at_other_times_are_left_out() -> None:
+def test_spectra_at_other_times_are_left_out():
     rng = np.random.default_rng(42)
     four = list(of_law("polynomial * linear * stretched", 4))
     name = "polynomial * constant * spectrum:3"
@@ -188,7 +187,7 @@ def test_spectra_at_other_times_are_left_out() -> None:
     assert "0.0206 to 8 s" in left[0].reason
 
 
-def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused() -> None:
+def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused():
     same = [replace(one, covariates={**one.covariates, "sex": "f"}) for one in members(3, draws=100)]
     with pytest.raises(UsageError, match="nothing to compare"):
         design_of(same, "sex", ())
@@ -196,7 +195,7 @@ def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused() -
         design_of(same, None, ("weight",))
 
 
-def test_missing_numbers_get_the_mean_and_are_named() -> None:
+def test_missing_numbers_get_the_mean_and_are_named():
     three = members(5, draws=100)
     gap = (replace(three[0], covariates={**three[0].covariates, "age_years": None}), *three[1:])
     described = design_of(gap, None, ("age_years",))
@@ -207,7 +206,7 @@ def test_missing_numbers_get_the_mean_and_are_named() -> None:
     assert described.design.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
 
 
-def test_donors_of_several_specimens_are_a_level_and_single_ones_none() -> None:
+def test_donors_of_several_specimens_are_a_level_and_single_ones_none():
     six = members(6, draws=100)
     alone = tuple(replace(one, covariates={"donor": one.specimen}) for one in six)
     assert design_of(six, None, ()).design.levels == ("donor",)
@@ -225,7 +224,7 @@ def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator)
     return tuple(out)
 
 
-def test_what_all_specimens_share_is_the_machine_s() -> None:
+def test_what_all_specimens_share_is_the_machine_s():
     made = with_one_gain(members(6, seed=3, between=0.02), 0.03, np.random.default_rng(5))
     found = shared_instrument(made, COORDINATES)
     assert found is not None
@@ -240,7 +239,7 @@ def test_what_all_specimens_share_is_the_machine_s() -> None:
 
 
 @pytest.mark.slow
-def test_the_machine_s_part_does_not_average_out() -> None:
+def test_the_machine_s_part_does_not_average_out():
     made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
     total = with_one_gain(made, 0.03, np.random.default_rng(5))
     found = cohort(total, CohortOptions(sampler=SHORT, hold_out=False))

@@ -40,7 +40,7 @@ def numeric_jacobian(coordinates: Coordinates, phi: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name: str) -> None:
+def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name):
     rng = np.random.default_rng(43)
     law = kelvin_voigt(2, 1, 6.0) if name == "kelvin-voigt" else parsed(name).model(6.0, 0.01, 8.0)
     coordinates = Coordinates(law)
@@ -55,7 +55,7 @@ def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name: st
     assert coordinates.quantities(theta)[:, coordinates.static_at_depth] == pytest.approx(force, rel=1e-9)
 
 
-def test_a_shape_beyond_its_bounds_is_refused() -> None:
+def test_a_shape_beyond_its_bounds_is_refused():
     coordinates = Coordinates(parsed("power * stretched").model(6.0, 0.01, 8.0))
     good, steep = [12.0, 1.5, 30.0, 0.4, 0.5], [12.0, 4.5, 30.0, 0.4, 0.5]
     assert coordinates.passive(np.array([good, steep])).tolist() == [True, False]
@@ -63,9 +63,7 @@ def test_a_shape_beyond_its_bounds_is_refused() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(places())
-def test_theta_and_phi_are_one_to_one_and_the_jacobian_is_that_of_the_map(
-    case: tuple[Coordinates, np.ndarray],
-) -> None:
+def test_theta_and_phi_are_one_to_one_and_the_jacobian_is_that_of_the_map(case):
     coordinates, phi = case
     back, floored = coordinates.to_phi(coordinates.to_theta(phi))
     assert floored == 0
@@ -76,7 +74,7 @@ def test_theta_and_phi_are_one_to_one_and_the_jacobian_is_that_of_the_map(
     assert coordinates.log_jacobian(near)[0] == pytest.approx(numeric_jacobian(coordinates, near), abs=1e-5)
 
 
-def test_quantities_are_forces_and_viscosities_at_their_depths() -> None:
+def test_quantities_are_forces_and_viscosities_at_their_depths():
     coordinates = Coordinates(kelvin_voigt(2, 1, 6.0))
     theta = np.array([20.0, -1.2, 0.35, 60.0, 10.0, 0.02, 5.0, 1.0, 4.0])
     found = coordinates.quantities(theta)[0]
@@ -87,7 +85,7 @@ def test_quantities_are_forces_and_viscosities_at_their_depths() -> None:
     assert len(coordinates.names) == len(coordinates.units) == len(coordinates.words) == 9
 
 
-def test_what_is_zero_is_floored_and_counted() -> None:
+def test_what_is_zero_is_floored_and_counted():
     coordinates = Coordinates(kelvin_voigt(1, 0, 6.0))
     theta = np.tile([20.0, -1.2, 0.35, 60.0, 0.02], (5, 1))
     theta[1, 3] = 0.0
@@ -96,7 +94,7 @@ def test_what_is_zero_is_floored_and_counted() -> None:
     assert phi[1, 3] == pytest.approx(np.log(60.0 * 0.02 * FLOOR_SHARE), rel=1e-12)
 
 
-def test_tissue_that_pulls_or_whose_times_do_not_ascend_is_not_passive() -> None:
+def test_tissue_that_pulls_or_whose_times_do_not_ascend_is_not_passive():
     coordinates = Coordinates(kelvin_voigt(2, 0, 6.0))
     good = [20.0, -1.2, 0.35, 60.0, 0.02, 5.0, 4.0]
     pulls = [20.0, -12.0, 1.5, 60.0, 0.02, 5.0, 4.0]

@@ -152,9 +152,7 @@ def shown_cohorts(
     return rows
 
 
-def test_populations_of_recordings_predict_better_than_separate_fits(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_populations_of_recordings_predict_better_than_separate_fits(capsys):
     rows = shown_cohorts(capsys, COHORTS)
     # what intervals hold is only shown: a tenth of such specimens would not be passive and is not drawn, so
     # that the cohort is not quite one of the population it was drawn from
@@ -164,7 +162,7 @@ def test_populations_of_recordings_predict_better_than_separate_fits(
     assert better >= 0.9 * COHORTS
 
 
-def test_where_specimens_say_much_the_population_does_no_harm(capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_specimens_say_much_the_population_does_no_harm(capsys):
     rows = shown_cohorts(capsys, FAST_COHORTS, FAST_HZ)
     assert all(one.converged for one in rows)
     assert np.mean([one.pooled for one in rows]) <= np.mean([one.separate for one in rows])

@@ -64,7 +64,7 @@ def numbers(found: PopulationDraws) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "smooth"), [("held", 0), ("mixed", 5), ("smooth", SPECIMENS)])
-def test_numbers_are_those_of_long_chains_of_another_sampler(name: str, smooth: int) -> None:
+def test_numbers_are_those_of_long_chains_of_another_sampler(name, smooth):
     stage, design = stage_and_design(OWN[name])
     found = sample_population(stage, design, None, SamplerOptions(draws=9600, blocks=1))
     assert found.smoothed.size == smooth

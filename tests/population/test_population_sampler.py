@@ -37,7 +37,7 @@ def on_a_grid(y: np.ndarray, own: np.ndarray, priors: PopulationPriors) -> dict[
 
 # Draws alone, and smooth likelihoods alone: the recordings tell less than the population, or more.
 @pytest.mark.parametrize(("own", "smooth"), [(0.05, 0), (0.8, 12)])
-def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth: int) -> None:
+def test_a_normal_population_of_one_number_is_that_of_a_grid(own, smooth):
     rng = np.random.default_rng(4)
     y = 1.0 + 0.2 * rng.standard_normal(12) + own * rng.standard_normal(12)
     # quantiles of each likelihood as its draws: no Monte-Carlo error of stage 1
@@ -64,7 +64,7 @@ def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth:
         assert values.mean() == pytest.approx(expected[name], abs=error)
 
 
-def test_the_slope_of_the_density_of_scales_is_its_change() -> None:
+def test_the_slope_of_the_density_of_scales_is_its_change():
     rng = np.random.default_rng(6)
     p, count = 4, 3
     deviations = rng.standard_normal((count, 9, p))
@@ -86,7 +86,7 @@ def test_the_slope_of_the_density_of_scales_is_its_change() -> None:
 
 
 @pytest.mark.parametrize(("p", "n"), [(1, 5), (3, 12), (5, 3)])
-def test_scales_follow_prior_and_data_together(p: int, n: int) -> None:
+def test_scales_follow_prior_and_data_together(p, n):
     # simulation-based calibration of the part for spreads and correlations alone: ranks are uniform
     rng = np.random.default_rng(5)
     count, prior = 400, np.array([np.log(0.15), 0.3, 2.0])
@@ -110,7 +110,7 @@ def test_scales_follow_prior_and_data_together(p: int, n: int) -> None:
     assert ranks.mean(axis=0) == pytest.approx(0.5, abs=0.051)
 
 
-def test_chains_that_were_thrown_into_a_corner_come_back() -> None:
+def test_chains_that_were_thrown_into_a_corner_come_back():
     # correlations of 0.995, where the data have none: steps that suit the other chains are all refused there
     rng = np.random.default_rng(8)
     p, n, count, prior = 5, 17, 64, np.array([np.log(0.15), 0.3, 2.0])
@@ -126,7 +126,7 @@ def test_chains_that_were_thrown_into_a_corner_come_back() -> None:
 
 
 @pytest.mark.slow
-def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_measured() -> None:
+def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_measured():
     rng = np.random.default_rng(7)
     p, n = 3, 60
     mean, sd = np.array([3.0, 1.0, 0.5]), np.array([0.1, 0.2, 0.3])
@@ -146,7 +146,7 @@ def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_me
     assert np.abs((r.mean(axis=0) - expected)[off] / r.std(axis=0)[off]).max() < 4.0
 
 
-def test_heavy_tails_are_found_and_the_outlier_is_named() -> None:
+def test_heavy_tails_are_found_and_the_outlier_is_named():
     rng = np.random.default_rng(8)
     places = 0.1 * rng.standard_normal((30, 2))
     places[13] = (1.2, -0.9)
@@ -160,7 +160,7 @@ def test_heavy_tails_are_found_and_the_outlier_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_effects_of_covariates_and_levels_are_told_apart() -> None:
+def test_effects_of_covariates_and_levels_are_told_apart():
     rng = np.random.default_rng(9)
     n = 60
     x = rng.standard_normal(n)
@@ -182,7 +182,7 @@ def test_effects_of_covariates_and_levels_are_told_apart() -> None:
     assert np.abs((own.mean(axis=0) - np.log(0.1)) / own.std(axis=0)).max() < 4.0
 
 
-def test_the_same_seed_gives_the_same_draws() -> None:
+def test_the_same_seed_gives_the_same_draws():
     rng = np.random.default_rng(10)
     stage = normal_stage(0.2 * rng.standard_normal((6, 2)), np.array([0.02, 3.0]), rng, draws=600)
     short = SamplerOptions(settle=10, draws=640, blocks=1, seed=3)
@@ -192,7 +192,7 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     assert np.array_equal(one.nu, two.nu)
 
 
-def test_stated_priors_are_used() -> None:
+def test_stated_priors_are_used():
     rng = np.random.default_rng(13)
     stage = normal_stage(0.4 * rng.standard_normal((4, 2)), np.full(2, 0.02), rng, draws=500)
     tight = PopulationPriors(between=SpreadPrior(0.05, 0.05))
@@ -235,7 +235,7 @@ def joint_density(points: np.ndarray, measured: np.ndarray, own: np.ndarray) -> 
 # Recordings that tell more than the population (draws alone), and less (smooth likelihoods).
 @pytest.mark.slow
 @pytest.mark.parametrize(("own", "smooth"), [((0.03, 0.05), 0), ((0.03, 0.6), SPECIMENS)])
-def test_two_stages_agree_with_joint_sampling(own: tuple[float, float], smooth: int) -> None:
+def test_two_stages_agree_with_joint_sampling(own, smooth):
     rng = np.random.default_rng(21)
     sd = np.array(own)
     measured = np.array([1.0, -2.0]) + np.array([0.15, 0.2]) * rng.standard_normal((SPECIMENS, SIZE))

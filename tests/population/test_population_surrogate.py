@@ -27,7 +27,7 @@ def level(found: Mixture, phi: np.ndarray, linear: np.ndarray = LINEAR) -> float
 
 # As a prior says that knows next to nothing of one place, or nothing at all.
 @pytest.mark.parametrize("below", [60.0, 2000.0, np.inf])
-def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below: float) -> None:
+def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below):
     phi, reference = draws(), np.zeros(2000)
     expected = mixture_of(phi, reference, LINEAR)
     phi[77, :2] += np.log(15.0)
@@ -42,7 +42,7 @@ def test_one_draw_far_out_in_the_prior_does_not_stand_for_all_others(below: floa
         assert change == pytest.approx(level(expected, near) - level(expected, centre), abs=2.0)
 
 
-def test_a_prior_that_varies_is_divided_out_of_the_likelihood() -> None:
+def test_a_prior_that_varies_is_divided_out_of_the_likelihood():
     phi = draws(6000)
     # draws of likelihood x prior: with a normal prior around 4.05, of the first force alone
     prior = -0.5 * ((phi[:, 0] - 4.05) / 0.1) ** 2
@@ -79,7 +79,7 @@ def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarra
     return made, np.array(places)
 
 
-def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force() -> None:
+def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force():
     made, places = open_by_a_factor(10, 0.3)
     stage, _ = stage_one(made, COORDINATES)
     assert not stage.linear[:3].any()
@@ -89,7 +89,7 @@ def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force
     assert np.abs(np.median(found.mean, axis=0) - places.mean(axis=0)).max() < 0.3
 
 
-def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_its_logarithm() -> None:
+def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_its_logarithm():
     rng = np.random.default_rng(34)
     theta = np.tile(TYPICAL, (4000, 1))
     theta[:, 3] *= np.clip(1.0 + 0.4 * rng.standard_normal(4000), 1e-3, None)
@@ -99,7 +99,7 @@ def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_
     assert stage.linear.tolist() == [False, False, False, True, False]
 
 
-def test_few_draws_are_one_normal() -> None:
+def test_few_draws_are_one_normal():
     draws = np.random.default_rng(6).standard_normal((319, 3))
     logarithms = np.zeros(3, dtype=bool)
     few = mixture_of(draws[:-1], np.zeros(318), logarithms)
@@ -110,7 +110,7 @@ def test_few_draws_are_one_normal() -> None:
     np.testing.assert_allclose(few.mean[0] + few.centre, draws[:-1].mean(axis=0), atol=1e-12)
 
 
-def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
+def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails():
     rng = np.random.default_rng(5)
     # one factor of all forces: to 4 % where the logs' gains are small, to 40 % where they are large
     middle = np.array([4.0, 4.5, -4.0])

@@ -35,7 +35,7 @@ QUICK = Effort(draws=0)
 CHANGE, FOLLOWS = 1.02, 0.5
 
 
-def test_a_number_that_was_put_in_is_a_round_trip() -> None:
+def test_a_number_that_was_put_in_is_a_round_trip():
     ledger = Ledger(SADEGHNEJAD, "Table 1")
     value = ledger.printed("table-2/tau")
     assert ledger.item("table-2/tau", value).kind is Kind.ROUND_TRIP
@@ -47,7 +47,7 @@ def test_a_number_that_was_put_in_is_a_round_trip() -> None:
     assert ledger.item("table-2/tau", None).kind is Kind.NOT_REPRODUCIBLE
 
 
-def test_a_branch_of_a_ledger_keeps_its_own_inputs() -> None:
+def test_a_branch_of_a_ledger_keeps_its_own_inputs():
     ledger = Ledger(SADEGHNEJAD, "Table 1")
     ledger.read("a reading")
     other = ledger.branch()
@@ -57,7 +57,7 @@ def test_a_branch_of_a_ledger_keeps_its_own_inputs() -> None:
     assert other.item("table-2/tau", 1.0).reading == "a reading"
 
 
-def test_a_range_is_no_input() -> None:
+def test_a_range_is_no_input():
     with pytest.raises(TypeError, match="range"):
         Ledger(SADEGHNEJAD, "Table 1").printed("figure-5/nrmsd")
 
@@ -76,9 +76,7 @@ def test_a_range_is_no_input() -> None:
         (rounded(3), 0.021, 0.0216, None, False),
     ],
 )
-def test_agreement_is_decided_by_its_rule(
-    judge: object, published: object, recomputed: object, interval: object, agrees: bool
-) -> None:
+def test_agreement_is_decided_by_its_rule(judge, published, recomputed, interval, agrees):
     assert judge.holds(published, recomputed, interval) is agrees  # type: ignore[attr-defined]
 
 
@@ -104,7 +102,7 @@ def rows(numbers: Mapping[str, Published]) -> dict[str, Item]:
 
 
 @pytest.fixture(scope="module")
-def unchanged() -> dict[str, Item]:
+def unchanged():
     return rows(PUBLISHED)
 
 
@@ -119,9 +117,7 @@ def unchanged() -> dict[str, Item]:
         ),
     ],
 )
-def test_a_row_that_follows_its_printed_number_is_labelled_a_round_trip(
-    key: str, unchanged: dict[str, Item]
-) -> None:
+def test_a_row_that_follows_its_printed_number_is_labelled_a_round_trip(key, unchanged):
     before, after = unchanged, rows(numbers_with(key))
     followed = {
         name
@@ -134,13 +130,13 @@ def test_a_row_that_follows_its_printed_number_is_labelled_a_round_trip(
     assert {after[name].kind for name in followed} == {Kind.ROUND_TRIP}
 
 
-def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in() -> None:
+def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in():
     mean = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)[0][-2]
     assert (mean.item, mean.kind, mean.agrees) == ("table-2/mean-of-table-1", Kind.REPRODUCED, True)
     assert mean.recomputed == pytest.approx((0.0214 + 0.0212 + 0.0206 + 0.0209) / 4)
 
 
-def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number() -> None:
+def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number():
     ledger = Ledger(SADEGHNEJAD, "Table 1")
     assert ledger.item("figure-9/new", 1.0).kind is Kind.RECOMPUTED
     assert ledger.item("new", 1.0, against="table-2/tau").kind is Kind.REPRODUCED
@@ -151,7 +147,7 @@ def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number() -> 
             Item(**structs.asdict(ledger.item("figure-9/new", 1.0)) | {"kind": kind})
 
 
-def test_readings_that_contradict_the_table_are_said_to() -> None:
+def test_readings_that_contradict_the_table_are_said_to():
     found, figure = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)
     table = [row for row in found if row.where == "Table 1"]
     assert [row.kind for row in table] == [Kind.NOT_REPRODUCIBLE] * 8
@@ -160,7 +156,7 @@ def test_readings_that_contradict_the_table_are_said_to() -> None:
     assert figure.kind is Kind.NOT_REPRODUCIBLE
 
 
-def test_every_reading_has_a_default_and_can_be_switched() -> None:
+def test_every_reading_has_a_default_and_can_be_switched():
     assert Readings().as_json().keys() == READINGS.keys()
     for name, choices in READINGS.items():
         assert getattr(Readings(), name) == next(iter(choices))
@@ -169,6 +165,6 @@ def test_every_reading_has_a_default_and_can_be_switched() -> None:
 
 
 @pytest.mark.parametrize("setting", ["stiffness", "stiffness=cubic", "colour=red", "=linear"])
-def test_an_unknown_reading_is_refused(setting: str) -> None:
+def test_an_unknown_reading_is_refused(setting):
     with pytest.raises(UsageError, match="--set"):
         readings_from([setting])

@@ -33,7 +33,7 @@ def keyed(items: list[Item]) -> dict[str, Item]:
     return {one.item: one for one in items}
 
 
-def test_the_cubic_goes_through_the_peaks_as_nearly_as_a_cubic_can() -> None:
+def test_the_cubic_goes_through_the_peaks_as_nearly_as_a_cubic_can():
     ledger = Ledger(SADEGHNEJAD, "Fig. 3")
     static = np.array(cubic_through_peaks(ledger, read_branch(ledger, Readings())))
     depth = np.array([2.0, 4.0, 6.0, 8.0])
@@ -44,7 +44,7 @@ def test_the_cubic_goes_through_the_peaks_as_nearly_as_a_cubic_can() -> None:
     assert columns.T @ (rest - columns @ static) == pytest.approx(np.zeros(3), abs=1e-6)
 
 
-def test_force_grows_by_viscosity_times_the_difference_of_speeds() -> None:
+def test_force_grows_by_viscosity_times_the_difference_of_speeds():
     found = keyed(force_displacement(Readings())[0])
     for speed in (70, 100, 150, 250, 500):
         expected = K * TAU * (speed - 10.0) / 60.0
@@ -52,7 +52,7 @@ def test_force_grows_by_viscosity_times_the_difference_of_speeds() -> None:
     assert found["figure-3/grows"].agrees is True
 
 
-def test_constant_work_lets_a_hardening_tissue_s_peak_fall_and_table_1_s_rise() -> None:
+def test_constant_work_lets_a_hardening_tissue_s_peak_fall_and_table_1_s_rise():
     found = keyed(peak_against_speed(Readings())[0])
     assert found["figure-4/hardening-10"].recomputed == pytest.approx(92.4, abs=0.15)
     assert found["figure-4/hardening-500"].recomputed == pytest.approx(73.9, abs=0.15)
@@ -92,7 +92,7 @@ def reference(static: tuple[float, float, float], speed: float, criterion: str, 
 
 @pytest.mark.parametrize("criterion", ["work", "weighted-force", "stored-energy", "depth"])
 @pytest.mark.parametrize("speed", [10.0, 500.0])
-def test_force_at_rupture_is_that_of_the_criterion(criterion: str, speed: float) -> None:
+def test_force_at_rupture_is_that_of_the_criterion(criterion, speed):
     static = (5.0, -0.4, 0.43)
     tissue = Tissue(static, Branch((K,), TAU))
     expected = reference(static, speed, criterion, 6.0)
@@ -100,12 +100,12 @@ def test_force_at_rupture_is_that_of_the_criterion(criterion: str, speed: float)
     assert rupture_force(tissue, speed, criterion, 6.0) == pytest.approx(expected, rel=1e-5)
 
 
-def test_an_exponential_is_found_in_a_hold() -> None:
+def test_an_exponential_is_found_in_a_hold():
     time = np.arange(0.0, 0.5, 1e-3)
     assert hold_exponential(time, 80.0 + 5.0 * np.exp(-time / 0.03)) == pytest.approx((5.0, 0.03), rel=1e-6)
 
 
-def test_an_elastic_tissue_behind_a_settling_crosshead_relaxes_in_appearance() -> None:
+def test_an_elastic_tissue_behind_a_settling_crosshead_relaxes_in_appearance():
     time, force = settling_force((40.0,), 2.0, 0.1, 0.02)
     # linear: an exponential through a first-order filter that starts at the full overshoot
     lag, filter_s = 0.02, 0.005
@@ -116,7 +116,7 @@ def test_an_elastic_tissue_behind_a_settling_crosshead_relaxes_in_appearance() -
     assert force == pytest.approx(expected, abs=0.05)
 
 
-def test_restitution_is_lambert_s_and_the_guidance_holds_its_sentences() -> None:
+def test_restitution_is_lambert_s_and_the_guidance_holds_its_sentences():
     reached = [one.recomputed for one in restitutions()]
     assert reached == pytest.approx([0.256, 0.470, 0.683, 0.894], rel=0.01)
     for surface in ("hyperboloid", "cone"):
@@ -129,7 +129,7 @@ def test_restitution_is_lambert_s_and_the_guidance_holds_its_sentences() -> None
         assert [1e3 * trace.y[-1] / 20.0 for trace in impedance] == pytest.approx(stiffness, rel=1e-3)
 
 
-def test_the_virtual_mass_is_bounded_by_the_hand_s() -> None:
+def test_the_virtual_mass_is_bounded_by_the_hand_s():
     found = keyed(table_3(Readings()))
     assert found["table-3/virtual-mass-A"].recomputed == pytest.approx(1.25)
     assert found["table-3/virtual-mass-B"].recomputed == pytest.approx(1.158 * 1.25 / (1.158 + 2.5))
@@ -140,7 +140,7 @@ def test_the_virtual_mass_is_bounded_by_the_hand_s() -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("device", ["mass-damping-stiffness", "mass-stiffness-damping"])
-def test_both_variants_bear_a_hundred_times_the_stiffness(device: str) -> None:
+def test_both_variants_bear_a_hundred_times_the_stiffness(device):
     found, figures = controlled_contact(Readings(device=device), Effort())
     rows = keyed(found)
     assert [one.agrees for one in found if one.item.endswith("stable")] == [True] * 4
@@ -151,7 +151,7 @@ def test_both_variants_bear_a_hundred_times_the_stiffness(device: str) -> None:
 
 
 @pytest.mark.slow
-def test_table_2_comes_back_from_the_whole_protocol() -> None:
+def test_table_2_comes_back_from_the_whole_protocol():
     found = keyed(identified_table(Readings(), Effort(rate_Hz=100.0, draws=2000)))
     for key in ("table-2/stiffness", "table-2/tau"):
         assert (found[key].kind, found[key].agrees) == (Kind.ROUND_TRIP, True)
@@ -161,7 +161,7 @@ def test_table_2_comes_back_from_the_whole_protocol() -> None:
 
 
 @pytest.mark.slow
-def test_everything_comes_out_as_it_must() -> None:
+def test_everything_comes_out_as_it_must():
     document = plain(reproduction(("sadeghnejad", "pires"), Readings(), Effort()))
     check(document, "reproduction", where="reproduction.json")
     rows = {one["item"]: one for one in document["items"]}
@@ -188,7 +188,7 @@ def test_everything_comes_out_as_it_must() -> None:
 
 
 @pytest.mark.slow
-def test_a_growing_stiffness_comes_back_from_twenty_seeds() -> None:
+def test_a_growing_stiffness_comes_back_from_twenty_seeds():
     inside = 0
     for seed in range(1, 21):
         found = keyed(identified_table(Readings(stiffness="linear"), Effort(seed=seed)))

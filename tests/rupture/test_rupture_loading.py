@@ -26,7 +26,7 @@ def up_to_end(plan: Recipe) -> list[tuple[SyntheticLog, object]]:
     ]
 
 
-def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke() -> None:
+def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke():
     for log, test in up_to_end(PLAN):
         assert test is not None
         assert test.ruptured
@@ -44,14 +44,14 @@ def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke() -> None:
         assert test.residual == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_middle_of_the_step_is_not_early_or_late() -> None:
+def test_the_middle_of_the_step_is_not_early_or_late():
     plan = replace(PLAN, logs=(replace(PLAN.logs[2], repeats=24),), rate_Hz=250.0)
     early = [test.depth_mm[-1] - log.truth["rupture_depth_mm"] for log, test in up_to_end(plan)]
     # uniform over 0.2 mm: sd 0.058 mm, of a mean of 24 0.012; the last sample itself is 0.1 mm early
     assert np.mean(early) == pytest.approx(0.0, abs=0.036)
 
 
-def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample() -> None:
+def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample():
     held = Log("held", (Move(4.0, 600.0), Hold(1.0)))
     ((log, test),) = up_to_end(replace(PLAN, logs=(held,)))
     assert test is not None
@@ -60,13 +60,13 @@ def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample() -> None:
     assert test.work_N_mm == pytest.approx(log.truth["rupture_work_N_mm"], rel=0.05)
 
 
-def test_nothing_is_made_of_a_recording_in_air() -> None:
+def test_nothing_is_made_of_a_recording_in_air():
     air = Log("air", (Move(0.5, 60.0),))
     (trial,) = as_trials(simulate(replace(PLAN, logs=(air,)), rng=np.random.default_rng(1)))
     assert loaded_test(trial, segment(trial, options=SegmentOptions())) is None
 
 
-def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spread() -> None:
+def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spread():
     (_, test) = up_to_end(PLAN)[1]
     assert test is not None
     model = kelvin_voigt(1, 0, 9.0)

@@ -32,7 +32,7 @@ def integrand(m: float, own: np.ndarray, ruptured: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("ruptured", [[1, 1, 1, 1, 1], [1, 0, 1, 1, 0], [1, 1, 1, 0, 0]])
-def test_likelihood_is_the_integral_over_what_each_specimen_is(ruptured: list[int]) -> None:
+def test_likelihood_is_the_integral_over_what_each_specimen_is(ruptured):
     broken = np.array(ruptured, dtype=bool)
     expected = sum(
         np.log(quad(integrand, MU - 2.0, MU + 2.0, args=(np.flatnonzero(k == WHO), broken), points=[MU])[0])
@@ -43,7 +43,7 @@ def test_likelihood_is_the_integral_over_what_each_specimen_is(ruptured: list[in
     assert float(found) == pytest.approx(expected, abs=2e-4)
 
 
-def test_mean_of_a_specimen_knows_its_censored_tests() -> None:
+def test_mean_of_a_specimen_knows_its_censored_tests():
     broken = np.array([True, False, True, True, False])
     tests = Outcomes(Z, VARIANCE, broken, WHO)
     for k, found in enumerate(specimen_means(tests, MU, S, B)):
@@ -54,7 +54,7 @@ def test_mean_of_a_specimen_knows_its_censored_tests() -> None:
 
 
 @pytest.fixture(scope="module")
-def cohort() -> list[Failure]:
+def cohort():
     return known_cohort("work", 0.1, [9], threshold=typical_threshold("work"))
 
 
@@ -73,7 +73,7 @@ def in_other_units(failures: list[Failure], power: float) -> list[Failure]:
     ]
 
 
-def test_evidence_and_interval_do_not_depend_on_the_unit_or_power_of_a_measure(cohort: list[Failure]) -> None:
+def test_evidence_and_interval_do_not_depend_on_the_unit_or_power_of_a_measure(cohort):
     plain, fourth = threshold_of(cohort, "depth"), threshold_of(in_other_units(cohort, 4.0), "depth")
     assert fourth.ln_evidence == pytest.approx(plain.ln_evidence, abs=1e-6)
     assert fourth.median == pytest.approx(7.0 * plain.median**4.0, rel=1e-4)
@@ -81,7 +81,7 @@ def test_evidence_and_interval_do_not_depend_on_the_unit_or_power_of_a_measure(c
     assert fourth.trend_p == pytest.approx(plain.trend_p, rel=1e-2)
 
 
-def test_threshold_of_one_test_a_specimen_each_ruptured_is_their_mean(cohort: list[Failure]) -> None:
+def test_threshold_of_one_test_a_specimen_each_ruptured_is_their_mean(cohort):
     slow = cohort[::3]
     found = threshold_of(slow, "work")
     logs, growth, _ = standardised(slow, "work")
@@ -91,7 +91,7 @@ def test_threshold_of_one_test_a_specimen_each_ruptured_is_their_mean(cohort: li
     assert found.trend_p is None
 
 
-def test_tests_that_did_not_rupture_raise_the_threshold() -> None:
+def test_tests_that_did_not_rupture_raise_the_threshold():
     truth = typical_threshold("work")
     failures = known_cohort("work", 0.1, [4], threshold=truth, stop_mm=4.8)
     broken = [one for one in failures if one.ruptured]
@@ -131,7 +131,7 @@ def band(cohorts: int, cells: int) -> tuple[float, float]:
     return low, high
 
 
-def test_each_criterion_is_found_in_a_few_cohorts() -> None:
+def test_each_criterion_is_found_in_a_few_cohorts():
     found = []
     for k, truth in enumerate(TRUTHS):
         failures = known_cohort(truth, 0.05, [SEED, 1, k], threshold=typical_threshold(truth))
@@ -162,9 +162,7 @@ def judged_cohort(truth: str, cv: float, k: int, *, recorded: bool) -> tuple[str
     [(COHORTS, False, [(truth,) for truth in TRUTHS]), (RECORDED, True, [TRUTHS])],
     ids=["measured", "recorded"],
 )
-def test_the_criterion_is_found_and_its_threshold_covered(
-    cv: float, cohorts: int, recorded: bool, groups: list[tuple[str, ...]]
-) -> None:
+def test_the_criterion_is_found_and_its_threshold_covered(cv, cohorts, recorded, groups):
     said: Counter[tuple[str, str]] = Counter()
     covered, count = Counter(), Counter(TRUTHS[k % 3] for k in range(cohorts))
     for k in range(cohorts):
@@ -196,7 +194,7 @@ def censored_ratios(cohorts: int, stop_mm: float, cv: float) -> tuple[list[float
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stop_mm", [5.3, 4.8])
-def test_tests_that_stopped_too_early_bias_the_threshold_by_less_than_three_percent(stop_mm: float) -> None:
+def test_tests_that_stopped_too_early_bias_the_threshold_by_less_than_three_percent(stop_mm):
     kept, dropped, censored = censored_ratios(CENSORED, stop_mm, 0.1)
     bias, naive = float(np.mean(np.log(kept))), float(np.mean(np.log(dropped)))
     error = float(np.std(np.log(kept))) / len(kept) ** 0.5
@@ -211,7 +209,7 @@ def test_tests_that_stopped_too_early_bias_the_threshold_by_less_than_three_perc
 
 
 @pytest.mark.slow
-def test_the_fastest_speed_decides_whether_18_tests_can_tell() -> None:
+def test_the_fastest_speed_decides_whether_18_tests_can_tell():
     thresholds = {truth: typical_threshold(truth) for truth in TRUTHS}
     right = {}
     for fastest in (500.0, 1000.0, 2000.0, 3000.0):

@@ -17,7 +17,7 @@ from tissueid.rupture_law import CRITERIA
 
 
 @pytest.fixture(scope="module")
-def cohort() -> list[Failure]:
+def cohort():
     return known_cohort("work", 0.05, [12], threshold=typical_threshold("work"))
 
 
@@ -29,7 +29,7 @@ def thresholds(evidence: tuple[float, ...], trend_p: float | None = 0.5) -> list
     return [threshold(name, value, trend_p) for name, value in zip(CRITERIA, evidence, strict=True)]
 
 
-def test_stored_energy_and_depth_share_one_prior_and_their_evidence() -> None:
+def test_stored_energy_and_depth_share_one_prior_and_their_evidence():
     # ln evidence of work, weighted force, stored energy, depth
     found = decide(thresholds((0.0, 0.0, 0.0, 0.0)))
     assert found.answer == "undecided"
@@ -40,15 +40,13 @@ def test_stored_energy_and_depth_share_one_prior_and_their_evidence() -> None:
     assert (found.answer, found.kind, found.criterion) == ("decided", "elastic limit", "depth")
 
 
-def test_a_trend_with_speed_that_the_likeliest_leaves_says_none_of_them() -> None:
+def test_a_trend_with_speed_that_the_likeliest_leaves_says_none_of_them():
     found = decide(thresholds((9.0, 0.0, 0.0, 0.0), trend_p=0.001))
     assert (found.answer, found.kind, found.criterion) == ("none", None, None)
     assert "none of the criteria" in found.reason
 
 
-def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_threshold(
-    cohort: list[Failure],
-) -> None:
+def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_threshold(cohort):
     # one that is asked for is taken whatever the evidence says, and nothing unless it is asked for
     assert rupture_study(cohort, weight=1.5, asked="depth").taken == "depth"
     found = rupture_study(cohort, weight=1.5, asked="auto")
@@ -68,9 +66,7 @@ def only_own_speed(failures: list[Failure]) -> list[Failure]:
     return [replace(one, specimen=f"{one.test.speed_mm_s:.0f}-{k // 9}") for k, one in enumerate(failures)]
 
 
-def test_speeds_of_different_specimens_are_confounded_with_them_and_no_effect_is_claimed(
-    cohort: list[Failure],
-) -> None:
+def test_speeds_of_different_specimens_are_confounded_with_them_and_no_effect_is_claimed(cohort):
     found = rupture_study(only_own_speed(cohort), weight=1.5, asked="auto")
     said = sentences(found)
     assert found.confounding.kind == "confounded"
@@ -82,13 +78,13 @@ def test_speeds_of_different_specimens_are_confounded_with_them_and_no_effect_is
     assert [flag.code for flag in found.flags] == ["speed_confounded"]
 
 
-def test_one_speed_tells_no_criterion(cohort: list[Failure]) -> None:
+def test_one_speed_tells_no_criterion(cohort):
     found = rupture_study(cohort[::3], weight=1.5, asked="auto")
     assert found.decision.answer == "undecided"
     assert "one speed" in found.decision.reason
 
 
-def test_without_a_wish_no_law_is_taken_and_the_work_criterion_is_qualified(cohort: list[Failure]) -> None:
+def test_without_a_wish_no_law_is_taken_and_the_work_criterion_is_qualified(cohort):
     found = rupture_study(cohort, weight=1.5)
     assert (found.taken, dict(found.laws)) == ("none", {})
     said = " ".join(sentences(found))
@@ -97,9 +93,7 @@ def test_without_a_wish_no_law_is_taken_and_the_work_criterion_is_qualified(coho
     assert "no fall of the force at rupture follows from it" in said
 
 
-def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mean(
-    cohort: list[Failure],
-) -> None:
+def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mean(cohort):
     # toughness of specimens, however large, is no effect of speed
     force = {name: 10.0 ** (k % 3) for k, name in enumerate(dict.fromkeys(one.specimen for one in cohort))}
     made = [
@@ -113,7 +107,7 @@ def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mea
     assert found["force_N"].direction == "falls"
 
 
-def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort: list[Failure]) -> None:
+def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort):
     found = hardening_of(cohort)
     slow = [one for one in cohort if one.test.speed_mm_s < 30.0]
     assert found is not None
@@ -126,12 +120,10 @@ def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort: list[Fai
 @pytest.mark.parametrize(
     ("ends", "said"), [((1.1, 2.0), "falls"), ((0.5, 0.9), "rises"), ((0.9, 1.1), "undecided")]
 )
-def test_the_sign_is_told_only_where_the_interval_leaves_out_one(
-    ends: tuple[float, float], said: str
-) -> None:
+def test_the_sign_is_told_only_where_the_interval_leaves_out_one(ends, said):
     assert direction(ends, below="rises", above="falls") == said
 
 
-def test_too_few_ruptures_are_refused_with_their_number(cohort: list[Failure]) -> None:
+def test_too_few_ruptures_are_refused_with_their_number(cohort):
     with pytest.raises(NotIdentifiedError, match="3 of 3 tests end in a rupture, and 4 are needed"):
         rupture_study(cohort[:3], weight=1.5)

@@ -46,7 +46,7 @@ def table(case: Case, verdict: Verdict) -> str:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_intervals_cover_over_many_specimens(case: Case, tmp_path: Path) -> None:
+def test_intervals_cover_over_many_specimens(case, tmp_path):
     verdict = verdict_on(case, MANY, tmp_path)
     sys.stdout.write(table(case, verdict) + "\n")
     outside = {
@@ -60,7 +60,7 @@ def test_intervals_cover_over_many_specimens(case: Case, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("case", FRAMES, ids=lambda case: case.name)
-def test_total_intervals_cover_behind_a_frame_that_nobody_knows_of(case: Case, tmp_path: Path) -> None:
+def test_total_intervals_cover_behind_a_frame_that_nobody_knows_of(case, tmp_path):
     verdict = verdict_on(case, FRAMED, tmp_path, workers=2)
     sys.stdout.write(table(case, verdict) + "\n")
     tissue = [one for one in verdict.parameters if one.name.startswith(TISSUE)]

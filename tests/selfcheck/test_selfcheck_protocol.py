@@ -41,7 +41,7 @@ def bundle() -> Bundle:
     return bundle_from_fit(fit, provenance=identification([fit]).provenance)
 
 
-def test_a_recipe_becomes_its_program_and_its_tissue() -> None:
+def test_a_recipe_becomes_its_program_and_its_tissue():
     plan = recipe("paper-a-30-k1")
     protocol, centre = of_recipe(plan, rate_Hz=100.0)
     assert len(protocol.logs) == 30
@@ -60,7 +60,7 @@ def test_a_recipe_becomes_its_program_and_its_tissue() -> None:
     assert (first.time_s[100], first.depth_mm[100]) == (0.0, 0.0)
 
 
-def test_noise_of_a_recipe_is_white_correlated_or_both() -> None:
+def test_noise_of_a_recipe_is_white_correlated_or_both():
     plan = recipe("paper-a-hold-100Hz")
     both = of_recipe(replace(plan, sigma_N=0.6, ar1_sigma_N=0.8, ar1_phi=0.9))[1]
     assert (both.sigma_N, both.phi, both.white_share) == pytest.approx((1.0, 0.9, 0.36))
@@ -72,19 +72,19 @@ def test_noise_of_a_recipe_is_white_correlated_or_both() -> None:
     assert centre.pooling == "shared"
 
 
-def test_branches_of_different_degree_share_the_highest() -> None:
+def test_branches_of_different_degree_share_the_highest():
     plan = replace(recipe("paper-a-hold-100Hz"), branches=(Branch((60.0, 2.0), 0.02), Branch((5.0,), 1.0)))
     _, centre = of_recipe(plan)
     assert centre.model.stiffness_degree == 1
     np.testing.assert_allclose(centre.theta[3:], [60.0, 2.0, 0.02, 5.0, 0.0, 1.0])
 
 
-def test_a_log_within_its_contact_s_error_is_refused() -> None:
+def test_a_log_within_its_contact_s_error_is_refused():
     with pytest.raises(InputError, match="stays within its contact's standard deviation"):
         of_program((Log("tiny", (Move(0.02, 60.0),)),), rate_Hz=100.0, contact_sd_mm=0.01, words="tiny")
 
 
-def test_a_bundle_s_program_stays_within_what_it_was_identified_on() -> None:
+def test_a_bundle_s_program_stays_within_what_it_was_identified_on():
     one = bundle()
     protocol, centre = of_bundle(one, where="bundle.h5")
     assert protocol.depth_mm <= one.depth_mm * (1.0 + 1e-9)
@@ -97,12 +97,12 @@ def test_a_bundle_s_program_stays_within_what_it_was_identified_on() -> None:
     assert inputs_there(one) == []
 
 
-def test_another_contact_model_is_refused() -> None:
+def test_another_contact_model_is_refused():
     with pytest.raises((KeyError, ValueError)):
         of_bundle(replace(bundle(), model=replace(bundle().model, key="hunt-crossley")), where="x")
 
 
-def test_two_checks_are_told_apart_by_everything_that_decides() -> None:
+def test_two_checks_are_told_apart_by_everything_that_decides():
     plan = recipe("paper-a-hold-100Hz")
     logs = (Log("hold", (Move(4.0, 250.0), Hold(1.0))),)
     protocol, centre = of_recipe(replace(plan, logs=logs))
@@ -141,7 +141,7 @@ def of_these(
 
 
 @pytest.fixture(autouse=True)
-def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def asked(monkeypatch):
     """What ``identify`` was asked for; it finds the fit of the factory, with its AR(1) noise."""
     given: dict[str, Any] = {}
 
@@ -153,13 +153,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return given
 
 
-def test_the_law_that_is_asked_for_is_fitted(asked: dict[str, Any]) -> None:
+def test_the_law_that_is_asked_for_is_fitted(asked):
     of_these([trial("a.csv")], model="power * fung")
 
     assert asked["options"].fit.model == "power * fung"
 
 
-def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked: dict[str, Any]) -> None:
+def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked):
     name, protocol, centre = of_these([trial("a.csv"), trial("b.csv")])
     assert name == "liver"
     assert protocol.words == "the measured x(t) of 2 recordings"
@@ -174,7 +174,7 @@ def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked: dict[st
     assert centre.pooling == "partial"
 
 
-def test_the_tissue_and_the_noise_are_those_that_were_identified() -> None:
+def test_the_tissue_and_the_noise_are_those_that_were_identified():
     fit = sampled(specimen_fit(), total=False)
     centre = of_fit(fit, logs=3)
     assert (centre.sigma_N, centre.phi, centre.white_share) == (0.3, 0.6, 0.0)
@@ -186,7 +186,7 @@ def test_the_tissue_and_the_noise_are_those_that_were_identified() -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_the_share_of_white_noise_follows_from_its_moving_average(share: float) -> None:
+def test_the_share_of_white_noise_follows_from_its_moving_average(share):
     # AR(1) of variance 1 - share and white noise of variance share: the root of the moving average of
     # r_n - phi r_(n-1) = w_n + v_n - phi v_(n-1), whose autocovariances are (a, -phi share)
     phi = 0.9
@@ -197,7 +197,7 @@ def test_the_share_of_white_noise_follows_from_its_moving_average(share: float) 
     assert white_share(noise) == pytest.approx(share, rel=1e-9)
 
 
-def test_of_several_specimens_one_is_named() -> None:
+def test_of_several_specimens_one_is_named():
     both = [trial("a.csv"), trial("b.csv", "heart")]
     with pytest.raises(UsageError, match="holds 2 specimens: choose one with --specimen: liver, heart"):
         of_these(both)
@@ -207,7 +207,7 @@ def test_of_several_specimens_one_is_named() -> None:
     assert (name, [log.name for log in protocol.logs]) == ("heart", ["b.csv"])
 
 
-def test_what_a_study_says_of_recordings_counts(asked: dict[str, Any]) -> None:
+def test_what_a_study_says_of_recordings_counts(asked):
     def entry(file: str, **values: Any) -> Entry:
         return Entry(values, (Study.real_path(file),), 1)
 
@@ -223,19 +223,19 @@ def test_what_a_study_says_of_recordings_counts(asked: dict[str, Any]) -> None:
     assert asked["study"] is study
 
 
-def test_a_known_frame_is_taken_off_the_motion() -> None:
+def test_a_known_frame_is_taken_off_the_motion():
     study = Study("study.toml", calibration=Calibration(frame=linear_frame(600.0)))
     _, protocol, _ = of_these([trial("a.csv")], study=study)
     # 120 N at 600 N/mm
     assert protocol.depth_mm == pytest.approx(4.0 - 0.2, abs=0.05)
 
 
-def test_recordings_in_air_have_nothing_to_check() -> None:
+def test_recordings_in_air_have_nothing_to_check():
     with pytest.raises(InputError, match="no recording in which the tool meets a tissue"):
         of_these([trial("a.csv", stiffness=0.0)])
 
 
-def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch):
     empty = replace(
         identification([], refused=True), exit=structs.replace(identification([]).exit, reasons=("why",))
     )
@@ -244,7 +244,7 @@ def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch: pytest.Mo
         of_these([trial("a.csv")])
 
 
-def test_a_bundle_s_own_recordings_are_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bundle_s_own_recordings_are_its_protocol(monkeypatch):
     fit = replace(specimen_fit(trials=1), depth_mm=4.0)
     path = fit.trials[0].path
     provenance = {"inputs": [{"path": path, "sheet": None, "sha256": path, "specimen": fit.specimen}]}

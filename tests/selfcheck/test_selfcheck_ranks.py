@@ -11,7 +11,7 @@ from tissueid.selfcheck.verdicts import POINTS, binomial_interval, ecdf_band, ec
 
 
 @pytest.mark.parametrize(("simulations", "level"), [(60, 0.95), (200, 0.95), (200, 0.99)])
-def test_band_keeps_uniform_ranks_with_its_level(simulations: int, level: float) -> None:
+def test_band_keeps_uniform_ranks_with_its_level(simulations, level):
     band = ecdf_band(simulations, level)
     rng = np.random.default_rng(71)
     repeats = 8000
@@ -21,7 +21,7 @@ def test_band_keeps_uniform_ranks_with_its_level(simulations: int, level: float)
     assert level - 4.0 * error < kept < level + 0.003 + 4.0 * error
 
 
-def test_band_is_symmetric_and_wider_for_a_higher_level() -> None:
+def test_band_is_symmetric_and_wider_for_a_higher_level():
     low, high = ecdf_band(200, 0.95), ecdf_band(200, 0.99)
     # below z and above 1 - z are mirror images
     np.testing.assert_array_equal(low.low, 200 - low.high[::-1])
@@ -30,7 +30,7 @@ def test_band_is_symmetric_and_wider_for_a_higher_level() -> None:
     assert (high.high - high.low).sum() > (low.high - low.low).sum()
 
 
-def test_counts_are_ranks_below_each_share() -> None:
+def test_counts_are_ranks_below_each_share():
     ranks = np.array([0, 3, 4, 199, 200, DRAWS])
     counts = ecdf_counts(ranks)
     assert counts.size == POINTS - 1
@@ -38,7 +38,7 @@ def test_counts_are_ranks_below_each_share() -> None:
     assert (counts[0], counts[1], counts[49], counts[-1]) == (2, 3, 4, 5)
 
 
-def test_rank_counts_draws_below_and_breaks_ties_evenly() -> None:
+def test_rank_counts_draws_below_and_breaks_ties_evenly():
     rng = np.random.default_rng(3)
     draws = np.array([1.0, 2.0, 2.0, 3.0])
     assert rank_of(2.5, draws, rng) == 3
@@ -49,7 +49,7 @@ def test_rank_counts_draws_below_and_breaks_ties_evenly() -> None:
     assert np.bincount(tied)[1:] / 3000 == pytest.approx(1 / 3, abs=4 * np.sqrt(2 / 9 / 3000))
 
 
-def test_binomial_interval_leaves_no_more_than_its_error() -> None:
+def test_binomial_interval_leaves_no_more_than_its_error():
     low, high = binomial_interval(1000, 0.95, 0.001)
     assert binom.cdf(low - 1, 1000, 0.95) + binom.sf(high, 1000, 0.95) <= 0.001
     assert binom.cdf(low, 1000, 0.95) > 0.0005

@@ -39,13 +39,13 @@ def oracle(path: SynthPath, *, offset_mm: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("offset_mm", [0.0, 0.053, -0.02])
-def test_a_perfect_chain_records_what_the_oracle_computes(offset_mm: float) -> None:
+def test_a_perfect_chain_records_what_the_oracle_computes(offset_mm):
     path = SynthPath(np.array([0.0, CORNER, 4.0]), np.array([0.0, 6.0, 6.0]))
     # closed form against recursion; the tissue is met between two samples, or is indented and relaxed
     np.testing.assert_allclose(force(offset_mm=offset_mm), oracle(path, offset_mm=offset_mm), atol=1e-9)
 
 
-def test_there_is_no_force_in_air_and_none_of_an_approach() -> None:
+def test_there_is_no_force_in_air_and_none_of_an_approach():
     # 1 mm in air first: contact at 0.25 s, between two samples where it is offset
     path = SynthPath(np.array([0.0, CORNER + 0.25, 4.0]), np.array([-1.0, 6.0, 6.0]))
     one = log(depth=path.at(TIME))
@@ -57,11 +57,11 @@ def test_there_is_no_force_in_air_and_none_of_an_approach() -> None:
     assert (force(one=one, force_filter_s=0.01, skew_s=0.002)[:24] == 0.0).all()
 
 
-def test_a_gain_scales_all_forces() -> None:
+def test_a_gain_scales_all_forces():
     np.testing.assert_allclose(force(gain=1.1), 1.1 * force(), rtol=1e-12)
 
 
-def test_trials_are_what_a_machine_exports() -> None:
+def test_trials_are_what_a_machine_exports():
     truth = Truth(THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
     centre = Centre(MODEL, THETA, sigma_N=0.3, phi=0.0, white_share=0.0, pooling="partial")
@@ -78,20 +78,20 @@ def test_trials_are_what_a_machine_exports() -> None:
     assert trials[1].force_N[logs[1].depth_mm < 0.0].std() == pytest.approx(0.3, abs=0.08)
 
 
-def test_gains_of_the_channels_are_recorded_over_true() -> None:
+def test_gains_of_the_channels_are_recorded_over_true():
     np.testing.assert_allclose(force(force_gain=1.02), 1.02 * force(), rtol=1e-12)
     # 8 mm recorded by a channel that reads 2 % too much are 8 / 1.02 mm
     smaller = log(depth=DEPTH / 1.02)
     np.testing.assert_allclose(force(displacement_gain=1.02), force(one=smaller), rtol=1e-12)
 
 
-def test_a_late_force_is_the_force_of_before() -> None:
+def test_a_late_force_is_the_force_of_before():
     late = force(skew_s=0.02)
     # two samples late, between corners; sub-steps are joined by lines
     np.testing.assert_allclose(late[10:140], force()[8:138], atol=2e-3)
 
 
-def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
+def test_a_filtered_ramp_lags_by_its_time_constant():
     tau = 0.03
     found = recorded_force(*ELASTIC, log(), gain=1.0, offset_mm=0.0, calibration={"force_filter_s": tau})
     ramp = TIME < CORNER
@@ -100,7 +100,7 @@ def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
     np.testing.assert_allclose(found[ramp], expected[ramp], atol=1e-9)
 
 
-def test_an_uneven_clock_is_filtered_as_exactly() -> None:
+def test_an_uneven_clock_is_filtered_as_exactly():
     rng = np.random.default_rng(4)
     time = np.sort(np.concatenate([[0.0], rng.uniform(0.0, 1.4, 300)]))
     one = log(time, SPEED * time)
@@ -109,7 +109,7 @@ def test_an_uneven_clock_is_filtered_as_exactly() -> None:
 
 
 @pytest.mark.parametrize("give", [0.0005, 0.004, 0.02])
-def test_the_tip_is_where_the_frame_leaves_it(give: float) -> None:
+def test_the_tip_is_where_the_frame_leaves_it(give):
     found = force(frame_compliance_mm_per_N=give)
     # where the tip is followed between samples it is where every one of ten times as many leaves it
     fine = np.arange(0.0, 3.9901, 0.001)
@@ -122,7 +122,7 @@ def test_the_tip_is_where_the_frame_leaves_it(give: float) -> None:
     assert found.max() < force().max()
 
 
-def test_noise_is_stationary_with_the_stated_correlation() -> None:
+def test_noise_is_stationary_with_the_stated_correlation():
     rng = np.random.default_rng(8)
     time = np.arange(40_000) * 0.01
     found = noise(time, sigma_N=2.0, phi=0.9, reference_step_s=0.01, white_share=0.0, rng=rng)
@@ -135,7 +135,7 @@ def test_noise_is_stationary_with_the_stated_correlation() -> None:
     assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=4 / 200)
 
 
-def test_noise_on_unequal_steps_loses_correlation_with_time() -> None:
+def test_noise_on_unequal_steps_loses_correlation_with_time():
     rng = np.random.default_rng(9)
     time = np.concatenate([[0.0, 0.01], 0.03 + np.arange(8) * 0.01])
     many = np.array(

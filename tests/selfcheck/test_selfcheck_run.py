@@ -37,7 +37,7 @@ def simulated(path: Path, simulations: int, **options: Any) -> tuple[Record, ...
         return run_simulations(NormalMean(), checkpoint, simulations=simulations, **{"seed": 3, **options})
 
 
-def test_a_right_posterior_is_calibrated() -> None:
+def test_a_right_posterior_is_calibrated():
     records = records_of(NormalMean(), 400)
     verdict = verdict_of(records)
     assert verdict.calibrated
@@ -61,9 +61,7 @@ def test_a_right_posterior_is_calibrated() -> None:
     ],
     ids=["too narrow", "too wide", "biased"],
 )
-def test_a_wrong_posterior_is_told_why_and_by_how_much(
-    check: NormalMean, says: str, mean_z: float, spread: float
-) -> None:
+def test_a_wrong_posterior_is_told_why_and_by_how_much(check, says, mean_z, spread):
     verdict = verdict_of(records_of(check, 400))
     assert not verdict.calibrated
     assert any(reason.startswith(says) for reason in verdict.reasons), verdict.reasons
@@ -72,7 +70,7 @@ def test_a_wrong_posterior_is_told_why_and_by_how_much(
     assert first.spread_ratio == pytest.approx(spread, rel=3.5 / np.sqrt(2 * 400))
 
 
-def test_a_simulation_without_a_posterior_is_counted_and_told() -> None:
+def test_a_simulation_without_a_posterior_is_counted_and_told():
     # 16 % of truths lie above one prior standard deviation
     records = records_of(NormalMean(fails_above=2.0), 200)
     verdict = verdict_of(records)
@@ -83,18 +81,18 @@ def test_a_simulation_without_a_posterior_is_counted_and_told() -> None:
         verdict_of(records_of(NormalMean(fails_above=-100.0), 3))
 
 
-def test_draws_that_are_no_numbers_count_as_a_failure() -> None:
+def test_draws_that_are_no_numbers_count_as_a_failure():
     replicate = Replicate(truth={"a": 0.0}, draws={"a": np.full(399, np.nan)})
     record = record_of(0, replicate, np.random.default_rng(0), seconds=0.1)
     assert record.failed == "draws of a that are no numbers"
 
 
-def test_too_few_draws_are_refused() -> None:
+def test_too_few_draws_are_refused():
     with pytest.raises(ValueError, match="10 draws, 399 are needed"):
         thinned(np.zeros(10))
 
 
-def test_a_second_call_goes_on_with_the_same_simulations(tmp_path: Path) -> None:
+def test_a_second_call_goes_on_with_the_same_simulations(tmp_path):
     path = tmp_path / "calibrate.jsonl"
     first = simulated(path, 8)
     told: list[tuple[int, int]] = []
@@ -108,7 +106,7 @@ def test_a_second_call_goes_on_with_the_same_simulations(tmp_path: Path) -> None
     assert len(simulated(path, 5)) == 5
 
 
-def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path: Path) -> None:
+def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path):
     path = tmp_path / "calibrate.jsonl"
     simulated(path, 4)
     whole = path.read_bytes()
@@ -130,7 +128,7 @@ def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path: Path) -> None
         (b"time,force\n1,2\n", "holds the simulations of another check"),
     ],
 )
-def test_a_file_of_another_check_is_refused_and_kept(tmp_path: Path, content: bytes, says: str) -> None:
+def test_a_file_of_another_check_is_refused_and_kept(tmp_path, content, says):
     path = tmp_path / "calibrate.jsonl"
     path.write_bytes(content)
     with pytest.raises(UsageError, match=says):
@@ -138,7 +136,7 @@ def test_a_file_of_another_check_is_refused_and_kept(tmp_path: Path, content: by
     assert path.read_bytes() == content
 
 
-def test_a_damaged_line_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_line_is_refused(tmp_path):
     path = tmp_path / "calibrate.jsonl"
     simulated(path, 2)
     lines = path.read_bytes().splitlines(keepends=True)
@@ -148,7 +146,7 @@ def test_a_damaged_line_is_refused(tmp_path: Path) -> None:
             Checkpoint(path, "d")
 
 
-def test_workers_change_nothing_but_the_clock(tmp_path: Path) -> None:
+def test_workers_change_nothing_but_the_clock(tmp_path):
     one = simulated(tmp_path / "one", 6, seed=9)
     two = simulated(tmp_path / "two", 6, seed=9, workers=2)
     assert [(r.index, r.truth, r.rank) for r in one] == [(r.index, r.truth, r.rank) for r in two]
@@ -167,7 +165,7 @@ def started(path: Path, simulations: int, workers: int, records: int) -> subproc
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a kill that can't be caught is POSIX")
-def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
+def test_a_killed_run_goes_on_to_the_same_end(tmp_path):
     path = tmp_path / "calibrate.jsonl"
     running = started(path, 60, 1, records=8)
     running.send_signal(signal.SIGKILL)
@@ -182,7 +180,7 @@ def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="children are looked up in /proc")
-def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+def test_workers_end_with_a_run_that_is_killed(tmp_path):
     running = started(tmp_path / "calibrate.jsonl", 100_000, 2, records=4)
     children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
     workers = [Path(f"/proc/{number}/stat") for number in children.read_text().split()]

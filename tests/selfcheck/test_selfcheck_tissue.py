@@ -46,7 +46,7 @@ def verdict_on(check: TissueCheck, simulations: int) -> Verdict:
     return verdict_of([one_record(check, 31, index) for index in range(simulations)])
 
 
-def test_an_exact_posterior_of_the_recordings_is_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exact_posterior_of_the_recordings_is_calibrated(monkeypatch):
     identified_by(monkeypatch, conjugate)
     verdict = verdict_on(check_of(widths=ONLY_CURVES), 150)
     # a right posterior leaves its bands with 2 %, this seed does not
@@ -57,7 +57,7 @@ def test_an_exact_posterior_of_the_recordings_is_calibrated(monkeypatch: pytest.
     assert known["viscosity_N_s_per_mm"] > 0.99
 
 
-def test_identify_is_given_the_order_the_noise_and_the_very_priors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_identify_is_given_the_order_the_noise_and_the_very_priors(monkeypatch):
     given: dict[str, Any] = {}
 
     def watched(trials: Any, **options: Any) -> Identification:
@@ -87,7 +87,7 @@ def test_identify_is_given_the_order_the_noise_and_the_very_priors(monkeypatch: 
         assert contact.displacement_mm == pytest.approx(0.0, abs=4.0 * contact.sd_mm)
 
 
-def test_a_contact_that_is_stated_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_contact_that_is_stated_is_not_looked_for(monkeypatch):
     asked: list[Any] = []
 
     def watched(trials: Any, **options: Any) -> Identification:
@@ -104,7 +104,7 @@ def test_a_contact_that_is_stated_is_not_looked_for(monkeypatch: pytest.MonkeyPa
     assert (asked[1].contact_displacement_mm, asked[1].contact_sd_mm) == (0.0, 0.02)
 
 
-def test_the_order_of_theta_is_that_of_its_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_order_of_theta_is_that_of_its_names(monkeypatch):
     check = check_of()
     identified_by(monkeypatch, of_prior)
     straight = check(np.random.default_rng(3))
@@ -123,7 +123,7 @@ def test_the_order_of_theta_is_that_of_its_names(monkeypatch: pytest.MonkeyPatch
         np.testing.assert_array_equal(turned.draws[name], values)
 
 
-def test_a_viscosity_is_compared_at_half_of_the_fitted_depth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viscosity_is_compared_at_half_of_the_fitted_depth(monkeypatch):
     identified_by(monkeypatch, of_prior)
     found = check_of()(np.random.default_rng(4))
     k0, k1, tau = (
@@ -134,7 +134,7 @@ def test_a_viscosity_is_compared_at_half_of_the_fitted_depth(monkeypatch: pytest
     assert found.truth["viscosity_N_s_per_mm"] == pytest.approx((k0 + 0.5 * depth * k1) * tau, rel=1e-12)
 
 
-def test_the_quoted_interval_counts_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_quoted_interval_counts_where_there_is_one(monkeypatch):
     def far_off(trials: Any, **options: Any) -> Identification:
         found = of_prior(trials, **options)
         (fit,) = found.specimens
@@ -164,9 +164,7 @@ def test_the_quoted_interval_counts_where_there_is_one(monkeypatch: pytest.Monke
         ({"draws_total": None}, "0 draws, 399 are needed"),
     ],
 )
-def test_too_few_draws_are_no_posterior(
-    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], says: str
-) -> None:
+def test_too_few_draws_are_no_posterior(monkeypatch, change, says):
     theta = np.tile(THETA, (399, 1))
     identified_by(monkeypatch, lambda *_, **__: of_draws(MODEL, theta, **change))
     record = one_record(check_of(defects="draws_total" in change), 1, 0)
@@ -174,7 +172,7 @@ def test_too_few_draws_are_no_posterior(
     assert says in record.failed
 
 
-def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch):
     whole = of_draws(MODEL, np.tile(THETA, (399, 1)))
     (fit,) = whole.specimens
     flag = Flag("sampler_not_converged", "standard errors only", {"reason": "R-hat is 1.2"})
@@ -194,7 +192,7 @@ def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch: pyt
         assert record.failed == f"ArithmeticError: {says}"
 
 
-def test_a_check_goes_to_other_processes() -> None:
+def test_a_check_goes_to_other_processes():
     check = pickle.loads(pickle.dumps(check_of()))
     assert check.priors == check_of().priors
 
@@ -202,7 +200,7 @@ def test_a_check_goes_to_other_processes() -> None:
 @pytest.mark.system
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("case", [CASES[3], CASES[5]], ids=lambda case: case.name)
-def test_a_real_identification_is_ranked(case: Any) -> None:
+def test_a_real_identification_is_ranked(case):
     check = case.check()
     for index in range(2):
         record = one_record(check, case.seed, index)

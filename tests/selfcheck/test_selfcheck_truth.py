@@ -46,7 +46,7 @@ def priors_for(**options: object) -> Priors:
     return centred_priors(MODEL, THETA, sigma_N=0.5, phi=0.9, **options)
 
 
-def test_truths_are_passive_ascending_and_follow_their_priors() -> None:
+def test_truths_are_passive_ascending_and_follow_their_priors():
     priors = priors_for()
     found = truths(priors)
     theta = np.array([one.theta for one in found])
@@ -66,7 +66,7 @@ def test_truths_are_passive_ascending_and_follow_their_priors() -> None:
     assert kstest([np.log(one.gain[0]) / one.gain_sd for one in found], "norm").pvalue > 1e-4
 
 
-def test_a_prior_that_reaches_beyond_the_cone_is_cut_there() -> None:
+def test_a_prior_that_reaches_beyond_the_cone_is_cut_there():
     wide = Priors(
         linear={
             **dict(priors_for().linear),
@@ -81,7 +81,7 @@ def test_a_prior_that_reaches_beyond_the_cone_is_cut_there() -> None:
     assert kstest(theta[:, 3] / 10.0, "halfnorm").pvalue > 1e-4
 
 
-def test_calibration_nuisances_follow_their_priors_and_are_cut() -> None:
+def test_calibration_nuisances_follow_their_priors_and_are_cut():
     found = truths(priors_for(), defects=True)
     for name, prior in CALIBRATION_DEFAULTS.items():
         values = np.array([(one.calibration[name] - prior.mean) / prior.sd for one in found])
@@ -90,13 +90,13 @@ def test_calibration_nuisances_follow_their_priors_and_are_cut() -> None:
     assert truths(priors_for())[0].calibration == {}
 
 
-def test_one_tissue_for_all_logs_has_no_gains() -> None:
+def test_one_tissue_for_all_logs_has_no_gains():
     one = truths(priors_for(), pooling="shared")[0]
     np.testing.assert_array_equal(one.gain, 1.0)
     assert one.gain_sd == 0.0
 
 
-def test_what_a_study_states_stays() -> None:
+def test_what_a_study_states_stays():
     stated = Priors(
         linear={name: (mean, 2.0) for name, mean in zip(MODEL.parameter_names[:3], THETA[:3], strict=True)},
         relaxation_time_s=(SpreadPrior(0.03, 0.1),),
@@ -114,25 +114,25 @@ def test_what_a_study_states_stays() -> None:
     assert widened.linear["stiffness_1_N_per_mm2"] == pytest.approx((10.0, 0.2 * (63.0 + 80.0) / 8.0))
 
 
-def test_a_curve_stated_in_part_is_refused() -> None:
+def test_a_curve_stated_in_part_is_refused():
     stated = Priors(linear={"static_1_N_per_mm": (20.0, 1.0)})
     with pytest.raises(InputError, match="states static_1_N_per_mm and not static_2_N_per_mm2, static_3"):
         priors_for(stated=stated)
 
 
-def test_priors_without_passive_tissue_are_refused() -> None:
+def test_priors_without_passive_tissue_are_refused():
     impossible = Priors(linear={"stiffness_0_N_per_mm": (-50.0, 0.1), "stiffness_1_N_per_mm2": (0.0, 0.1)})
     with pytest.raises(InputError, match="leave no passive tissue"):
         truths(priors_for(stated=impossible))
 
 
-def test_priors_of_times_in_the_wrong_order_are_refused() -> None:
+def test_priors_of_times_in_the_wrong_order_are_refused():
     backwards = Priors(relaxation_time_s=(SpreadPrior(10.0, 0.01), SpreadPrior(0.1, 0.01)))
     with pytest.raises(InputError, match="do not ascend"):
         truths(priors_for(stated=backwards))
 
 
-def test_numbers_are_those_of_the_contact_model() -> None:
+def test_numbers_are_those_of_the_contact_model():
     points = force_points(8.0, (0.5, 8.0))
     assert points == ((2.0, 8.0), (4.0, 2.0), (8.0, 0.5))
     theta = np.array([THETA, THETA * 1.1])
@@ -147,7 +147,7 @@ def test_numbers_are_those_of_the_contact_model() -> None:
     assert numbers["relaxation_time_s"][0] == 0.02
 
 
-def test_every_prior_is_said_with_its_numbers() -> None:
+def test_every_prior_is_said_with_its_numbers():
     words = prior_words(priors_for(), correlated=True, pooling="partial", defects=True)
     assert words["static_1_N_per_mm"].startswith("normal, 20 ± ")
     assert words["relaxation_time_s_b2"] == "log-normal, median 0.6, sd of ln 0.4"
@@ -165,7 +165,7 @@ def check_of(name: str, *, stated: Priors | None = None, widths: Widths | None =
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_truths_are_passive_tissues_around_the_middle_and_are_recorded(name: str) -> None:
+def test_truths_are_passive_tissues_around_the_middle_and_are_recorded(name):
     check = check_of(name)
     rng = np.random.default_rng(51)
 
@@ -191,7 +191,7 @@ def test_truths_are_passive_tissues_around_the_middle_and_are_recorded(name: str
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_numbers_that_are_checked_are_those_of_the_law(name: str) -> None:
+def test_numbers_that_are_checked_are_those_of_the_law(name):
     check, theta = check_of(name), np.array([LAWS[name], LAWS[name]])
 
     found = check._numbers(type("Fit", (), {"depth_mm": 4.0})(), theta)
@@ -204,7 +204,7 @@ def test_numbers_that_are_checked_are_those_of_the_law(name: str) -> None:
     assert forces[-1][0] == pytest.approx(dense[-1], rel=1e-3)
 
 
-def test_a_stated_prior_of_a_shape_stays() -> None:
+def test_a_stated_prior_of_a_shape_stays():
     stated = Priors(shapes={"static_exponent": SpreadPrior(1.5, 0.01)})
 
     check = check_of("power * stretched", stated=stated)
@@ -215,21 +215,21 @@ def test_a_stated_prior_of_a_shape_stays() -> None:
     assert np.std(np.log(drawn)) < 0.02
 
 
-def test_a_prior_beyond_the_bounds_of_a_shape_is_refused_with_them() -> None:
+def test_a_prior_beyond_the_bounds_of_a_shape_is_refused_with_them():
     stated = Priors(shapes={"static_exponent": SpreadPrior(9.0, 0.001)})
 
     with pytest.raises(InputError, match=r"the prior of static_exponent leaves nothing from 0\.5 to 4"):
         check_of("power * stretched", stated=stated).truth(np.random.default_rng(1))
 
 
-def test_a_spectrum_is_refused_with_the_way_out() -> None:
+def test_a_spectrum_is_refused_with_the_way_out():
     bundle = law_bundle(*SPECTRUM)
 
     with pytest.raises(BundleError, match="its times follow the recordings; fit another law"):
         of_bundle(bundle, where="bundle.h5")
 
 
-def test_the_program_of_a_bundle_of_any_law_keeps_its_depth_and_speeds() -> None:
+def test_the_program_of_a_bundle_of_any_law_keeps_its_depth_and_speeds():
     protocol, centre = of_bundle(
         law_bundle("power * stretched", LAWS["power * stretched"]), where="bundle.h5"
     )

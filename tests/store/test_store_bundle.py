@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -33,13 +32,13 @@ def a_bundle(draws: int = 0) -> Bundle:
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Path:
+def written(tmp_path):
     path = tmp_path / "bundle.h5"
     write_bundle(a_bundle(draws=5), path)
     return path
 
 
-def test_everything_comes_back_exactly(written: Path) -> None:
+def test_everything_comes_back_exactly(written):
     expected, actual = a_bundle(draws=5), load_bundle(written)
     assert actual.as_json() == json.loads(json.dumps(expected.as_json()))
     assert np.array_equal(actual.theta, expected.theta)
@@ -49,7 +48,7 @@ def test_everything_comes_back_exactly(written: Path) -> None:
     assert not actual.theta.flags.writeable
 
 
-def test_a_stated_tip_comes_back_and_none_is_left_out(tmp_path: Path) -> None:
+def test_a_stated_tip_comes_back_and_none_is_left_out(tmp_path):
     assert "tip" not in a_bundle().as_json()["validity"]
     fit = replace(specimen_fit(), tip=TipGeometry("cone", 30.0))
     write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
@@ -57,7 +56,7 @@ def test_a_stated_tip_comes_back_and_none_is_left_out(tmp_path: Path) -> None:
     assert (back.tip, back.draws) == (TipGeometry("cone", 30.0), None)
 
 
-def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path: Path) -> None:
+def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path):
     fit = sampled(specimen_fit())
     write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
     bundle = load_bundle(tmp_path / "b.h5")
@@ -70,7 +69,7 @@ def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_pa
     assert bundle.parameter("viscosity_N_s_per_mm").uncertainty == fit.parameters[-1].uncertainty
 
 
-def test_a_draw_that_is_not_passive_is_never_written(tmp_path: Path) -> None:
+def test_a_draw_that_is_not_passive_is_never_written(tmp_path):
     fit = sampled(specimen_fit())
     draws = fit.posterior.draws.copy()
     draws[0, -1] = -TAU_S
@@ -80,7 +79,7 @@ def test_a_draw_that_is_not_passive_is_never_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_the_model_in_the_bundle_gives_the_closed_form_force(written: Path) -> None:
+def test_the_model_in_the_bundle_gives_the_closed_form_force(written):
     bundle = load_bundle(written)
     speed, time = 2.0, np.linspace(0.0, 3.0, 301)
     depth = speed * time
@@ -91,7 +90,7 @@ def test_the_model_in_the_bundle_gives_the_closed_form_force(written: Path) -> N
     assert actual == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_provenance_keeps_only_the_specimens_own_inputs() -> None:
+def test_provenance_keeps_only_the_specimens_own_inputs():
     fits = [specimen_fit("a"), specimen_fit("b")]
     bundle = bundle_from_fit(fits[1], provenance=identification(fits).provenance)
     assert {entry["specimen"] for entry in bundle.provenance["inputs"]} == {"b"}
@@ -126,7 +125,7 @@ def narrow_theta(file: Any) -> None:
         (narrow_theta, "float32"),
     ],
 )
-def test_a_hand_edited_file_is_refused(written: Path, edit: Any, reason: str) -> None:
+def test_a_hand_edited_file_is_refused(written, edit, reason):
     with h5py.File(written, "r+") as file:
         edit(file)
     with pytest.raises(BundleError, match=reason) as caught:
@@ -160,13 +159,13 @@ def spoiled(name: str, changes: dict[Any, float]) -> Callable[[Bundle], Bundle]:
         (lambda b: replace(b, model=replace(b.model, key="springs")), "springs"),
     ],
 )
-def test_what_could_not_be_rendered_safely_is_never_written(tmp_path: Path, spoil: Any, reason: str) -> None:
+def test_what_could_not_be_rendered_safely_is_never_written(tmp_path, spoil, reason):
     with pytest.raises(BundleError, match=reason):
         write_bundle(spoil(a_bundle(draws=5)), tmp_path / "b.h5")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_truncation_is_refused(written: Path, tmp_path: Path) -> None:
+def test_every_truncation_is_refused(written, tmp_path):
     content = written.read_bytes()
     cut = tmp_path / "cut.h5"
     for size in np.linspace(0, len(content) - 1, 60).astype(int):
@@ -175,7 +174,7 @@ def test_every_truncation_is_refused(written: Path, tmp_path: Path) -> None:
             load_bundle(cut)
 
 
-def test_a_flipped_byte_is_refused_or_harmless(written: Path, tmp_path: Path) -> None:
+def test_a_flipped_byte_is_refused_or_harmless(written, tmp_path):
     content = written.read_bytes()
     expected = load_bundle(written)
     rng = np.random.default_rng(7)
@@ -198,20 +197,20 @@ def test_a_flipped_byte_is_refused_or_harmless(written: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("content", [b"", b"Time,Load\n0,1\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 64])
-def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_another_kind_of_file_is_refused(tmp_path, content):
     path = tmp_path / "bundle.h5"
     path.write_bytes(content)
     with pytest.raises(BundleError, match="cannot be read as a bundle"):
         load_bundle(path)
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     for path in (tmp_path / "none.h5", tmp_path):
         with pytest.raises(BundleError, match="no such file"):
             load_bundle(path)
 
 
-def test_a_bundle_keeps_its_law_of_rupture(tmp_path: Path) -> None:
+def test_a_bundle_keeps_its_law_of_rupture(tmp_path):
     bundle = replace(a_bundle(), rupture=LAW)
     write_bundle(bundle, tmp_path / "bundle.h5")
     assert load_bundle(tmp_path / "bundle.h5").rupture == LAW
@@ -219,7 +218,7 @@ def test_a_bundle_keeps_its_law_of_rupture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"threshold": -1.0}, {"residual": 2.0}, {"criterion": "torque"}])
-def test_a_law_that_makes_no_sense_never_reaches_a_file(wrong: dict[str, object], tmp_path: Path) -> None:
+def test_a_law_that_makes_no_sense_never_reaches_a_file(wrong, tmp_path):
     with pytest.raises(ValueError, match=r"threshold must be above 0|no criterion of rupture"):
         replace(LAW, **wrong)
     with pytest.raises(BundleError, match="rupture"):

@@ -54,7 +54,7 @@ def bundle(path: Path) -> Path:
     return path
 
 
-def test_a_bundle_of_an_earlier_version_becomes_what_it_was_before(tmp_path: Path) -> None:
+def test_a_bundle_of_an_earlier_version_becomes_what_it_was_before(tmp_path):
     before = load_bundle(bundle(tmp_path / "b.h5"))
     as_version_0(tmp_path / "b.h5")
     with pytest.raises(BundleError, match=r"schema version 0.*tissueid migrate"):
@@ -70,7 +70,7 @@ def test_a_bundle_of_an_earlier_version_becomes_what_it_was_before(tmp_path: Pat
     assert migrate_bundle(tmp_path / "b.h5", steps=STEPS) is None
 
 
-def test_a_migration_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_migration_that_fails_leaves_the_old_file(tmp_path):
     as_version_0(bundle(tmp_path / "b.h5"))
     content = (tmp_path / "b.h5").read_bytes()
 
@@ -91,7 +91,7 @@ def test_a_migration_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
         migrate_bundle(tmp_path / "b.h5")
 
 
-def test_a_set_is_migrated_at_once_and_is_whole_afterwards(tmp_path: Path) -> None:
+def test_a_set_is_migrated_at_once_and_is_whole_afterwards(tmp_path):
     names = ("a", "b")
     with OutputSet(tmp_path) as run:
         write_results(run, identification([specimen_fit(name, trials=1, samples=40) for name in names]))
@@ -104,7 +104,7 @@ def test_a_set_is_migrated_at_once_and_is_whole_afterwards(tmp_path: Path) -> No
     assert migrate_folder(tmp_path, bundles=STEPS) == []
 
 
-def test_an_index_is_migrated_on_a_copy(tmp_path: Path) -> None:
+def test_an_index_is_migrated_on_a_copy(tmp_path):
     with Index(tmp_path) as index:
         index.begin_run(1.0, {"pid": 1, "host": "here"}, 3)
     with sqlite3.connect(tmp_path / INDEX) as database:
@@ -127,7 +127,7 @@ def test_an_index_is_migrated_on_a_copy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", RELEASED, ids=lambda path: path.stem)
-def test_a_bundle_of_every_released_version_is_read(path: Path, tmp_path: Path) -> None:
+def test_a_bundle_of_every_released_version_is_read(path, tmp_path):
     (tmp_path / path.name).write_bytes(path.read_bytes())
     assert main(["migrate", str(tmp_path / path.name), "-q"]) == 0
     found = load_bundle(tmp_path / path.name)
@@ -136,5 +136,5 @@ def test_a_bundle_of_every_released_version_is_read(path: Path, tmp_path: Path) 
     assert found.parameter("viscosity_N_s_per_mm").value == pytest.approx(9.0, rel=1e-12)
 
 
-def test_every_released_version_has_a_bundle_here() -> None:
+def test_every_released_version_has_a_bundle_here():
     assert [path.stem for path in RELEASED] == ["bundle-v1"]

@@ -41,14 +41,14 @@ def public(out: Path) -> set[str]:
     return {path.name for path in out.iterdir() if not path.name.startswith(".")}
 
 
-def test_a_committed_set_is_public_whole_and_valid(tmp_path: Path) -> None:
+def test_a_committed_set_is_public_whole_and_valid(tmp_path):
     out = tmp_path / "new" / "out"
     write(out, "kidney 3")
     assert public(out) == {*ALWAYS, "bundle-kidney_3.h5", "bundle.h5"}
     validate_outputs(out)
 
 
-def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
+def test_results_are_read_back_from_the_folder_alone(tmp_path):
     run = write(tmp_path, "a", "b")
     document, curves, posteriors = read_results(tmp_path)
     assert posteriors == ()
@@ -59,7 +59,7 @@ def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
             assert np.array_equal(getattr(entry.curve, name), getattr(expected, name)), name
 
 
-def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         fits = [sampled(specimen_fit("x", trials=1, samples=40)), specimen_fit("y", trials=1, samples=40)]
         commit(tmp_path / name, identification(fits))
@@ -68,7 +68,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
 
-def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path: Path) -> None:
+def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path):
     write(tmp_path, "only")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "old.h5").write_text("checkpoint")
@@ -77,7 +77,7 @@ def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path: Path)
     assert len(list((tmp_path / ".runs").iterdir())) == 1
 
 
-def test_a_run_that_fails_leaves_the_old_set(tmp_path: Path) -> None:
+def test_a_run_that_fails_leaves_the_old_set(tmp_path):
     write(tmp_path, "old")
 
     def stop_half_way() -> None:
@@ -91,9 +91,7 @@ def test_a_run_that_fails_leaves_the_old_set(tmp_path: Path) -> None:
     assert read_results(tmp_path)[0].specimens[0].specimen == "old"
 
 
-def test_an_interrupt_while_the_folder_is_made_leaves_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_while_the_folder_is_made_leaves_none(tmp_path, monkeypatch):
     write(tmp_path, "old")
     make = Path.mkdir
 
@@ -111,14 +109,14 @@ def test_an_interrupt_while_the_folder_is_made_leaves_none(
     write(tmp_path, "new")
 
 
-def test_a_finished_refresh_touches_nothing(tmp_path: Path) -> None:
+def test_a_finished_refresh_touches_nothing(tmp_path):
     write(tmp_path, "a")
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     complete_refresh(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-def test_carrying_over_replaces_the_report_alone(tmp_path: Path) -> None:
+def test_carrying_over_replaces_the_report_alone(tmp_path):
     write(tmp_path, "a")
     numbers = (tmp_path / "identification.json").read_bytes()
     with OutputSet(tmp_path) as outputs:
@@ -131,12 +129,12 @@ def test_carrying_over_replaces_the_report_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", ".hidden", "manifest.json", ""])
-def test_a_file_cannot_leave_its_set(tmp_path: Path, name: str) -> None:
+def test_a_file_cannot_leave_its_set(tmp_path, name):
     with OutputSet(tmp_path) as outputs, pytest.raises(ValueError, match="public name"):
         outputs.path(name)
 
 
-def test_a_second_writer_is_refused_with_the_name_of_the_first(tmp_path: Path) -> None:
+def test_a_second_writer_is_refused_with_the_name_of_the_first(tmp_path):
     with OutputSet(tmp_path):
         with (
             pytest.raises(BundleError, match=f"process {os.getpid()} on .* is writing here"),
@@ -149,21 +147,21 @@ def test_a_second_writer_is_refused_with_the_name_of_the_first(tmp_path: Path) -
     validate_outputs(tmp_path)
 
 
-def test_the_lock_of_a_dead_process_is_no_lock(tmp_path: Path) -> None:
+def test_the_lock_of_a_dead_process_is_no_lock(tmp_path):
     (tmp_path / ".lock").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
     write(tmp_path, "a")
     document, *_ = read_results(tmp_path)
     assert [entry.specimen for entry in document.specimens] == ["a"]
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(BundleError, match="can't be made a folder"), OutputSet(tmp_path / "file"):
         pass
 
 
 @pytest.mark.parametrize("name", ["identification.json", "bundle-a.h5", "curves.h5", "report.html"])
-def test_a_mixed_set_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_mixed_set_is_refused(tmp_path, name):
     write(tmp_path / "one", "a")
     run = identification([specimen_fit("a", trials=2, samples=50, identified=False, seed=9)])
     commit(tmp_path / "two", run, **{REPORT: b"<p>other</p>"})
@@ -172,7 +170,7 @@ def test_a_mixed_set_is_refused(tmp_path: Path, name: str) -> None:
         validate_outputs(tmp_path / "one")
 
 
-def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_path: Path) -> None:
+def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_path):
     run = identification([specimen_fit("a", trials=1, samples=40)])
     with OutputSet(tmp_path) as outputs:
         write_results(outputs, run)
@@ -186,7 +184,7 @@ def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_pa
     ]
 
 
-def test_a_missing_and_a_foreign_bundle_are_told(tmp_path: Path) -> None:
+def test_a_missing_and_a_foreign_bundle_are_told(tmp_path):
     write(tmp_path, "a", "b")
     (tmp_path / "bundle-c.h5").write_bytes((tmp_path / "bundle-a.h5").read_bytes())
     assert output_problems(tmp_path) == ["bundle-c.h5 belongs to no specimen of identification.json"]
@@ -195,7 +193,7 @@ def test_a_missing_and_a_foreign_bundle_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "000099\n", "../..\n", "é"])
-def test_a_damaged_commit_mark_is_refused(tmp_path: Path, content: str) -> None:
+def test_a_damaged_commit_mark_is_refused(tmp_path, content):
     write(tmp_path, "a")
     (tmp_path / ".current").write_bytes(content.encode())
     with pytest.raises(BundleError, match="current run"):
@@ -238,13 +236,13 @@ def whole_sets(out: Path, delays: list[float]) -> int:
 
 
 @pytest.mark.parametrize("kills", [6, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_kill_at_any_moment_leaves_a_whole_set(tmp_path: Path, kills: int) -> None:
+def test_a_kill_at_any_moment_leaves_a_whole_set(tmp_path, kills):
     # one set takes some 50 ms to write: the delays cover several
     delays = np.random.default_rng(kills).uniform(0.0, 0.25, kills).tolist()
     assert whole_sets(tmp_path, delays) == kills
 
 
-def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_step_of_a_commit_may_be_the_last(tmp_path, monkeypatch):
     """Stop before each rename of a commit in turn: the systematic form of the kill test."""
     real = outputs_module.replace_file
     for stop in range(16):
@@ -274,7 +272,7 @@ def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pyt
     assert committed, "the last stop must lie behind the commit"
 
 
-def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path):
     with pytest.raises(BundleError) as caught:
         validate_outputs(tmp_path)
     assert (
@@ -300,18 +298,18 @@ def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path: Path) ->
         ("é" * 300, "é" * 40),
     ],
 )
-def test_a_name_is_made_safe(name: str, expected: str) -> None:
+def test_a_name_is_made_safe(name, expected):
     assert safe_name(name) == expected
 
 
-def test_names_that_meet_without_case_are_kept_apart() -> None:
+def test_names_that_meet_without_case_are_kept_apart():
     names = bundle_names(["Liver", "liver", "a/b", "a_b", "spleen"])
     assert names["spleen"] == "bundle-spleen.h5"
     assert len({name.casefold() for name in names.values()}) == 5
     assert bundle_names(["a b", "a_b"]) == bundle_names(["a_b", "a b"])
 
 
-def test_a_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:
+def test_a_pipe_is_written_to_and_never_replaced(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -323,7 +321,7 @@ def test_a_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-def test_a_name_that_is_a_folder_is_refused_by_the_system(tmp_path: Path, monkeypatch) -> None:
+def test_a_name_that_is_a_folder_is_refused_by_the_system(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in (".", ".."):
         with pytest.raises(OSError, match=r"busy|directory"):
@@ -331,7 +329,7 @@ def test_a_name_that_is_a_folder_is_refused_by_the_system(tmp_path: Path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_link_leads_to_is_written_and_the_link_stays(tmp_path: Path) -> None:
+def test_what_a_link_leads_to_is_written_and_the_link_stays(tmp_path):
     real, link = tmp_path / "real", tmp_path / "link"
     real.write_bytes(b"old")
     link.symlink_to(real)

@@ -33,7 +33,7 @@ def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path) -> None:
         put_posteriors(file, posteriors)
 
 
-def test_draws_chains_and_bands_come_back(tmp_path: Path) -> None:
+def test_draws_chains_and_bands_come_back(tmp_path):
     expected = posteriors_of_fits(FITS)
     write_posteriors(expected, tmp_path / "p.h5")
     actual = load_posteriors(tmp_path / "p.h5")
@@ -51,7 +51,7 @@ def test_draws_chains_and_bands_come_back(tmp_path: Path) -> None:
     assert actual[1].draws_total is None
 
 
-def test_a_damaged_file_is_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_with_the_way_out(tmp_path):
     path = tmp_path / "p.h5"
     with pytest.raises(BundleError, match="no such file"):
         load_posteriors(path)
@@ -66,7 +66,7 @@ def test_a_damaged_file_is_refused_with_the_way_out(tmp_path: Path) -> None:
         load_posteriors(path)
 
 
-def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path: Path) -> None:
+def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path):
     for name, fits in (("with", FITS), ("without", FITS[1:2])):
         commit(tmp_path / name, identification(fits))
         assert output_problems(tmp_path / name) == []
@@ -76,7 +76,7 @@ def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path: 
     assert not (tmp_path / "without" / POSTERIORS).exists()
 
 
-def test_draws_of_another_run_are_told(tmp_path: Path) -> None:
+def test_draws_of_another_run_are_told(tmp_path):
     with OutputSet(tmp_path) as run:
         write_results(run, identification(FITS))
         write_posteriors(posteriors_of_fits(FITS[:1]), run.path(POSTERIORS))
@@ -86,7 +86,7 @@ def test_draws_of_another_run_are_told(tmp_path: Path) -> None:
     ]
 
 
-def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path: Path) -> None:
+def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path):
     (before, _), path = posteriors_of_fits(FITS), tmp_path / "p.h5"
     density = before.chain.sum(axis=2)
     write_posteriors([replace(before, log_density=density)], path)
@@ -97,7 +97,7 @@ def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path: Path) -
         load_posteriors(path)
 
 
-def test_a_long_chain_and_its_density_are_thinned_alike() -> None:
+def test_a_long_chain_and_its_density_are_thinned_alike():
     fit = sampled(specimen_fit("a", trials=1, samples=50))
     chain = np.random.default_rng(3).standard_normal((32, 2000, 3))
     long = replace(fit, posterior=replace(fit.posterior, chain=chain, log_density=chain.sum(axis=2)))
@@ -106,7 +106,7 @@ def test_a_long_chain_and_its_density_are_thinned_alike() -> None:
     assert np.array_equal(kept.log_density, kept.chain.sum(axis=2))
 
 
-def test_curves_come_back_exactly_and_in_order(tmp_path: Path) -> None:
+def test_curves_come_back_exactly_and_in_order(tmp_path):
     expected = curves_of_fits(
         [specimen_fit("a", trials=2, samples=50, sheet="Blatt 1"), specimen_fit("b", trials=1)]
     )
@@ -120,12 +120,12 @@ def test_curves_come_back_exactly_and_in_order(tmp_path: Path) -> None:
             assert np.array_equal(getattr(one.curve, name), getattr(other.curve, name)), name
 
 
-def test_no_curves_at_all_come_back_as_none(tmp_path: Path) -> None:
+def test_no_curves_at_all_come_back_as_none(tmp_path):
     write_curves([], tmp_path / "curves.h5")
     assert load_curves(tmp_path / "curves.h5") == ()
 
 
-def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_file_is_refused(tmp_path):
     path = tmp_path / "curves.h5"
     write_curves(curves_of_fits([specimen_fit()]), path)
     path.write_bytes(path.read_bytes()[:-200])
@@ -133,7 +133,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
         load_curves(path)
 
 
-def test_residuals_come_back_exactly_and_older_files_have_none(tmp_path: Path) -> None:
+def test_residuals_come_back_exactly_and_older_files_have_none(tmp_path):
     curves = list(curves_of_fits([specimen_fit("a", trials=3, samples=80)]))
     without = TrialCurve(curves[1].specimen, curves[1].path, curves[1].sheet, curves[1].curve)
     expected = [curves[0], without, curves[2]]
@@ -149,7 +149,7 @@ def test_residuals_come_back_exactly_and_older_files_have_none(tmp_path: Path) -
         assert "residual" not in file
 
 
-def test_residuals_that_do_not_match_are_refused(tmp_path: Path) -> None:
+def test_residuals_that_do_not_match_are_refused(tmp_path):
     path = tmp_path / "curves.h5"
     write_curves(curves_of_fits([specimen_fit(trials=2, samples=80)]), path)
     with h5py.File(path, "r+") as file:

@@ -26,30 +26,30 @@ from tissueid.store.session_log import (
 
 
 @pytest.fixture(scope="module")
-def records() -> np.ndarray:
+def records():
     return records_of(indentation(2.0))
 
 
 @pytest.fixture
-def raw(tmp_path: Path, records: np.ndarray) -> Path:
+def raw(tmp_path, records):
     path = tmp_path / "out.h5.part"
     path.write_bytes(raw_head(head_of(), RECORD) + records.tobytes())
     return path
 
 
-def test_a_raw_log_comes_back_record_by_record(raw: Path, records: np.ndarray) -> None:
+def test_a_raw_log_comes_back_record_by_record(raw, records):
     log = read_session_log(raw)
     assert log.records.tobytes() == records.tobytes()
     assert log.head["scale"] == head_of()["scale"]
     assert log.summary is None
 
 
-def test_a_record_that_was_cut_is_left_out(raw: Path, records: np.ndarray) -> None:
+def test_a_record_that_was_cut_is_left_out(raw, records):
     raw.write_bytes(raw.read_bytes()[:-5])
     assert read_session_log(raw).records.tobytes() == records[:-1].tobytes()
 
 
-def test_records_outlive_a_kill_in_the_middle_of_writing(tmp_path: Path) -> None:
+def test_records_outlive_a_kill_in_the_middle_of_writing(tmp_path):
     path = tmp_path / "killed.h5"
     script = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"
@@ -73,9 +73,7 @@ def test_records_outlive_a_kill_in_the_middle_of_writing(tmp_path: Path) -> None
     assert (np.diff(log.records["tick"][: said // 3]) == 1).all()
 
 
-def test_the_hdf5_file_holds_the_same_records_and_the_summary(
-    raw: Path, records: np.ndarray, tmp_path: Path
-) -> None:
+def test_the_hdf5_file_holds_the_same_records_and_the_summary(raw, records, tmp_path):
     target = tmp_path / "out.h5"
     convert_session_log(raw, target, summary_of(records))
     log = read_session_log(target)
@@ -100,9 +98,7 @@ def stronger(file: Any) -> None:
         (lambda file: file.attrs.modify("schema_version", np.int64(2)), "schema version 2"),
     ],
 )
-def test_a_log_that_was_edited_is_refused(
-    raw: Path, records: np.ndarray, tmp_path: Path, edit: Any, words: str
-) -> None:
+def test_a_log_that_was_edited_is_refused(raw, records, tmp_path, edit, words):
     target = tmp_path / "out.h5"
     convert_session_log(raw, target, summary_of(records))
     with h5py.File(target, "r+") as file:
@@ -112,26 +108,26 @@ def test_a_log_that_was_edited_is_refused(
 
 
 @pytest.mark.parametrize("length", [0, 10, 20, 200])
-def test_a_log_without_its_head_is_refused_by_name(raw: Path, length: int) -> None:
+def test_a_log_without_its_head_is_refused_by_name(raw, length):
     raw.write_bytes(raw.read_bytes()[:length])
     with pytest.raises(BundleError, match=r"out\.h5\.part: "):
         read_session_log(raw)
 
 
-def test_a_head_that_is_no_head_is_refused(raw: Path) -> None:
+def test_a_head_that_is_no_head_is_refused(raw):
     for text in (b"[]", b"{}", b"not json", b'{"schema": "tissueid/session/9"}'):
         raw.write_bytes(RAW_MAGIC + len(text).to_bytes(8, "little") + text)
         with pytest.raises(BundleError):
             read_session_log(raw)
 
 
-def test_records_without_a_needed_field_are_refused(raw: Path) -> None:
+def test_records_without_a_needed_field_are_refused(raw):
     raw.write_bytes(raw_head(head_of(), np.dtype([("time_s", "<f8"), ("force_N", "<f8", (3,))])))
     with pytest.raises(BundleError, match="records lack position_m"):
         read_session_log(raw)
 
 
-def test_other_files_are_no_session_logs(tmp_path: Path) -> None:
+def test_other_files_are_no_session_logs(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.attrs["format"] = "tissueid/bundle"
     assert not is_session_log((tmp_path / "other.h5").read_bytes())
@@ -143,6 +139,6 @@ def test_other_files_are_no_session_logs(tmp_path: Path) -> None:
         read_session_log(tmp_path / "missing.h5")
 
 
-def test_a_head_that_names_more_than_the_schema_allows_is_never_written() -> None:
+def test_a_head_that_names_more_than_the_schema_allows_is_never_written():
     with pytest.raises(BundleError, match="name_of_the_person"):
         raw_head(head_of(name_of_the_person="Anna"), RECORD)

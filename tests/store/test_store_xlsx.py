@@ -21,7 +21,7 @@ ROWS = [
 ]
 
 
-def test_two_readers_find_every_cell() -> None:
+def test_two_readers_find_every_cell():
     raw = xlsx_bytes([Sheet("numbers", ("name", "value", "known", "rest"), ROWS)])
     (head, *rows) = openpyxl.load_workbook(io.BytesIO(raw)).active.iter_rows()
     assert [cell.value for cell in head] == ["name", "value", "known", "rest"]
@@ -39,14 +39,14 @@ def test_two_readers_find_every_cell() -> None:
     assert [row[1] for row in again[1:]] == [0.1, 1.25e-300, -7, 5_000_000.25]
 
 
-def test_names_of_sheets_are_cut_cleaned_and_told_apart() -> None:
+def test_names_of_sheets_are_cut_cleaned_and_told_apart():
     wanted = ["a/b:c", "A b c", "x" * 40, "x" * 50, "", "'"]
     raw = xlsx_bytes([Sheet(name, ("h",), []) for name in wanted])
     names = openpyxl.load_workbook(io.BytesIO(raw)).sheetnames
     assert names == ["a b c", "A b c 2", "x" * 31, "x" * 29 + " 2", "Sheet", "Sheet 2"]
 
 
-def test_equal_tables_give_equal_bytes_and_every_part_is_well_formed() -> None:
+def test_equal_tables_give_equal_bytes_and_every_part_is_well_formed():
     sheets = [Sheet("one", ("a",), [[1.0]]), Sheet("two", ("b",), [["x"]])]
     raw = xlsx_bytes(sheets)
     assert raw == xlsx_bytes(sheets)
@@ -55,6 +55,6 @@ def test_equal_tables_give_equal_bytes_and_every_part_is_well_formed() -> None:
             ET.fromstring(archive.read(name))
 
 
-def test_a_workbook_without_a_sheet_is_refused() -> None:
+def test_a_workbook_without_a_sheet_is_refused():
     with pytest.raises(ValueError, match="needs a sheet"):
         xlsx_bytes([])

@@ -33,7 +33,7 @@ def keys(out: Path) -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cohort(tmp_path_factory):
     """Three specimens, fitted in this process from the folder they are in."""
     folder = tmp_path_factory.mktemp("cohort")
     write_cohort(folder / "lab", 3)
@@ -43,7 +43,7 @@ def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def again(cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def again(cohort, tmp_path, monkeypatch):
     """A copy of them, to change; seen from its folder the recordings are named as they were."""
     shutil.copytree(cohort, tmp_path / "copy")
     monkeypatch.chdir(tmp_path / "copy")
@@ -51,13 +51,13 @@ def again(cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 @pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def large(monkeypatch):
     """Three specimens are a large cohort."""
     monkeypatch.setattr(batch, "LARGE", 2)
     return monkeypatch
 
 
-def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort: Path) -> None:
+def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort):
     options = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
     with contextlib.chdir(cohort):
         expected = tissueid.identify(tissueid.read_trials("lab"), options=options)
@@ -68,7 +68,7 @@ def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort: Path)
     assert found["provenance"] | {"reading": None} == document["provenance"] | {"reading": None}
 
 
-def test_the_file_of_a_specimen_is_a_bundle(cohort: Path) -> None:
+def test_the_file_of_a_specimen_is_a_bundle(cohort):
     for path in (cohort / "out" / "specimens").iterdir():
         alone = load_bundle(path)
         public = load_bundle(cohort / "out" / f"bundle-{alone.specimen}.h5")
@@ -76,7 +76,7 @@ def test_the_file_of_a_specimen_is_a_bundle(cohort: Path) -> None:
         assert alone.as_json()["parameters"] == public.as_json()["parameters"]
 
 
-def test_what_is_there_is_not_computed_again(again: Path) -> None:
+def test_what_is_there_is_not_computed_again(again):
     before, numbers = keys(again / "out"), numbers_of(again / "out")
     assert fit(again / "lab", again / "out") in (0, 4)
     assert keys(again / "out") == before
@@ -84,7 +84,7 @@ def test_what_is_there_is_not_computed_again(again: Path) -> None:
     assert read_status(again / "out")["specimens"]["known_before"] == 3
 
 
-def test_a_new_specimen_leaves_the_others_alone_and_a_changed_one_is_computed_again(again: Path) -> None:
+def test_a_new_specimen_leaves_the_others_alone_and_a_changed_one_is_computed_again(again):
     before = keys(again / "out")
     write_specimen(again / "lab", 3)
     fit(again / "lab", again / "out")
@@ -100,7 +100,7 @@ def test_a_new_specimen_leaves_the_others_alone_and_a_changed_one_is_computed_ag
     assert main(["validate", str(again / "out"), "-q"]) == 0
 
 
-def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again: Path) -> None:
+def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again):
     study = again / "lab" / "study.toml"
     study.write_text('schema = "tissueid/study/1"\n[study]\ntitle = "heads"\n', encoding="utf-8")
     fit(again / "lab", again / "out")
@@ -111,7 +111,7 @@ def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again: Path) 
     assert len(before.items() & keys(again / "out").items()) == 2
 
 
-def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again: Path) -> None:
+def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again):
     numbers = numbers_of(again / "out")
     first, second, _ = sorted((again / "out" / "specimens").iterdir())
     first.write_bytes(first.read_bytes()[:5_000])
@@ -124,14 +124,14 @@ def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again: Path) -
     assert numbers_of(again / "out") == numbers
 
 
-def test_a_damaged_index_costs_time_and_no_result(again: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_index_costs_time_and_no_result(again, capsys):
     numbers = numbers_of(again / "out")
     (again / "out" / "index.sqlite").write_bytes(b"not a database, but long enough to be looked at" * 20)
     assert fit(again / "lab", again / "out") in (0, 4)
     assert numbers_of(again / "out") == numbers
 
 
-def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, large: pytest.MonkeyPatch) -> None:
+def test_a_large_cohort_has_pages_and_the_same_numbers(again, large):
     numbers = numbers_of(again / "out")
     fit(again / "lab", again / "out")
     out = again / "out"
@@ -151,7 +151,7 @@ def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, large: pytes
     assert [one.specimen for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
 
 
-def test_a_page_made_with_a_fit_is_that_made_of_its_file(again: Path, large: pytest.MonkeyPatch) -> None:
+def test_a_page_made_with_a_fit_is_that_made_of_its_file(again, large):
     def pages_of(out: Path) -> dict[str, bytes]:
         fit(again / "lab", out)
         return {path.name: path.read_bytes() for path in (out / "pages").glob("*.html")}
@@ -161,7 +161,7 @@ def test_a_page_made_with_a_fit_is_that_made_of_its_file(again: Path, large: pyt
     assert pages_of(again / "new") == later
 
 
-def test_a_page_that_can_not_be_made_costs_no_result(again: Path, large: pytest.MonkeyPatch) -> None:
+def test_a_page_that_can_not_be_made_costs_no_result(again, large):
     large.setattr(pages, "PAGE", "tissueid.study.pages:no_such_task")
     fit(again / "lab", again / "new")
     assert numbers_of(again / "new") == numbers_of(again / "out")
@@ -170,9 +170,7 @@ def test_a_page_that_can_not_be_made_costs_no_result(again: Path, large: pytest.
     assert all("no page: internal error (AttributeError" in page for page in made)
 
 
-def test_a_bad_specimen_is_named_and_the_others_are_there(
-    again: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_specimen_is_named_and_the_others_are_there(again, monkeypatch, capsys):
     real = batch.fit_here
 
     def fails_once(job: object, **options: object) -> object:
@@ -197,7 +195,7 @@ def test_a_bad_specimen_is_named_and_the_others_are_there(
     assert main(["status", str(again / "out"), "-q"]) == 0
 
 
-def test_status_names_what_was_refused(again: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_status_names_what_was_refused(again, capsys):
     (again / "lab" / "torn.csv").write_text("Time,Extension,Load\n(s),(mm),(N)\n0,0,0\n1,x,2\n2,2,3\n")
     assert fit(again / "lab", again / "out") == 7
     capsys.readouterr()
@@ -216,9 +214,7 @@ def test_status_names_what_was_refused(again: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of resources here")
-def test_a_full_disk_is_named_and_the_same_command_goes_on_later(
-    again: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_is_named_and_the_same_command_goes_on_later(again, capsys):
     import resource
 
     numbers = numbers_of(again / "out")

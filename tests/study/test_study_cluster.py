@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -80,7 +80,7 @@ def when_done(out: Path, number: int, disturb: Callable[[], object]) -> threadin
 
 
 @pytest.fixture
-def address() -> Iterator[str]:
+def address():
     """A scheduler with one worker, in processes of their own."""
     port = free_port()
     found = f"tcp://127.0.0.1:{port}"
@@ -89,9 +89,7 @@ def address() -> Iterator[str]:
     end(*processes)
 
 
-def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_refused(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_refused(address, monkeypatch):
     tasks = [Task(number, "cohort_lab:doubled", bytes([number])) for number in range(9)]
     tasks.append(Task(9, "cohort_lab:with_a_bug", b""))
     with DaskWorkers(address) as crew:
@@ -106,9 +104,7 @@ def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_re
         DaskWorkers(address).__enter__()
 
 
-def test_an_address_without_a_scheduler_is_refused_with_the_way_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_address_without_a_scheduler_is_refused_with_the_way_out(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
         DaskWorkers(f"tcp://127.0.0.1:{free_port()}").__enter__()
@@ -117,7 +113,7 @@ def test_an_address_without_a_scheduler_is_refused_with_the_way_out(
 
 
 @pytest.mark.slow
-def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address: str, tmp_path: Path) -> None:
+def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address, tmp_path):
     lab = write_cohort(tmp_path / "lab", 4)
     options = (*QUICK, "-q")
     codes = [
@@ -129,9 +125,7 @@ def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address: str, tmp
 
 
 @pytest.mark.slow
-def test_posteriors_of_one_process_of_two_and_of_a_cluster_are_the_same_bits(
-    address: str, tmp_path: Path
-) -> None:
+def test_posteriors_of_one_process_of_two_and_of_a_cluster_are_the_same_bits(address, tmp_path):
     lab = write_cohort(tmp_path / "lab", 3)
     ways = {"one": ("--workers", "1"), "two": ("--workers", "2"), "cluster": ("--scheduler", address)}
     for out, way in ways.items():
@@ -144,7 +138,7 @@ def test_posteriors_of_one_process_of_two_and_of_a_cluster_are_the_same_bits(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lost", ["worker", "scheduler"])
-def test_a_cluster_that_loses_a_part_goes_on_when_it_is_back(tmp_path: Path, lost: str) -> None:
+def test_a_cluster_that_loses_a_part_goes_on_when_it_is_back(tmp_path, lost):
     lab = write_cohort(tmp_path / "lab", 6)
     assert main(["fit", str(lab), "-o", str(tmp_path / "here"), *QUICK, "-q"]) in (0, 4)
     port = free_port()
@@ -169,9 +163,7 @@ def test_a_cluster_that_loses_a_part_goes_on_when_it_is_back(tmp_path: Path, los
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_stays_away_ends_the_run_with_what_is_finished_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scheduler_that_stays_away_ends_the_run_with_what_is_finished_kept(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cluster, "RECONNECT_S", 0.2)
     lab = write_cohort(tmp_path / "lab", 6)
     port = free_port()

@@ -32,7 +32,7 @@ WHO = (
 )
 
 
-def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tmp_path: Path) -> None:
+def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tmp_path):
     head = '"Operator","A. Tester"\n"Specimen label","kidney"\n"Tip radius","2.0","mm"'
     head += '\n"Load cell capacity","500","N"'
     for i in (1, 2, 10):
@@ -61,7 +61,7 @@ def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tm
     assert value(with_it, "kidney", "static_1_N_per_mm") == value(without, "kidney", "static_1_N_per_mm")
 
 
-def test_an_existing_study_file_is_written_over_only_by_force(tmp_path: Path) -> None:
+def test_an_existing_study_file_is_written_over_only_by_force(tmp_path):
     folder = lab(tmp_path, "# mine\n", a=1.0)
     before = (folder / "study.toml").read_bytes()
     assert main(["study", "init", str(folder)]) == 2
@@ -84,7 +84,7 @@ def full_study() -> Study:
     )
 
 
-def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_worst() -> None:
+def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_worst():
     best = completeness(full_study())
     assert (best.grade, best.share, best.missing) == ("A", 1.0, ())
     worst = completeness(Study("study.toml"))
@@ -92,7 +92,7 @@ def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_wo
     assert len(worst.missing) == len(ITEMS)
 
 
-def test_one_essential_item_less_costs_the_grade_and_names_the_specimen() -> None:
+def test_one_essential_item_less_costs_the_grade_and_names_the_specimen():
     study = full_study()
     less = {key: text for key, text in study.specimens["b"].items() if key != "thickness_mm"}
     found = completeness(replace(study, specimens={"a": study.specimens["a"], "b": less}))
@@ -105,9 +105,7 @@ def test_one_essential_item_less_costs_the_grade_and_names_the_specimen() -> Non
     assert "thickness_mm" not in {key for one in completeness(general).missing for key in one.keys}
 
 
-def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(tmp_path, capsys):
     folder = lab(tmp_path, "[study]\nspecies = 'pig'\n[[trial]]\nfile = 'gone.csv'\n", a=1.0)
     assert main(["study", "check", str(folder), "--json"]) == 7
     document = json.loads(capsys.readouterr().out)
@@ -132,9 +130,7 @@ file = "a.csv"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_excluding_and_including_again_leaves_the_file_as_it_was(
-    tmp_path: Path, newline: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path, newline, capsys):
     folder = lab(tmp_path / "lab", "", a=1.0, b=1.0)
     path = folder / "study.toml"
     text = ('schema = "tissueid/study/1"\n' + COMMENTED).replace("\n", newline)
@@ -159,9 +155,7 @@ def test_excluding_and_including_again_leaves_the_file_as_it_was(
     assert path.read_bytes().decode().rstrip() == text.rstrip()
 
 
-def test_a_misspelt_recording_is_told_with_the_nearest_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_misspelt_recording_is_told_with_the_nearest_names(tmp_path, capsys):
     folder = lab(tmp_path / "lab", "", kidney_1=1.0)
     assert main(["study", "exclude", str(folder / "kidny_1.csv"), "--because", "x"]) == 2
     said = " ".join(capsys.readouterr().err.split())
@@ -173,9 +167,7 @@ def test_a_misspelt_recording_is_told_with_the_nearest_names(
     assert "there is no study.toml" in capsys.readouterr().err
 
 
-def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(tmp_path, monkeypatch):
     folder = lab(tmp_path / "lab", "", a=1.0)
     (folder / "meat.xlsx").write_bytes(b"")
     monkeypatch.chdir(tmp_path)
@@ -193,9 +185,7 @@ def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(
         (["include", "b.csv"], "line 2"),
     ],
 )
-def test_what_can_not_be_changed_is_said_and_left(
-    tmp_path: Path, args: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_can_not_be_changed_is_said_and_left(tmp_path, args, words, capsys):
     folder = lab(tmp_path, "[[exclude]]\nfile = 'b*.csv'\nbecause = 'x'\n", a=1.0, b=1.0)
     before = (folder / "study.toml").read_bytes()
     assert main(["study", *args, "--study", str(folder)]) == 2
@@ -209,7 +199,7 @@ def crate(out: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     return document, {entity["@id"]: entity for entity in document["@graph"]}
 
 
-def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_asks(tmp_path: Path) -> None:
+def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_asks(tmp_path):
     folder = lab(tmp_path / "lab", WHO, kidney_1=1.0, kidney_2=1.1)
     out = tmp_path / "crate"
     args = ["study", "export", str(folder), "--crate", str(out), "--date", "2025-01-02", "-q"]
@@ -239,9 +229,7 @@ def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_a
     assert {path.name for path in out.iterdir()} == {*listed, "ro-crate-metadata.json"}
 
 
-def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(tmp_path, capsys):
     folder = lab(tmp_path / "lab", "", a=1.0)
     assert main(["study", "export", str(folder), "--crate", str(tmp_path / "out")]) == 2
     assert "licence" in capsys.readouterr().err
@@ -250,7 +238,7 @@ def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(
     assert not (folder / "ro-crate-metadata.json").exists()
 
 
-def test_an_anonymised_crate_holds_no_name_and_the_same_numbers(tmp_path: Path) -> None:
+def test_an_anonymised_crate_holds_no_name_and_the_same_numbers(tmp_path):
     folder = lab(tmp_path / "lab", WHO)
     head = '"Operator","Anna Muster"\n"Specimen label","kidney 7"\n"Start date","31/05/2024"'
     for i, times in ((1, 1.0), (2, 1.1), (3, 1.02)):
@@ -280,7 +268,7 @@ def test_an_anonymised_crate_holds_no_name_and_the_same_numbers(tmp_path: Path) 
     assert value(nameless, hashed, static) == value(named, "kidney 7", static)
 
 
-def test_hashes_are_stable_under_one_salt_and_strange_under_another() -> None:
+def test_hashes_are_stable_under_one_salt_and_strange_under_another():
     study = Study("study.toml")
     one, same, other = (Anonymiser(study, [], salt) for salt in (b"a", b"a", b"b"))
     assert one.hashed("kidney 7") == same.hashed("kidney 7")

@@ -44,7 +44,7 @@ def contact(value: float | None, file: str = "a.csv", because: str = "seen") -> 
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_what_stands_in_the_file_stays_to_the_last_character(end: str) -> None:
+def test_what_stands_in_the_file_stays_to_the_last_character(end):
     before = BY_HAND.replace("\n", end)
     text = corrected_text(before, contact(1.25, because='he said "there"'))
     assert text.startswith(before)
@@ -54,7 +54,7 @@ def test_what_stands_in_the_file_stays_to_the_last_character(end: str) -> None:
     assert corrected_text(text, contact(None)) == before + end
 
 
-def test_its_own_table_is_replaced_and_others_are_left() -> None:
+def test_its_own_table_is_replaced_and_others_are_left():
     text = corrected_text(BY_HAND, contact(1.0))
     text = corrected_text(text, contact(2.0, "b.csv"))
     text = corrected_text(text, Correction("rupture", "a.csv", None, value=False, because="a slip"))
@@ -67,7 +67,7 @@ def test_its_own_table_is_replaced_and_others_are_left() -> None:
     assert text.count(MARK) == 4  # three of its own, and the one that only stands in a text
 
 
-def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays() -> None:
+def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays():
     text = corrected_text("", Correction("exclude", "a.csv", "Sheet 1", value=True, because="slipped"))
     assert text.splitlines()[0] == 'schema = "tissueid/study/1"'
     assert tomllib.loads(text)["exclude"] == [{"file": "a.csv", "sheet": "Sheet 1", "because": "slipped"}]
@@ -77,7 +77,7 @@ def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays() -> No
     assert "exclude" not in tomllib.loads(left)
 
 
-def test_a_layout_that_takes_no_table_is_refused() -> None:
+def test_a_layout_that_takes_no_table_is_refused():
     inline = 'schema = "tissueid/study/1"\noverride = [{ file = "a.csv", rupture = false, because = "x" }]\n'
     with pytest.raises(UsageError, match=r"\[\[override\]\]"):
         corrected_text(inline, contact(1.0))
@@ -85,7 +85,7 @@ def test_a_layout_that_takes_no_table_is_refused() -> None:
 
 @settings(deadline=None)
 @given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40), st.floats(-1e4, 1e4))
-def test_any_reason_and_number_come_back_as_they_were(because: str, value: float) -> None:
+def test_any_reason_and_number_come_back_as_they_were(because, value):
     if not because.strip():
         return
     text = corrected_text(BY_HAND, contact(value, because=because))
@@ -101,7 +101,7 @@ def test_any_reason_and_number_come_back_as_they_were(because: str, value: float
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Path:
+def lab(tmp_path):
     """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s."""
     time = np.arange(0.0, 14.0, 0.02)
     x = np.minimum(time, 4.0)
@@ -141,7 +141,7 @@ def hold_of(shown: CorrectedInspection) -> Phase:
     return next(phase for phase in document.phases if phase.kind == "hold")
 
 
-def test_a_decision_is_written_and_the_recording_segmented_anew(lab: Path) -> None:
+def test_a_decision_is_written_and_the_recording_segmented_anew(lab):
     shown = corrected(lab)
     shown.page()
     decide(shown, lab, "contact_mm", 1.25, "the film")
@@ -172,22 +172,20 @@ def test_a_decision_is_written_and_the_recording_segmented_anew(lab: Path) -> No
         ("start_s", 1.0, "x", "no such"),
     ],
 )
-def test_what_makes_no_sense_is_refused_and_writes_nothing(
-    lab: Path, key: str, value: Any, because: str, words: str
-) -> None:
+def test_what_makes_no_sense_is_refused_and_writes_nothing(lab, key, value, because, words):
     with pytest.raises(UsageError, match=words):
         decide(corrected(lab), lab, key, value, because)
     assert not (lab / "study.toml").exists()
 
 
-def test_only_recordings_of_the_page_can_be_named(lab: Path) -> None:
+def test_only_recordings_of_the_page_can_be_named(lab):
     (lab / "c.csv").write_text("x", encoding="ascii")
     words = {"path": str(lab / "c.csv"), "sheet": None, "key": "exclude", "value": True, "because": "x"}
     with pytest.raises(UsageError, match="no such recording"):
         corrected(lab).decide(words)
 
 
-def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab: Path) -> None:
+def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab):
     shown = corrected(lab)
     decide(shown, lab, "hold_from_s", 6.0)
     before = (lab / "study.toml").read_bytes()
@@ -196,7 +194,7 @@ def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab
     assert (lab / "study.toml").read_bytes() == before
 
 
-def test_what_was_decided_by_hand_is_taken_back_by_hand(lab: Path) -> None:
+def test_what_was_decided_by_hand_is_taken_back_by_hand(lab):
     (lab / "study.toml").write_text(BY_HAND, encoding="utf-8")
     shown = corrected(lab)
     decide(shown, lab, "contact_mm", 1.25)
@@ -208,7 +206,7 @@ def test_what_was_decided_by_hand_is_taken_back_by_hand(lab: Path) -> None:
     assert "rupture" not in read_study(lab).decision(str(lab / "a.csv"), None).override
 
 
-def test_the_page_follows_what_somebody_else_writes_meanwhile(lab: Path) -> None:
+def test_the_page_follows_what_somebody_else_writes_meanwhile(lab):
     shown = corrected(lab)
     decide(shown, lab, "exclude", True, "slipped")
     text = (lab / "study.toml").read_text(encoding="utf-8")
@@ -219,7 +217,7 @@ def test_the_page_follows_what_somebody_else_writes_meanwhile(lab: Path) -> None
         shown.page()
 
 
-def test_a_folder_that_takes_no_file_is_said(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_takes_no_file_is_said(lab, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

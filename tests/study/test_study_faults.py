@@ -45,7 +45,7 @@ def fitted(lab: Path, out: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def undisturbed(tmp_path_factory):
     """A cohort, and what a run that nothing disturbs finds."""
     folder = tmp_path_factory.mktemp("undisturbed")
     lab = write_cohort(folder / "lab", SPECIMENS)
@@ -78,9 +78,9 @@ def kill_workers(status: Any) -> list[int]:
     return pids
 
 
-def test_a_run_that_loses_a_worker_its_client_and_everything_in_turn_ends_as_if_nothing_had_been(
-    undisturbed: tuple[Path, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_loses_worker_client_and_everything_in_turn_ends_as_if_nothing_had_been(
+    undisturbed, tmp_path, capsys
+):
     lab, expected = undisturbed
     out = tmp_path / "out"
     with started(lab, out) as process:
@@ -109,7 +109,7 @@ def test_a_run_that_loses_a_worker_its_client_and_everything_in_turn_ends_as_if_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("who", ["worker", "client", "everything"])
-def test_kills_at_twenty_random_moments(undisturbed: tuple[Path, Any], tmp_path: Path, who: str) -> None:
+def test_kills_at_twenty_random_moments(undisturbed, tmp_path, who):
     lab, expected = undisturbed
     rng = np.random.default_rng([23, len(who)])
     begin = time.monotonic()
@@ -136,9 +136,7 @@ def test_kills_at_twenty_random_moments(undisturbed: tuple[Path, Any], tmp_path:
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
-    undisturbed: tuple[Path, Any], tmp_path: Path
-) -> None:
+def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(undisturbed, tmp_path):
     lab, expected = undisturbed
     out = tmp_path / "out"
     # a shell that runs these tests in the background lets its processes ignore it

@@ -16,7 +16,7 @@ STIFFNESS = "static_1_N_per_mm"
 GROUPED = "[[trial]]\nfile = 'a*.csv'\nspecimen = 'kidney'\n"
 
 
-def test_trials_of_one_specimen_are_fitted_together_and_the_others_stay_apart(tmp_path: Path) -> None:
+def test_trials_of_one_specimen_are_fitted_together_and_the_others_stay_apart(tmp_path):
     code, document = fit_lab(tmp_path, GROUPED, a1=1.0, a2=1.02, b=1.5)
     assert code in (0, 4)
     assert [(one["specimen"], len(one["trials"])) for one in document["specimens"]] == [
@@ -30,9 +30,7 @@ def test_trials_of_one_specimen_are_fitted_together_and_the_others_stay_apart(tm
     assert main(["validate", str(tmp_path / "out")]) == 0
 
 
-def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(tmp_path, capsys):
     entry = "[[trial]]\nfile = 'a.csv'\nspecimen = 'liver'\n"
     code, document = fit_lab(tmp_path, entry, "--specimen-by", r"(b)_\d", a=1.0, b_1=1.0)
     assert code == 0
@@ -43,12 +41,12 @@ def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(
     assert "its own specimen" not in said
 
 
-def test_only_listed_reads_nothing_else(tmp_path: Path) -> None:
+def test_only_listed_reads_nothing_else(tmp_path):
     _, document = fit_lab(tmp_path, f"[study]\nonly_listed = true\n{GROUPED}", a1=1.0, b=1.5)
     assert [one["specimen"] for one in document["specimens"]] == ["kidney"]
 
 
-def test_a_study_is_found_named_or_left_out(tmp_path: Path) -> None:
+def test_a_study_is_found_named_or_left_out(tmp_path):
     folder = lab(tmp_path / "lab", GROUPED, a1=1.0, a2=1.02)
     for args in ([folder / "study.toml"], [folder, "--study", folder / "study.toml"], [folder]):
         _, document = fit(*args, out=tmp_path / "out")
@@ -59,15 +57,13 @@ def test_a_study_is_found_named_or_left_out(tmp_path: Path) -> None:
     assert document["study"] is None
 
 
-def test_two_studies_at_once_are_a_question_for_the_user(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_studies_at_once_are_a_question_for_the_user(tmp_path, capsys):
     folders = [lab(tmp_path / name, GROUPED, a1=1.0) for name in ("x", "y")]
     assert main(["fit", *map(str, folders), "-o", str(tmp_path / "out")]) == 2
     assert "--study" in capsys.readouterr().err
 
 
-def test_covariates_of_the_study_hold_where_a_specimen_says_nothing(tmp_path: Path) -> None:
+def test_covariates_of_the_study_hold_where_a_specimen_says_nothing(tmp_path):
     manifest = (
         "[study]\nspecies = 'pig'\ntemperature = '37 C'\n[[specimen]]\nname = 'kidney'\nspecies = 'cow'\n"
         f"thickness = '2 cm'\n{GROUPED}site = 'A'\nrest = '5 min'\nprotocol = 'p'\n[[protocol]]\nname = 'p'\n"
@@ -81,7 +77,7 @@ def test_covariates_of_the_study_hold_where_a_specimen_says_nothing(tmp_path: Pa
     assert (row["site"], row["rest_s"], row["protocol"]) == ("A", 300.0, "p")
 
 
-def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_path: Path) -> None:
+def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_path):
     manifest = GROUPED + "[[exclude]]\nfile = 'a3.csv'\nbecause = 'the tool <slipped>'\n"
     code, document = fit_lab(tmp_path, manifest, a1=1.0, a2=1.0, a3=1.6)
     assert code in (0, 4)
@@ -101,9 +97,7 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     assert "With it" in page
 
 
-def test_a_specimen_that_is_excluded_as_a_whole_is_not_fitted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_specimen_that_is_excluded_as_a_whole_is_not_fitted(tmp_path, capsys):
     manifest = "[[exclude]]\nfile = 'a.csv'\nbecause = 'another tip'\n"
     code, document = fit_lab(tmp_path, manifest, a=1.0, b=1.5)
     assert code in (0, 4)
@@ -117,7 +111,7 @@ def test_a_specimen_that_is_excluded_as_a_whole_is_not_fitted(
     assert "with it" not in shown.out
 
 
-def test_a_damaged_recording_that_is_excluded_is_no_failure(tmp_path: Path) -> None:
+def test_a_damaged_recording_that_is_excluded_is_no_failure(tmp_path):
     manifest = GROUPED + "[[exclude]]\nfile = 'a2.csv'\nbecause = 'cut off by a power failure'\n"
     folder = lab(tmp_path / "lab", manifest, a1=1.0)
     (folder / "a2.csv").write_text("not a recording\n", encoding="ascii")
@@ -129,7 +123,7 @@ def test_a_damaged_recording_that_is_excluded_is_no_failure(tmp_path: Path) -> N
     assert "could not be fitted anyway" in row["note"]
 
 
-def test_names_in_vain_are_refused_with_their_line_and_the_rest_goes_on(tmp_path: Path) -> None:
+def test_names_in_vain_are_refused_with_their_line_and_the_rest_goes_on(tmp_path):
     manifest = GROUPED + "[[override]]\nfile = 'gone.csv'\ncontact_mm = 1.0\nbecause = 'x'\n"
     code, document = fit_lab(tmp_path, manifest, a1=1.0)
     assert code == 7
@@ -151,7 +145,7 @@ def workbook(path: Path, *names: str) -> None:
     book.save(path)
 
 
-def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
+def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path):
     folder = lab(tmp_path / "lab", "[[exclude]]\nfile = 'w.xlsx'\nsheet = 'S9'\nbecause = 'x'\n")
     workbook(folder / "w.xlsx", "S1", "S2")
     code, document = fit(folder, out=tmp_path / "out")
@@ -161,9 +155,7 @@ def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) 
     assert '"S1", "S2"' in refusal["error"]["message"]
 
 
-def test_a_recording_named_alone_follows_the_study_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_named_alone_follows_the_study_beside_it(tmp_path, capsys):
     said = "[[override]]\nfile = 'a1.csv'\ncontact_mm = 0.25\nbecause = 'x'\n"
     folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
     for options, specimen_name, followed in (
@@ -176,9 +168,7 @@ def test_a_recording_named_alone_follows_the_study_beside_it(
         assert (one["contact"]["displacement_mm"] == 0.25) == followed
 
 
-def test_a_window_that_study_and_command_line_leave_empty_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_window_that_study_and_command_line_leave_empty_is_named(tmp_path, capsys):
     said = "[[override]]\nfile = 'a1.csv'\nhold_from_s = 2.0\nbecause = 'moved'\n"
     folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
     assert main(["inspect", str(folder / "a1.csv"), "--hold-to", "1.5"]) == 2
@@ -187,7 +177,7 @@ def test_a_window_that_study_and_command_line_leave_empty_is_named(
     assert "moved" in told
 
 
-def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path: Path) -> None:
+def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path):
     said = [f"[[trial]]\nfile = 'w.xlsx'\nsheet = '{name}'\nspecimen = 'cut'\n" for name in ("S1", "S2")]
     folder = lab(tmp_path / "lab", "".join(said))
     workbook(folder / "w.xlsx", "S1", "S2")
@@ -197,7 +187,7 @@ def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path: Pa
     assert [one["specimen"] for one in document["specimens"]] == ["cut"]
 
 
-def test_columns_and_units_of_one_file_are_those_the_study_decides(tmp_path: Path) -> None:
+def test_columns_and_units_of_one_file_are_those_the_study_decides(tmp_path):
     manifest = (
         "[[override]]\nfile = 'odd.csv'\ncolumns = {time = 't', displacement = 'pos', force = 'F'}\n"
         "units = {force = 'kN'}\nbecause = 'column names of a student'\n"
@@ -218,7 +208,7 @@ def test_columns_and_units_of_one_file_are_those_the_study_decides(tmp_path: Pat
     assert flag["keys"] == ["columns", "units"]
 
 
-def test_a_contact_point_is_where_the_user_put_it(tmp_path: Path) -> None:
+def test_a_contact_point_is_where_the_user_put_it(tmp_path):
     manifest = "[[override]]\nfile = 'a.csv'\ncontact_mm = 0.5\nbecause = 'seen on the video'\n"
     _, document = fit_lab(tmp_path, manifest, a=1.0)
     trial = specimen(document, "a")["trials"][0]
@@ -228,7 +218,7 @@ def test_a_contact_point_is_where_the_user_put_it(tmp_path: Path) -> None:
     assert (row["overridden"], row["because"]) == (["contact_mm"], "seen on the video")
 
 
-def test_the_load_cell_of_the_study_decides_what_is_a_small_force(tmp_path: Path) -> None:
+def test_the_load_cell_of_the_study_decides_what_is_a_small_force(tmp_path):
     for line, flagged in (
         ("load_cell_capacity_N = 50000", True),
         ("load_cell_capacity_N = 500", False),
@@ -240,7 +230,7 @@ def test_the_load_cell_of_the_study_decides_what_is_a_small_force(tmp_path: Path
         assert ("below_cell_range" in codes) is flagged, line
 
 
-def test_a_rigid_block_behind_the_frame_file_is_not_a_specimen(tmp_path: Path) -> None:
+def test_a_rigid_block_behind_the_frame_file_is_not_a_specimen(tmp_path):
     folder = lab(tmp_path / "lab", "[calibration]\nframe = 'frame.json'\n", a=1.0)
     rows = [f"{i / 50:.3f},{0.004 * i:.5f},{max(0.0, 4.0 * (i - 20)):.4f}" for i in range(120)]
     rigid = "\n".join(["Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
@@ -258,7 +248,7 @@ def test_a_rigid_block_behind_the_frame_file_is_not_a_specimen(tmp_path: Path) -
     assert document["provenance"]["study"]["calibration"]["frame"] == frame
 
 
-def test_a_damaged_frame_file_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_frame_file_is_refused_by_name(tmp_path, capsys):
     folder = lab(tmp_path / "lab", "[calibration]\nframe = 'frame.json'\n", a=1.0)
     (folder / "frame.json").write_text('{"schema": "tissueid/frame/1"}', encoding="utf-8")
     assert main(["fit", str(folder), "-o", str(tmp_path / "out")]) == 3
@@ -276,7 +266,7 @@ def found_in(document: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
-def test_a_study_at_a_url_is_that_of_a_folder(tmp_path: Path, workers: str) -> None:
+def test_a_study_at_a_url_is_that_of_a_folder(tmp_path, workers):
     fsspec = pytest.importorskip("fsspec")
     folder = tmp_path / "lab"
     folder.mkdir()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ def logs(gains: Sequence[float]) -> list[TrialFit]:
     return [replace(one, path=f"run_{i}.csv", gain=gain) for i, gain in enumerate(gains, start=1)]
 
 
-def test_logs_that_differ_much_are_asked_after_and_repeats_are_not() -> None:
+def test_logs_that_differ_much_are_asked_after_and_repeats_are_not():
     assert gain_spread(logs([1.0, 1.04, 0.97, 1.01])) == []
     assert gain_spread(logs([1.0])) == []
     (flag,) = gain_spread(logs([0.7, 1.0, 1.3]))
@@ -29,7 +28,7 @@ def test_logs_that_differ_much_are_asked_after_and_repeats_are_not() -> None:
     assert "run_3.csv" in flag.message
 
 
-def test_stiffness_that_follows_the_order_is_said_with_its_change() -> None:
+def test_stiffness_that_follows_the_order_is_said_with_its_change():
     rng = np.random.default_rng(31)
     runs = list(range(1, 11))
     falling = np.exp(-0.02 * np.array(runs) + 0.005 * rng.standard_normal(10))
@@ -43,7 +42,7 @@ def test_stiffness_that_follows_the_order_is_said_with_its_change() -> None:
     assert same.values["change"] == pytest.approx(flag.values["change"])
 
 
-def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states() -> None:
+def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states():
     rng = np.random.default_rng(32)
     found = sum(
         bool(order_effect(logs(np.exp(0.05 * rng.standard_normal(8))), list(range(8)))) for _ in range(400)
@@ -52,14 +51,14 @@ def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states() -> No
     assert found <= 13
 
 
-def test_where_no_order_is_stated_it_is_that_of_the_files() -> None:
+def test_where_no_order_is_stated_it_is_that_of_the_files():
     (flag,) = order_effect(logs([1.0, 0.95, 0.9, 0.85]), [None] * 4)
     assert "from file 1 to file 4" in flag.message
     assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []
     assert order_effect(logs([1.0, 1.0, 1.0, 1.0]), [1, 2, 3, 4]) == []
 
 
-def test_a_first_test_that_is_stiffer_than_all_others_is_said() -> None:
+def test_a_first_test_that_is_stiffer_than_all_others_is_said():
     gains = [1.2, 1.0, 1.01, 0.99, 1.005, 0.995]
     (flag,) = order_effect(logs(gains), [None] * 6)
     assert flag.message.startswith("the first file is 20.0 % stiffer than the other 5")
@@ -81,9 +80,7 @@ def test_a_first_test_that_is_stiffer_than_all_others_is_said() -> None:
         ([{"site": "A"}, {"site": "A"}], ["A"], None),
     ],
 )
-def test_a_site_that_was_tested_twice_is_named_with_its_rest(
-    rows: list[dict[str, Any]], sites: list[str] | None, rest: float | None
-) -> None:
+def test_a_site_that_was_tested_twice_is_named_with_its_rest(rows, sites, rest):
     flags = repeated_sites(logs([1.0] * len(rows)), rows)
     if sites is None:
         assert flags == []

@@ -32,7 +32,7 @@ def curve(knots: list[float], compliance: list[float]) -> FrameCurve:
     return FrameCurve(np.array(knots), np.array(compliance), 1e-10 * np.eye(len(knots)))
 
 
-def test_deflection_is_the_integral_of_a_compliance_that_is_linear_between_knots() -> None:
+def test_deflection_is_the_integral_of_a_compliance_that_is_linear_between_knots():
     frame = curve([0.0, 2.0, 5.0, 20.0, 100.0], [0.01, 0.005, 0.002, 0.001, 0.0009])
     force = np.array([-1.0, 0.0, 0.5, 2.0, 3.3, 20.0, 77.0, 100.0, 140.0])
 
@@ -45,7 +45,7 @@ def test_deflection_is_the_integral_of_a_compliance_that_is_linear_between_knots
     assert model.deflection(frame, force) == pytest.approx(expected, abs=1e-14)
 
 
-def test_a_linear_frame_gives_force_over_stiffness_with_the_sd_of_a_quotient() -> None:
+def test_a_linear_frame_gives_force_over_stiffness_with_the_sd_of_a_quotient():
     frame = model.linear_frame(200.0, 10.0)
     force = np.array([-2.0, 0.0, 0.5, 100.0, 1e4])
     assert model.deflection(frame, force) == pytest.approx(force / 200.0)
@@ -77,7 +77,7 @@ def as_curve(document: dict[str, object]) -> FrameCurve:
     "frame", [linear_frame(200.0), linear_frame(1000.0), seating_frame(1000.0, 0.05, 15.0)],
     ids=["200", "1000", "seating"],
 )  # fmt: skip
-def test_a_calibration_finds_the_frame_within_its_sd(frame: Frame, sign: int) -> None:
+def test_a_calibration_finds_the_frame_within_its_sd(frame, sign):
     rng = np.random.default_rng(21)
     scatter = (0.99, 1.0, 1.01)
     document = calibrate_frame([rigid_block(frame, rng, scale=scale, sign=sign) for scale in scatter])
@@ -94,14 +94,14 @@ def test_a_calibration_finds_the_frame_within_its_sd(frame: Frame, sign: int) ->
     assert 0.002 < sd[-1] / true[-1] < 0.05
 
 
-def test_one_loading_assumes_a_repeatability_and_says_so() -> None:
+def test_one_loading_assumes_a_repeatability_and_says_so():
     document = calibrate_frame([rigid_block(linear_frame(1000.0), np.random.default_rng(3))])
     assert document["repeatability_sd_mm"] is None
     # 5 % of 0.2 mm
     assert document["sd_mm"][-1] == pytest.approx(0.01, rel=0.1)
 
 
-def test_tissue_is_not_taken_for_a_rigid_block() -> None:
+def test_tissue_is_not_taken_for_a_rigid_block():
     plan = replace(small_plan(100.0), branches=(Branch((60.0,), 1.0),), sigma_N=0.2)
     soft = [
         trial for trial in as_trials(simulate(plan, rng=np.random.default_rng(4))) if "hold" in trial.name
@@ -131,7 +131,7 @@ def errors(fit: SpecimenFit) -> FloatArray:
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0])
-def test_with_a_calibration_tau_and_viscosity_are_unbiased(stiffness: float) -> None:
+def test_with_a_calibration_tau_and_viscosity_are_unbiased(stiffness):
     trials = series_trials(
         small_plan(1000.0), linear_frame(stiffness), sigma_N=0.1, rng=np.random.default_rng(SEEDS[0])
     )
@@ -147,7 +147,7 @@ def test_with_a_calibration_tau_and_viscosity_are_unbiased(stiffness: float) -> 
     assert all("frame_corrected" in [flag.code for flag in trial.flags] for trial in fit.trials)
 
 
-def test_a_nonlinear_frame_is_taken_off_as_its_calibration_says() -> None:
+def test_a_nonlinear_frame_is_taken_off_as_its_calibration_says():
     frame = seating_frame(400.0, 0.05, 15.0)
     rng = np.random.default_rng(SEEDS[1])
     calibration = as_curve(calibrate_frame([rigid_block(frame, rng) for _ in range(3)]))
@@ -158,7 +158,7 @@ def test_a_nonlinear_frame_is_taken_off_as_its_calibration_says() -> None:
     assert np.abs(errors(fit)).max() <= 0.02
 
 
-def test_without_a_calibration_the_flag_says_what_a_frame_would_do() -> None:
+def test_without_a_calibration_the_flag_says_what_a_frame_would_do():
     trials = series_trials(
         small_plan(1000.0), linear_frame(200.0), sigma_N=0.1, rng=np.random.default_rng(SEEDS[2])
     )
@@ -174,7 +174,7 @@ def test_without_a_calibration_the_flag_says_what_a_frame_would_do() -> None:
     assert "1000 N/mm" in flag.message
 
 
-def test_slow_soft_tissue_needs_no_word_about_the_frame() -> None:
+def test_slow_soft_tissue_needs_no_word_about_the_frame():
     """K = 2 N/mm and tau = 1 s behind any frame: 0.3 % of tau at 1,000 N/mm."""
     plan = replace(small_plan(20.0), static=(2.0, 0.1, 0.02), branches=(Branch((2.0,), 1.0),), sigma_N=0.01)
     trials = as_trials(simulate(plan, rng=np.random.default_rng(SEEDS[3])))
@@ -182,7 +182,7 @@ def test_slow_soft_tissue_needs_no_word_about_the_frame() -> None:
     assert "compliance_unknown" not in [flag.code for flag in fit.flags]
 
 
-def test_noise_of_the_force_does_not_enter_the_depth() -> None:
+def test_noise_of_the_force_does_not_enter_the_depth():
     """With u(F_measured) tau comes out several times too long here; the corrected tip knows no noise."""
     stiffness, sigma = 200.0, 1.0
     plan = small_plan(100.0)
@@ -199,7 +199,7 @@ def test_noise_of_the_force_does_not_enter_the_depth() -> None:
         assert np.median(np.abs(wiggle)) < 0.1 * sigma / stiffness
 
 
-def test_forces_far_beyond_the_calibration_are_refused_and_a_little_beyond_is_said() -> None:
+def test_forces_far_beyond_the_calibration_are_refused_and_a_little_beyond_is_said():
     trials = series_trials(small_plan(100.0), linear_frame(1000.0), sigma_N=0.1, rng=np.random.default_rng(6))
     peak = max(float(trial.force_N.max()) for trial in trials)
 
@@ -220,7 +220,7 @@ def test_forces_far_beyond_the_calibration_are_refused_and_a_little_beyond_is_sa
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_Hz", [100.0, 1000.0])
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0])
-def test_bias_of_the_named_protocol_behind_a_frame(stiffness: float, rate_Hz: float) -> None:
+def test_bias_of_the_named_protocol_behind_a_frame(stiffness, rate_Hz):
     """Must hold 5 of the study: paper-a-30, sigma 1 N; the correction moves tau and eta by at most 2 %.
 
     The noise alone scatters tau by 6 % at 100 Hz, so the bias is taken against fits of the same noise at the

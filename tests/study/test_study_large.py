@@ -29,7 +29,7 @@ def study(count: int) -> Study:
     return Study("study.toml", trials=tuple(trials), exclusions=(Entry({"because": "x"}, files[:1], 3),))
 
 
-def test_a_list_of_files_gives_back_what_was_put_in() -> None:
+def test_a_list_of_files_gives_back_what_was_put_in():
     refusal = Refusal("b.csv", None, "no_recording", "nothing there")
     odd = Path(os.fsdecode(b"\xff\xc3\xa9.csv"))
     items: list[Named | Refusal] = [(Path("a.csv"), None), refusal, (Path("meat.xlsx"), "FF1A"), (odd, None)]
@@ -38,7 +38,7 @@ def test_a_list_of_files_gives_back_what_was_put_in() -> None:
     assert len(found) == 4
 
 
-def test_a_task_looks_into_many_short_recordings_or_a_few_long_ones() -> None:
+def test_a_task_looks_into_many_short_recordings_or_a_few_long_ones():
     short, long = 4e3, 4e5
     assert files_a_task(220_000, short) == 64
     assert files_a_task(220_000, long) == 8
@@ -48,7 +48,7 @@ def test_a_task_looks_into_many_short_recordings_or_a_few_long_ones() -> None:
     assert files_a_task(220_000, 0.0) == 8
 
 
-def test_a_list_of_files_takes_little_more_than_their_paths() -> None:
+def test_a_list_of_files_takes_little_more_than_their_paths():
     # in an interpreter of its own: memory of other tests and of their tracing is not that of the list
     code = (
         "import gc, tracemalloc\n"
@@ -72,7 +72,7 @@ def test_a_list_of_files_takes_little_more_than_their_paths() -> None:
     assert held / count < 1.5 * (length / count + 8.0)
 
 
-def test_a_part_of_a_study_decides_as_the_whole_of_it() -> None:
+def test_a_part_of_a_study_decides_as_the_whole_of_it():
     whole = study(60)
     parts = StudyParts(whole)
     for file in names(62):
@@ -82,7 +82,7 @@ def test_a_part_of_a_study_decides_as_the_whole_of_it() -> None:
     assert [entry.files for entry in part.trials] == [tuple(two), tuple(two[:1])]
 
 
-def test_asking_of_every_file_costs_a_time_for_each_and_not_for_each_pair() -> None:
+def test_asking_of_every_file_costs_a_time_for_each_and_not_for_each_pair():
     def seconds(count: int) -> float:
         check = PatternCheck(r"head-\d+", study(count))
         begin = time.process_time()

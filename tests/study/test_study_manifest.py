@@ -39,9 +39,7 @@ def refused(folder: Path, text: str) -> InputError:
         ("[study]\n", "date = 2024-05-31", "date", "2024-05-31"),
     ],
 )
-def test_one_quantity_has_one_key_and_one_unit_inside(
-    tmp_path: Path, table: str, line: str, key: str, value: object
-) -> None:
+def test_one_quantity_has_one_key_and_one_unit_inside(tmp_path, table, line, key, value):
     study = read_study(manifest_in(tmp_path, table + line + "\n"))
     tables = [study.about, study.tip, study.calibration.values, *study.specimens.values()]
     (found,) = [one for one in [*tables, *study.protocols.values()] if key in one]
@@ -81,9 +79,7 @@ def test_one_quantity_has_one_key_and_one_unit_inside(
         ("[calibration]\nsampling_Hz = inf\n", 3, ["finite"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
-    tmp_path: Path, text: str, line: int, words: list[str]
-) -> None:
+def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(tmp_path, text, line, words):
     error = refused(tmp_path, text)
     assert error.line == line, error
     for word in words:
@@ -104,21 +100,19 @@ def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
         ),
     ],
 )
-def test_another_schema_and_other_bytes_are_refused_with_their_line(
-    tmp_path: Path, content: bytes, line: int | None, words: str
-) -> None:
+def test_another_schema_and_other_bytes_are_refused_with_their_line(tmp_path, content, line, words):
     (tmp_path / "study.toml").write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
         read_study(tmp_path)
     assert line is None or caught.value.line == line
 
 
-def test_a_missing_file_says_how_to_write_one(tmp_path: Path) -> None:
+def test_a_missing_file_says_how_to_write_one(tmp_path):
     with pytest.raises(UsageError, match="study init"):
         read_study(tmp_path)
 
 
-def test_lines_are_those_of_keys_behind_long_values_and_comments() -> None:
+def test_lines_are_those_of_keys_behind_long_values_and_comments():
     text = (
         '# [not a table]\na = """\n[[x]]\nb = 1\n"""\n[t] # a comment\n"c d" = [\n  "]", # ]\n  2,\n]\n'
         "[[u.v]]\ne = {f = 1}\n[[u.v]]\n[u.v.w]\ng = '#'\nh.i = 2\n"
@@ -133,7 +127,7 @@ def test_lines_are_those_of_keys_behind_long_values_and_comments() -> None:
     assert line_of(lines, ("u", "v", 0, "e", "f")) == 12
 
 
-def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path: Path) -> None:
+def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path):
     for name in ("a1.csv", "a2.csv", "b [1].csv"):
         (tmp_path / name).write_text("x")
     study = read_study(
@@ -158,7 +152,7 @@ def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path: Path) ->
     assert not study.decision(str(tmp_path / "c.csv"), None).listed
 
 
-def test_a_window_that_ends_before_it_starts_is_refused_whichever_tables_state_it(tmp_path: Path) -> None:
+def test_a_window_that_ends_before_it_starts_is_refused_whichever_tables_state_it(tmp_path):
     (tmp_path / "a.csv").write_text("x")
     error = refused(
         tmp_path,
@@ -169,9 +163,7 @@ def test_a_window_that_ends_before_it_starts_is_refused_whichever_tables_state_i
     assert "start_s = 5 is not before end_s = 3" in error.message
 
 
-def test_paths_are_compared_wherever_they_are_seen_from(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paths_are_compared_wherever_they_are_seen_from(tmp_path, monkeypatch):
     (tmp_path / "día 1").mkdir()
     (tmp_path / "día 1" / "a b.csv").write_text("x")
     study = read_study(manifest_in(tmp_path, "[[trial]]\nfile = 'día 1\\a b.csv'\nsite = 'A'\n"))
@@ -180,7 +172,7 @@ def test_paths_are_compared_wherever_they_are_seen_from(
     assert study.decision("../día 1/a b.csv", None).trial["site"] == "A"
 
 
-def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path):
     study = read_study(
         manifest_in(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
     )
@@ -189,7 +181,7 @@ def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path: Path) -> None:
     assert "gone.csv" in found[0].message
 
 
-def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path: Path) -> None:
+def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path):
     (tmp_path / "a.csv").write_text("x")
     study = read_study(
         manifest_in(
@@ -204,7 +196,7 @@ def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path: Path) -> Non
     assert study.protocol(decision, stated) == Protocol("comp", 1.0, 8.0, 0.0, 2.0)
 
 
-def test_a_stated_frame_stiffness_has_a_standard_deviation_even_where_none_was_stated(tmp_path: Path) -> None:
+def test_a_stated_frame_stiffness_has_a_standard_deviation_even_where_none_was_stated(tmp_path):
     study = read_study(manifest_in(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame

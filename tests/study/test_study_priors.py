@@ -59,7 +59,7 @@ scale = 0.05
 """
 
 
-def test_every_prior_that_is_stated_is_kept(tmp_path: Path) -> None:
+def test_every_prior_that_is_stated_is_kept(tmp_path):
     found = priors_in(tmp_path, WHOLE)
     assert dict(found.linear) == {"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm_b2": (3, 2)}
     assert found.relaxation_time_s == (SpreadPrior(0.02, 0.5), SpreadPrior(4, 0.7))
@@ -70,7 +70,7 @@ def test_every_prior_that_is_stated_is_kept(tmp_path: Path) -> None:
         assert priors_in(tmp_path, nothing) == Priors()
 
 
-def test_numbers_may_carry_another_unit(tmp_path: Path) -> None:
+def test_numbers_may_carry_another_unit(tmp_path):
     stated = {
         "static_1_N_per_mm": ("'0.02 kN/mm'", "'5 N/mm'", (20, 5)),
         "static_2_N_per_mm2": ("'2 N/mm^2'", "'1 N/mm2'", (2, 1)),
@@ -122,9 +122,7 @@ def test_numbers_may_carry_another_unit(tmp_path: Path) -> None:
         ("[priors.static_exponent]\nmedian = -1\nsd_ln = 1\n", None, ["static_exponent"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
-    tmp_path: Path, text: str, line: int | None, words: list[str]
-) -> None:
+def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(tmp_path, text, line, words):
     with pytest.raises(InputError) as caught:
         priors_in(tmp_path, text)
     assert caught.value.code == "invalid_study"
@@ -133,7 +131,7 @@ def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
         assert word in caught.value.message
 
 
-def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_path: Path) -> None:
+def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_path):
     found = study_in(
         tmp_path,
         "[population]\nmean_sd = 8\n[population.between]\nmedian = 0.15\nsd_ln = 0.3\n"
@@ -147,7 +145,7 @@ def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_pa
     assert refused.value.line == 3
 
 
-def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path: Path) -> None:
+def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path):
     found = priors_in(tmp_path, WHOLE)
     document = {"schema": "tissueid/study/1", "priors": found.as_json()}
     assert first_problem(document, "study") is None
@@ -171,7 +169,7 @@ load_cell_class = 0.5
 """
 
 
-def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp_path: Path) -> None:
+def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp_path):
     folder = lab(tmp_path / "lab", STATED, a=1.0)
     sample = ("--sampler", "emcee", "--draws", "400")
     _, document = fit(folder, *sample, out=tmp_path / "out")
@@ -190,7 +188,7 @@ def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp
     assert main(["validate", str(tmp_path / "out")]) == 0
 
 
-def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path: Path) -> None:
+def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path):
     found = priors_in(
         tmp_path,
         "[priors.static_N_per_mm]\nmean = '2 N/mm'\nsd = 1\n"
@@ -205,7 +203,7 @@ def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path: Path) -> N
     assert {*linear, *shapes} <= set(recorded)
 
 
-def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path: Path) -> None:
+def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path):
     study = study_in(tmp_path, "[priors.static_exponent]\nmedian = 1.5\nsd_ln = 0.1\n")
     with pytest.raises(UsageError, match=r"static_exponent\] is of no parameter of kelvin-voigt"):
         identify([], study=study)
@@ -213,7 +211,7 @@ def test_a_prior_that_the_fitted_law_has_no_parameter_for_is_refused(tmp_path: P
     assert identify([], study=study, options=options).exit.code == 3
 
 
-def test_a_law_that_is_registered_later_has_its_priors(tmp_path: Path, monkeypatch) -> None:
+def test_a_law_that_is_registered_later_has_its_priors(tmp_path, monkeypatch):
     text = "[priors.static_own]\nmedian = 1.5\nsd_ln = 0.1\n"
     with pytest.raises(InputError, match="no prior of 'static_own'"):
         priors_in(tmp_path, text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ def outcomes(tasks: list[Task], workers: int = 2) -> dict[int, Outcome]:
         return {one.number: one for one in crew.run(tasks, lambda *_: None)}
 
 
-def test_a_task_that_kills_its_process_twice_is_named_and_the_others_end_well() -> None:
+def test_a_task_that_kills_its_process_twice_is_named_and_the_others_end_well():
     found = outcomes([task(0, "killed"), *(task(number, "doubled") for number in range(1, 6))])
     assert [found[number].result for number in range(1, 6)] == [b"abab"] * 5
     fault = found[0].fault
@@ -33,13 +32,13 @@ def test_a_task_that_kills_its_process_twice_is_named_and_the_others_end_well() 
     assert "memory" in fault.message
 
 
-def test_a_task_whose_process_died_once_is_computed_in_another(tmp_path: Path) -> None:
+def test_a_task_whose_process_died_once_is_computed_in_another(tmp_path):
     found = outcomes([task(0, "killed_once", str(tmp_path / "mark").encode())], workers=1)
     assert found[0].result == b"second time"
     assert found[0].fault is None
 
 
-def test_errors_are_faults_of_their_task_alone() -> None:
+def test_errors_are_faults_of_their_task_alone():
     tasks = [task(0, "out_of_memory"), task(1, "with_a_bug"), task(2, "doubled")]
     here = {one.number: one for one in InThisProcess().run(tasks, lambda *_: None)}
     for found in (outcomes(tasks), here):
@@ -49,7 +48,7 @@ def test_errors_are_faults_of_their_task_alone() -> None:
         assert found[2].result == b"abab"
 
 
-def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before() -> None:
+def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before():
     taken: list[int] = []
 
     def tasks() -> Iterator[Task]:
@@ -64,7 +63,7 @@ def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before() -> No
     assert max(ahead) <= 3
 
 
-def test_a_worker_and_who_was_asked_for_one_take_one_processor() -> None:
+def test_a_worker_and_who_was_asked_for_one_take_one_processor():
     asked = task(0, "threads_there")
     (one,) = InThisProcess(one=True).run([asked], lambda *_: None)
     (free,) = InThisProcess().run([asked], lambda *_: None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ def pushed(
     return Trial(name, time, x, force, source=Source(path=f"{name}.csv"), protocol=protocol)
 
 
-def test_recordings_of_one_program_are_one_whatever_their_depth() -> None:
+def test_recordings_of_one_program_are_one_whatever_their_depth():
     trials = [
         pushed("a", (4.0, 1.0, 12.0)),
         pushed("b", (4.02, 1.01, 12.1)),
@@ -51,7 +50,7 @@ def test_recordings_of_one_program_are_one_whatever_their_depth() -> None:
     assert "travel 3.00 to 4.02 mm" in fast.comments()
 
 
-def test_steps_are_told_and_one_number_for_several_is_not_made_up() -> None:
+def test_steps_are_told_and_one_number_for_several_is_not_made_up():
     (alike,) = programs_of([pushed("a", *3 * [(1.0, 0.5, 15.0)])])
     assert re.fullmatch(r"3 steps, each 1\.0+ mm at 0\.500 mm/s, held 15\.0 s", alike.table["notes"])
     assert alike.table["hold_s"] == pytest.approx(15.0, rel=0.02)
@@ -62,13 +61,13 @@ def test_steps_are_told_and_one_number_for_several_is_not_made_up() -> None:
     assert not {"hold_s", "speed_mm_s"} & set(mixed.table)
 
 
-def test_the_speed_of_a_header_is_the_program_s() -> None:
+def test_the_speed_of_a_header_is_the_program_s():
     trials = [pushed("a", (4.0, 1.0, 12.0), stated=1.2), pushed("b", (4.0, 0.9, 12.0), stated=1.2)]
     (program,) = programs_of(trials)
     assert program.table["speed_mm_s"] == 1.2
 
 
-def test_the_drafted_file_holds_the_counts_and_is_read_again(tmp_path: Path) -> None:
+def test_the_drafted_file_holds_the_counts_and_is_read_again(tmp_path):
     trials = [
         pushed(name, (4.0, 1.0, 12.0), *more)
         for name, more in (("a", ()), ("b", ()), ("c", [(1.0, 1.0, 12.0)]))

@@ -35,7 +35,7 @@ def rendering(fit: SpecimenFit) -> Any:
     return found
 
 
-def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
+def test_scales_and_damping_are_those_of_the_check_before_force():
     found = rendering(sampled(specimen_fit()))
     model = kelvin_voigt(branches=1, stiffness_degree=0, depth_mm=6.0)
     tissue = Tissue(model=model, theta=THETA, speeds_mm_s=(0.5, 4.0), tip_radius_mm=3.0)
@@ -51,7 +51,7 @@ def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
     assert found.draws == found.draws_passive == 500
 
 
-def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
+def test_a_law_that_is_not_passive_and_normalised_recordings_are_said():
     fit = specimen_fit()
     sinking = tuple(
         replace(one, detail={"estimate": -3.0}) if one.name == "stiffness_0_N_per_mm" else one
@@ -61,14 +61,14 @@ def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
     assert rendering(replace(fit, axes=Axes("1", "MPa"))) == NORMALISED
 
 
-def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch):
     weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
     monkeypatch.setattr("tissueid.study.pages._devices", lambda: weak)
     (row,) = rendering(specimen_fit()).devices
     assert "can't be felt on this device" in row.why
 
 
-def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries() -> None:
+def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries():
     nothing = completeness_of_result(None)
     assert (nothing.grade, nothing.share, len(nothing.missing)) == ("F", 0.0, len(ITEMS))
     tables: dict[str, dict[str, Any]] = {item.table: {} for item in ITEMS}
