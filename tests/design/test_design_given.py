@@ -155,17 +155,13 @@ def test_guesses_of_two_branches_and_of_a_growing_stiffness():
         (("tau", "eta=1"), "write NAME=VALUE"),
         (("tau=1~900%",), "a spread of 0 to 200 %"),
         (("tau=x", "eta=1"), "'x' is no number"),
+        (("tau=1",), "add --max-depth"),
         (("tau=1", "eta=1", "static_1_N_per_mm=2", "static_2_N_per_mm2=-1"), "a negative force"),
     ],
 )
 def test_guesses_that_make_no_tissue_are_refused(texts, says):
     with pytest.raises(UsageError, match=says):
-        guessed(*texts)
-
-
-def test_guesses_need_a_depth():
-    with pytest.raises(UsageError, match="add --max-depth"):
-        plain_guesses([parsed_guess("tau=1")], depth_mm=None, count=4)
+        guessed(*texts, depth_mm=None if "depth" in says else 8.0)
 
 
 def test_a_recipe_gives_its_protocol_and_tissue():
@@ -210,7 +206,11 @@ def test_the_files_of_a_plan_are_read_by_their_own_readers(tmp_path):
     assert back.ar1_phi == pytest.approx(np.exp(-0.5))
 
     rows = list(csv.DictReader(io.StringIO(test_sheet(best, asked))))
-    assert len(rows) == best.logs
+    order = [test for test, _ in session_order(best)]
+    assert len(rows) == len(order) == best.logs
+    for test, count in best.protocol.items():
+        # half of the repeats in the first half of the session, to one log
+        assert abs(order[: len(order) // 2].count(test) - count / 2) <= 1.0
     assert len({row["file"] for row in rows}) == best.logs
     assert [float(row["rest_after_s"]) for row in rows] == [60.0] * (best.logs - 1) + [0.0]
 
@@ -229,20 +229,6 @@ def test_a_bundle_of_any_law_is_planned_for_with_its_own_numbers(tmp_path):
     with pytest.raises(UsageError, match="unknown number 'eta'; this tissue has static_N_per_mm_n"):
         full_name("eta", tissues.model)
     assert not has_recipe(tissues.model)
-
-
-def test_a_tissue_of_which_nothing_relaxes_is_no_tissue_to_plan_for(tmp_path):
     write_bundle(law_bundle("hertz * impact", [12.0, 0.8]), tmp_path / "bundle.h5")
-
     with pytest.raises(UsageError, match="no relaxing branch"):
         of_bundle(tmp_path / "bundle.h5", count=16)
-
-
-def test_repeats_are_spread_over_the_session():
-    machine = PRESETS["paper-a"]
-    best = planned(machine, PAPER_A, asked_for({TAU: 0.02, ETA: 0.005}, machine), silent).best
-    order = [test for test, _ in session_order(best)]
-    for test, count in best.protocol.items():
-        half = order[: len(order) // 2].count(test)
-        # half of the repeats in the first half of the session, to one log
-        assert abs(half - count / 2) <= 1.0

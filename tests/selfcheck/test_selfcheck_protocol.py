@@ -60,7 +60,7 @@ def test_a_recipe_becomes_its_program_and_its_tissue():
     assert (first.time_s[100], first.depth_mm[100]) == (0.0, 0.0)
 
 
-def test_noise_of_a_recipe_is_white_correlated_or_both():
+def test_noise_branches_and_moves_of_a_recipe_are_taken_or_refused():
     plan = recipe("paper-a-hold-100Hz")
     both = of_recipe(replace(plan, sigma_N=0.6, ar1_sigma_N=0.8, ar1_phi=0.9))[1]
     assert (both.sigma_N, both.phi, both.white_share) == pytest.approx((1.0, 0.9, 0.36))
@@ -70,16 +70,10 @@ def test_noise_of_a_recipe_is_white_correlated_or_both():
     assert tissue_check(protocol, centre).noise_model == "white+ar1"
     # one log has nothing to pool
     assert centre.pooling == "shared"
-
-
-def test_branches_of_different_degree_share_the_highest():
-    plan = replace(recipe("paper-a-hold-100Hz"), branches=(Branch((60.0, 2.0), 0.02), Branch((5.0,), 1.0)))
-    _, centre = of_recipe(plan)
-    assert centre.model.stiffness_degree == 1
+    # branches of different degree share the highest
+    branches = (Branch((60.0, 2.0), 0.02), Branch((5.0,), 1.0))
+    _, centre = of_recipe(replace(plan, branches=branches))
     np.testing.assert_allclose(centre.theta[3:], [60.0, 2.0, 0.02, 5.0, 0.0, 1.0])
-
-
-def test_a_log_within_its_contact_s_error_is_refused():
     with pytest.raises(InputError, match="stays within its contact's standard deviation"):
         of_program((Log("tiny", (Move(0.02, 60.0),)),), rate_Hz=100.0, contact_sd_mm=0.01, words="tiny")
 
@@ -95,11 +89,8 @@ def test_a_bundle_s_program_stays_within_what_it_was_identified_on():
     # holds last ten relaxation times, within 5 and 60 s: tau is 1.5 s
     assert "holds of 15 s" in protocol.words
     assert inputs_there(one) == []
-
-
-def test_another_contact_model_is_refused():
     with pytest.raises((KeyError, ValueError)):
-        of_bundle(replace(bundle(), model=replace(bundle().model, key="hunt-crossley")), where="x")
+        of_bundle(replace(one, model=replace(one.model, key="hunt-crossley")), where="x")
 
 
 def test_two_checks_are_told_apart_by_everything_that_decides():
@@ -203,6 +194,8 @@ def test_of_several_specimens_one_is_named():
         of_these(both)
     with pytest.raises(UsageError, match="holds no specimen 'lung'; there are liver, heart"):
         of_these(both, specimen="lung")
+    with pytest.raises(InputError, match="no recording in which the tool meets a tissue"):
+        of_these([trial("a.csv", stiffness=0.0)])
     name, protocol, _ = of_these(both, specimen="heart")
     assert (name, [log.name for log in protocol.logs]) == ("heart", ["b.csv"])
 
@@ -228,11 +221,6 @@ def test_a_known_frame_is_taken_off_the_motion():
     _, protocol, _ = of_these([trial("a.csv")], study=study)
     # 120 N at 600 N/mm
     assert protocol.depth_mm == pytest.approx(4.0 - 0.2, abs=0.05)
-
-
-def test_recordings_in_air_have_nothing_to_check():
-    with pytest.raises(InputError, match="no recording in which the tool meets a tissue"):
-        of_these([trial("a.csv", stiffness=0.0)])
 
 
 def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch):

@@ -21,15 +21,6 @@ def test_band_keeps_uniform_ranks_with_its_level(simulations, level):
     assert level - 4.0 * error < kept < level + 0.003 + 4.0 * error
 
 
-def test_band_is_symmetric_and_wider_for_a_higher_level():
-    low, high = ecdf_band(200, 0.95), ecdf_band(200, 0.99)
-    # below z and above 1 - z are mirror images
-    np.testing.assert_array_equal(low.low, 200 - low.high[::-1])
-    assert (high.low <= low.low).all()
-    assert (high.high >= low.high).all()
-    assert (high.high - high.low).sum() > (low.high - low.low).sum()
-
-
 def test_counts_are_ranks_below_each_share():
     ranks = np.array([0, 3, 4, 199, 200, DRAWS])
     counts = ecdf_counts(ranks)

@@ -57,10 +57,6 @@ def test_there_is_no_force_in_air_and_none_of_an_approach():
     assert (force(one=one, force_filter_s=0.01, skew_s=0.002)[:24] == 0.0).all()
 
 
-def test_a_gain_scales_all_forces():
-    np.testing.assert_allclose(force(gain=1.1), 1.1 * force(), rtol=1e-12)
-
-
 def test_trials_are_what_a_machine_exports():
     truth = Truth(THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
     logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
@@ -78,34 +74,24 @@ def test_trials_are_what_a_machine_exports():
     assert trials[1].force_N[logs[1].depth_mm < 0.0].std() == pytest.approx(0.3, abs=0.08)
 
 
-def test_gains_of_the_channels_are_recorded_over_true():
+def test_gains_of_logs_and_channels_and_a_delay_act_on_the_force():
+    np.testing.assert_allclose(force(gain=1.1), 1.1 * force(), rtol=1e-12)
     np.testing.assert_allclose(force(force_gain=1.02), 1.02 * force(), rtol=1e-12)
     # 8 mm recorded by a channel that reads 2 % too much are 8 / 1.02 mm
     smaller = log(depth=DEPTH / 1.02)
     np.testing.assert_allclose(force(displacement_gain=1.02), force(one=smaller), rtol=1e-12)
-
-
-def test_a_late_force_is_the_force_of_before():
-    late = force(skew_s=0.02)
     # two samples late, between corners; sub-steps are joined by lines
-    np.testing.assert_allclose(late[10:140], force()[8:138], atol=2e-3)
+    np.testing.assert_allclose(force(skew_s=0.02)[10:140], force()[8:138], atol=2e-3)
 
 
-def test_a_filtered_ramp_lags_by_its_time_constant():
-    tau = 0.03
-    found = recorded_force(*ELASTIC, log(), gain=1.0, offset_mm=0.0, calibration={"force_filter_s": tau})
-    ramp = TIME < CORNER
-    # low-pass of a ramp from rest: rate (t - tau (1 - exp(-t / tau)))
-    expected = 10.0 * SPEED * (TIME + tau * np.expm1(-TIME / tau))
-    np.testing.assert_allclose(found[ramp], expected[ramp], atol=1e-9)
-
-
-def test_an_uneven_clock_is_filtered_as_exactly():
-    rng = np.random.default_rng(4)
-    time = np.sort(np.concatenate([[0.0], rng.uniform(0.0, 1.4, 300)]))
-    one = log(time, SPEED * time)
-    found = recorded_force(*ELASTIC, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
-    np.testing.assert_allclose(found, 10.0 * SPEED * (time + 0.03 * np.expm1(-time / 0.03)), atol=1e-9)
+def test_a_filtered_ramp_lags_by_its_time_constant_on_any_clock():
+    uneven = np.sort(np.concatenate([[0.0], np.random.default_rng(4).uniform(0.0, 1.4, 300)]))
+    for time in (TIME[TIME < CORNER], uneven):
+        one = log(time, SPEED * time)
+        found = recorded_force(*ELASTIC, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
+        # low-pass of a ramp from rest: rate (t - tau (1 - exp(-t / tau)))
+        expected = 10.0 * SPEED * (time + 0.03 * np.expm1(-time / 0.03))
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("give", [0.0005, 0.004, 0.02])

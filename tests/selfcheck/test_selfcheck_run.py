@@ -81,13 +81,10 @@ def test_a_simulation_without_a_posterior_is_counted_and_told():
         verdict_of(records_of(NormalMean(fails_above=-100.0), 3))
 
 
-def test_draws_that_are_no_numbers_count_as_a_failure():
+def test_draws_that_are_no_numbers_count_as_a_failure_and_too_few_are_refused():
     replicate = Replicate(truth={"a": 0.0}, draws={"a": np.full(399, np.nan)})
     record = record_of(0, replicate, np.random.default_rng(0), seconds=0.1)
     assert record.failed == "draws of a that are no numbers"
-
-
-def test_too_few_draws_are_refused():
     with pytest.raises(ValueError, match="10 draws, 399 are needed"):
         thinned(np.zeros(10))
 
@@ -121,29 +118,18 @@ def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path):
         assert checkpoint.missing(2) == [0, 1]
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b'{"format": "other"}\n', "holds the simulations of another check"),
-        (b"time,force\n1,2\n", "holds the simulations of another check"),
-    ],
-)
-def test_a_file_of_another_check_is_refused_and_kept(tmp_path, content, says):
-    path = tmp_path / "calibrate.jsonl"
-    path.write_bytes(content)
-    with pytest.raises(UsageError, match=says):
-        Checkpoint(path, "d")
-    assert path.read_bytes() == content
-
-
-def test_a_damaged_line_is_refused(tmp_path):
+def test_a_file_of_another_check_or_with_a_damaged_line_is_refused_and_kept(tmp_path):
     path = tmp_path / "calibrate.jsonl"
     simulated(path, 2)
     lines = path.read_bytes().splitlines(keepends=True)
-    for broken in (b"no json\n", b'{"index": 1, "unknown": 2}\n', b"[1, 2]\n"):
-        path.write_bytes(b"".join([lines[0], broken, lines[2]]))
-        with pytest.raises(UsageError, match="is damaged"):
+    damaged = (b"no json\n", b'{"index": 1, "unknown": 2}\n', b"[1, 2]\n")
+    others = {b"".join([lines[0], broken, lines[2]]): "is damaged" for broken in damaged}
+    others |= dict.fromkeys((b'{"format": "other"}\n', b"t,F\n1,2\n"), "the simulations of another check")
+    for content, says in others.items():
+        path.write_bytes(content)
+        with pytest.raises(UsageError, match=says):
             Checkpoint(path, "d")
+        assert path.read_bytes() == content
 
 
 def test_workers_change_nothing_but_the_clock(tmp_path):

@@ -41,18 +41,14 @@ def public(out: Path) -> set[str]:
     return {path.name for path in out.iterdir() if not path.name.startswith(".")}
 
 
-def test_a_committed_set_is_public_whole_and_valid(tmp_path):
+def test_a_committed_set_is_public_whole_valid_and_read_back_from_the_folder_alone(tmp_path):
     out = tmp_path / "new" / "out"
-    write(out, "kidney 3")
-    assert public(out) == {*ALWAYS, "bundle-kidney_3.h5", "bundle.h5"}
+    run = write(out, "kidney 3", "b")
+    assert public(out) == {*ALWAYS, "bundle-kidney_3.h5", "bundle-b.h5"}
     validate_outputs(out)
-
-
-def test_results_are_read_back_from_the_folder_alone(tmp_path):
-    run = write(tmp_path, "a", "b")
-    document, curves, posteriors = read_results(tmp_path)
+    document, curves, posteriors = read_results(out)
     assert posteriors == ()
-    assert [entry.specimen for entry in document.specimens] == ["a", "b"]
+    assert [entry.specimen for entry in document.specimens] == ["kidney 3", "b"]
     for entry, fit in zip(curves, run.specimens, strict=True):
         expected = fit.trials[0].curve
         for name in ("time_s", "depth_mm", "force_N", "model_N", "fitted"):
@@ -70,6 +66,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
 
 def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path):
     write(tmp_path, "only")
+    assert public(tmp_path) == {*ALWAYS, "bundle-only.h5", "bundle.h5"}
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "old.h5").write_text("checkpoint")
     write(tmp_path, "p", "q")
@@ -128,46 +125,41 @@ def test_carrying_over_replaces_the_report_alone(tmp_path):
     assert (tmp_path / REPORT).read_bytes() == b"<p>again</p>"
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", ".hidden", "manifest.json", ""])
-def test_a_file_cannot_leave_its_set(tmp_path, name):
-    with OutputSet(tmp_path) as outputs, pytest.raises(ValueError, match="public name"):
-        outputs.path(name)
+def test_a_file_cannot_leave_its_set(tmp_path):
+    with OutputSet(tmp_path) as outputs:
+        for name in ("../x", "a/b", ".hidden", "manifest.json", ""):
+            with pytest.raises(ValueError, match="public name"):
+                outputs.path(name)
 
 
-def test_a_second_writer_is_refused_with_the_name_of_the_first(tmp_path):
+def test_a_second_writer_is_refused_with_the_name_of_the_first_while_that_lives(tmp_path):
+    busy = pytest.raises(BundleError, match=f"process {os.getpid()} on .* is writing here")
     with OutputSet(tmp_path):
-        with (
-            pytest.raises(BundleError, match=f"process {os.getpid()} on .* is writing here"),
-            OutputSet(tmp_path),
-        ):
+        with busy, OutputSet(tmp_path):
             pass
         # a reader is not kept out
         complete_refresh(tmp_path)
+    # what a dead process left is no lock
+    (tmp_path / ".lock").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
     write(tmp_path, "after")
     validate_outputs(tmp_path)
-
-
-def test_the_lock_of_a_dead_process_is_no_lock(tmp_path):
-    (tmp_path / ".lock").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
-    write(tmp_path, "a")
-    document, *_ = read_results(tmp_path)
-    assert [entry.specimen for entry in document.specimens] == ["a"]
-
-
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(BundleError, match="can't be made a folder"), OutputSet(tmp_path / "file"):
         pass
 
 
-@pytest.mark.parametrize("name", ["identification.json", "bundle-a.h5", "curves.h5", "report.html"])
-def test_a_mixed_set_is_refused(tmp_path, name):
-    write(tmp_path / "one", "a")
+def test_a_mixed_set_is_refused(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    write(one, "a")
     run = identification([specimen_fit("a", trials=2, samples=50, identified=False, seed=9)])
-    commit(tmp_path / "two", run, **{REPORT: b"<p>other</p>"})
-    (tmp_path / "one" / name).write_bytes((tmp_path / "two" / name).read_bytes())
-    with pytest.raises(BundleError, match=f"{name} is not the one this run wrote"):
-        validate_outputs(tmp_path / "one")
+    commit(two, run, **{REPORT: b"<p>other</p>"})
+    for name in ("identification.json", "bundle-a.h5", "curves.h5", "report.html"):
+        own = (one / name).read_bytes()
+        (one / name).write_bytes((two / name).read_bytes())
+        with pytest.raises(BundleError, match=f"{name} is not the one this run wrote"):
+            validate_outputs(one)
+        (one / name).write_bytes(own)
+    validate_outputs(one)
 
 
 def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_path):
@@ -192,12 +184,12 @@ def test_a_missing_and_a_foreign_bundle_are_told(tmp_path):
     assert any("bundle-a.h5 is missing" in problem for problem in output_problems(tmp_path))
 
 
-@pytest.mark.parametrize("content", ["", "000099\n", "../..\n", "é"])
-def test_a_damaged_commit_mark_is_refused(tmp_path, content):
+def test_a_damaged_commit_mark_is_refused(tmp_path):
     write(tmp_path, "a")
-    (tmp_path / ".current").write_bytes(content.encode())
-    with pytest.raises(BundleError, match="current run"):
-        validate_outputs(tmp_path)
+    for content in ("", "000099\n", "../..\n", "é"):
+        (tmp_path / ".current").write_bytes(content.encode())
+        with pytest.raises(BundleError, match="current run"):
+            validate_outputs(tmp_path)
 
 
 def whole_sets(out: Path, delays: list[float]) -> int:
@@ -273,12 +265,10 @@ def test_every_step_of_a_commit_may_be_the_last(tmp_path, monkeypatch):
 
 
 def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path):
+    told = f"{tmp_path}: holds no finished run; `tissueid fit ... -o {tmp_path}` makes one"
     with pytest.raises(BundleError) as caught:
         validate_outputs(tmp_path)
-    assert (
-        caught.value.message
-        == f"{tmp_path}: holds no finished run; `tissueid fit ... -o {tmp_path}` makes one"
-    )
+    assert caught.value.message == told
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from posterior_factory import sampled
 from set_writer import commit
 
 from tissueid.errors import BundleError
-from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
+from tissueid.result import ResidualSummary
+from tissueid.store.curves import curves_of_fits, load_curves, write_curves
 from tissueid.store.files import POSTERIORS
 from tissueid.store.hdf5 import new_file
 from tissueid.store.outputs import OutputSet
@@ -33,34 +34,31 @@ def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path) -> None:
         put_posteriors(file, posteriors)
 
 
-def test_draws_chains_and_bands_come_back(tmp_path):
-    expected = posteriors_of_fits(FITS)
+def test_draws_chains_densities_and_bands_come_back(tmp_path):
+    first, last = posteriors_of_fits(FITS)
+    expected = [replace(first, log_density=first.chain.sum(axis=2)), last]
     write_posteriors(expected, tmp_path / "p.h5")
     actual = load_posteriors(tmp_path / "p.h5")
     assert [one.specimen for one in actual] == ["a", "c"]
     for before, after in zip(expected, actual, strict=True):
-        assert (after.theta_names, after.chain_names) == (before.theta_names, before.chain_names)
-        assert np.array_equal(after.draws, before.draws)
-        assert np.array_equal(after.chain, before.chain)
+        for name in ("theta_names", "chain_names", "draws", "draws_total", "chain", "log_density"):
+            assert np.array_equal(getattr(after, name), getattr(before, name)), name
         assert list(after.bands) == list(before.bands)
         for trial, band in before.bands.items():
             # kept as 32-bit floats: 24 bits of mantissa
             assert after.bands[trial] == pytest.approx(band, rel=2.0**-24)
-    first, last = expected[0].draws_total, actual[0].draws_total
-    assert np.array_equal(first, last)
-    assert actual[1].draws_total is None
+    assert (actual[1].draws_total, actual[1].log_density) == (None, None)
 
 
 def test_a_damaged_file_is_refused_with_the_way_out(tmp_path):
-    path = tmp_path / "p.h5"
+    path, (before, _) = tmp_path / "p.h5", posteriors_of_fits(FITS)
     with pytest.raises(BundleError, match="no such file"):
         load_posteriors(path)
-    write_posteriors(posteriors_of_fits(FITS), path)
-    with h5py.File(path, "r+") as file:
-        del file["0/draws"]
-        file["0/draws"] = np.zeros((4, 2))
-    with pytest.raises(BundleError, match=r"does not match the numbers of 'a'.*fit` again"):
-        load_posteriors(path)
+    short = before.chain.sum(axis=2)[:, :5]
+    for other in (replace(before, log_density=short), replace(before, draws=np.zeros((4, 2)))):
+        write_posteriors([other], path)
+        with pytest.raises(BundleError, match=r"does not match the numbers of 'a'.*fit` again"):
+            load_posteriors(path)
     path.write_bytes(b"no HDF5")
     with pytest.raises(BundleError, match="cannot be read as posteriors"):
         load_posteriors(path)
@@ -86,17 +84,6 @@ def test_draws_of_another_run_are_told(tmp_path):
     ]
 
 
-def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path):
-    (before, _), path = posteriors_of_fits(FITS), tmp_path / "p.h5"
-    density = before.chain.sum(axis=2)
-    write_posteriors([replace(before, log_density=density)], path)
-    after = load_posteriors(path)[0].log_density
-    assert np.array_equal(after, density)
-    write_posteriors([replace(before, log_density=density[:, :5])], path)
-    with pytest.raises(BundleError, match="does not match the numbers of 'a'"):
-        load_posteriors(path)
-
-
 def test_a_long_chain_and_its_density_are_thinned_alike():
     fit = sampled(specimen_fit("a", trials=1, samples=50))
     chain = np.random.default_rng(3).standard_normal((32, 2000, 3))
@@ -106,52 +93,33 @@ def test_a_long_chain_and_its_density_are_thinned_alike():
     assert np.array_equal(kept.log_density, kept.chain.sum(axis=2))
 
 
-def test_curves_come_back_exactly_and_in_order(tmp_path):
-    expected = curves_of_fits(
-        [specimen_fit("a", trials=2, samples=50, sheet="Blatt 1"), specimen_fit("b", trials=1)]
-    )
-    write_curves(expected, tmp_path / "curves.h5")
-    actual = load_curves(tmp_path / "curves.h5")
-    assert [(c.specimen, c.path, c.sheet) for c in actual] == [
-        (c.specimen, c.path, c.sheet) for c in expected
-    ]
-    for one, other in zip(actual, expected, strict=True):
-        for name in ("time_s", "depth_mm", "force_N", "model_N", "fitted"):
-            assert np.array_equal(getattr(one.curve, name), getattr(other.curve, name)), name
-
-
-def test_no_curves_at_all_come_back_as_none(tmp_path):
-    write_curves([], tmp_path / "curves.h5")
-    assert load_curves(tmp_path / "curves.h5") == ()
-
-
-def test_a_truncated_file_is_refused(tmp_path):
+def test_curves_and_their_residuals_come_back_exactly_and_in_order(tmp_path):
     path = tmp_path / "curves.h5"
-    write_curves(curves_of_fits([specimen_fit()]), path)
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(BundleError, match="cannot be read as curves"):
-        load_curves(path)
+    fits = [specimen_fit("a", trials=3, samples=80, sheet="Blatt 1"), specimen_fit("b", trials=1)]
+    first, second, *others = curves_of_fits(fits)
+    # files of older runs have no residuals
+    old = replace(second, residual=None)
+    for expected in ((first, old, *others), (old,), ()):
+        write_curves(expected, path)
+        for one, other in zip(load_curves(path), expected, strict=True):
+            assert (one.specimen, one.path, one.sheet) == (other.specimen, other.path, other.sheet)
+            for name in ("time_s", "depth_mm", "force_N", "model_N", "fitted"):
+                assert np.array_equal(getattr(one.curve, name), getattr(other.curve, name)), name
+            assert (one.residual is None) == (other.residual is None)
+            for name in (field.name for field in fields(ResidualSummary) if other.residual is not None):
+                assert np.array_equal(getattr(one.residual, name), getattr(other.residual, name)), name
+        with h5py.File(path) as file:
+            assert ("residual" in file) is (len(expected) > 1)
 
 
-def test_residuals_come_back_exactly_and_older_files_have_none(tmp_path):
-    curves = list(curves_of_fits([specimen_fit("a", trials=3, samples=80)]))
-    without = TrialCurve(curves[1].specimen, curves[1].path, curves[1].sheet, curves[1].curve)
-    expected = [curves[0], without, curves[2]]
-    write_curves(expected, tmp_path / "curves.h5")
-    actual = load_curves(tmp_path / "curves.h5")
-    assert actual[1].residual is None
-    for place in (0, 2):
-        one, other = actual[place].residual, expected[place].residual
-        for name in (field.name for field in fields(other)):
-            assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    write_curves([without], tmp_path / "old.h5")
-    with h5py.File(tmp_path / "old.h5") as file:
-        assert "residual" not in file
-
-
-def test_residuals_that_do_not_match_are_refused(tmp_path):
+def test_curves_that_are_cut_or_do_not_match_their_residuals_are_refused(tmp_path):
     path = tmp_path / "curves.h5"
     write_curves(curves_of_fits([specimen_fit(trials=2, samples=80)]), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-200])
+    with pytest.raises(BundleError, match="cannot be read as curves"):
+        load_curves(path)
+    path.write_bytes(whole)
     with h5py.File(path, "r+") as file:
         del file["residual/lags"]
         file["residual/lags"] = np.zeros(2, dtype=int)

@@ -53,8 +53,5 @@ def test_equal_tables_give_equal_bytes_and_every_part_is_well_formed():
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         for name in archive.namelist():
             ET.fromstring(archive.read(name))
-
-
-def test_a_workbook_without_a_sheet_is_refused():
     with pytest.raises(ValueError, match="needs a sheet"):
         xlsx_bytes([])

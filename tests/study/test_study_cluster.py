@@ -113,18 +113,6 @@ def test_an_address_without_a_scheduler_is_refused_with_the_way_out(monkeypatch)
 
 
 @pytest.mark.slow
-def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address, tmp_path):
-    lab = write_cohort(tmp_path / "lab", 4)
-    options = (*QUICK, "-q")
-    codes = [
-        main(["fit", str(lab), "-o", str(tmp_path / out), *options, *more])
-        for out, more in (("here", ()), ("there", ("--scheduler", address)))
-    ]
-    assert set(codes) <= {0, 4}
-    assert numbers_of(tmp_path / "there") == numbers_of(tmp_path / "here")
-
-
-@pytest.mark.slow
 def test_posteriors_of_one_process_of_two_and_of_a_cluster_are_the_same_bits(address, tmp_path):
     lab = write_cohort(tmp_path / "lab", 3)
     ways = {"one": ("--workers", "1"), "two": ("--workers", "2"), "cluster": ("--scheduler", address)}

@@ -130,8 +130,8 @@ def corrected(lab: Path) -> CorrectedInspection:
     return CorrectedInspection(manifest, inspect, ReadOptions())
 
 
-def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because: str = "seen") -> str:
-    words = {"path": str(lab / "a.csv"), "sheet": None, "key": key, "value": value, "because": because}
+def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because="seen", file="a.csv") -> str:
+    words = {"path": str(lab / file), "sheet": None, "key": key, "value": value, "because": because}
     return shown.decide(words)
 
 
@@ -159,30 +159,24 @@ def test_a_decision_is_written_and_the_recording_segmented_anew(lab):
     assert "the film" in page
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "because", "words"),
-    [
-        ("contact_mm", 500.0, "x", "-4 to 8 mm"),
-        ("contact_mm", "1.0", "x", "must be a number"),
-        ("contact_mm", True, "x", "must be a number"),
-        ("contact_mm", float("nan"), "x", "must be a number"),
-        ("contact_mm", 1.0, " ", "reason"),
-        ("end_s", 0.0, "x", "outside the record"),
-        ("hold_from_s", 99.0, "x", "outside the record"),
-        ("start_s", 1.0, "x", "no such"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_and_writes_nothing(lab, key, value, because, words):
-    with pytest.raises(UsageError, match=words):
-        decide(corrected(lab), lab, key, value, because)
-    assert not (lab / "study.toml").exists()
-
-
-def test_only_recordings_of_the_page_can_be_named(lab):
+def test_what_makes_no_sense_is_refused_and_writes_nothing(lab):
     (lab / "c.csv").write_text("x", encoding="ascii")
-    words = {"path": str(lab / "c.csv"), "sheet": None, "key": "exclude", "value": True, "because": "x"}
-    with pytest.raises(UsageError, match="no such recording"):
-        corrected(lab).decide(words)
+    shown = corrected(lab)
+    for file, key, value, because, words in (
+        ("a.csv", "contact_mm", 500.0, "x", "-4 to 8 mm"),
+        ("a.csv", "contact_mm", "1.0", "x", "must be a number"),
+        ("a.csv", "contact_mm", True, "x", "must be a number"),
+        ("a.csv", "contact_mm", float("nan"), "x", "must be a number"),
+        ("a.csv", "contact_mm", 1.0, " ", "reason"),
+        ("a.csv", "end_s", 0.0, "x", "outside the record"),
+        ("a.csv", "hold_from_s", 99.0, "x", "outside the record"),
+        ("a.csv", "start_s", 1.0, "x", "no such"),
+        # only recordings of the page can be named
+        ("c.csv", "exclude", True, "x", "no such recording"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            decide(shown, lab, key, value, because, file)
+    assert not (lab / "study.toml").exists()
 
 
 def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab):

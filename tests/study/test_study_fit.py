@@ -16,18 +16,132 @@ STIFFNESS = "static_1_N_per_mm"
 GROUPED = "[[trial]]\nfile = 'a*.csv'\nspecimen = 'kidney'\n"
 
 
-def test_trials_of_one_specimen_are_fitted_together_and_the_others_stay_apart(tmp_path):
-    code, document = fit_lab(tmp_path, GROUPED, a1=1.0, a2=1.02, b=1.5)
-    assert code in (0, 4)
-    assert [(one["specimen"], len(one["trials"])) for one in document["specimens"]] == [
-        ("kidney", 2),
-        ("b", 1),
-    ]
-    rows = [(Path(row["path"]), row["specimen"], row["listed"]) for row in document["study"]["trials"]]
-    told = (("a1.csv", "kidney", True), ("a2.csv", "kidney", True), ("b.csv", "b", False))
-    assert sorted(rows) == [(tmp_path / "lab" / name, *more) for name, *more in told]
+#: Everything that a study may say of recordings at once.
+DECIDED = """\
+[study]
+species = 'pig'
+temperature = '37 C'
+[[specimen]]
+name = 'kidney'
+species = 'cow'
+thickness = '2 cm'
+[[trial]]
+file = '[aw]*.*'
+specimen = 'kidney'
+site = 'A'
+rest = '5 min'
+protocol = 'p'
+[[protocol]]
+name = 'p'
+[[exclude]]
+file = 'a2.csv'
+because = 'cut off by a power failure'
+[[exclude]]
+file = 'c.csv'
+because = 'another tip'
+[[exclude]]
+file = 'w.xlsx'
+sheet = 'S9'
+because = 'x'
+[[override]]
+file = 'gone.csv'
+contact_mm = 1.0
+because = 'x'
+[[override]]
+file = 'b.csv'
+contact_mm = 0.5
+because = 'seen on the video'
+[[override]]
+file = 'odd.csv'
+columns = {time = 't', displacement = 'pos', force = 'F'}
+units = {force = 'kN'}
+because = 'column names of a student'
+"""
+
+
+def workbook(path: Path, *names: str) -> None:
+    """A sheet of the same recording under each name."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name in names:
+        sheet = book.create_sheet(name)
+        for i, line in enumerate(recording().splitlines()):
+            sheet.append([cell if i < 2 else float(cell) for cell in line.split(",")])
+    book.save(path)
+
+
+@pytest.fixture(scope="module")
+def decided(tmp_path_factory):
+    """A lab of which a study says all of this, and what was found: exit code and identification.json."""
+    folder = tmp_path_factory.mktemp("decided")
+    lab(folder / "lab", DECIDED, a1=1.0, b=1.5, c=1.0)
+    (folder / "lab" / "a2.csv").write_text("not a recording\n", encoding="ascii")
+    odd = recording(times=1e-3, names="t,pos,F").replace("(sec),(mm),(N)\n", "")
+    (folder / "lab" / "odd.csv").write_text(odd, encoding="ascii")
+    workbook(folder / "lab" / "w.xlsx", "S1", "S2")
+    return folder, *fit(folder / "lab", out=folder / "out")
+
+
+def test_trials_are_of_the_specimens_that_the_study_names_and_covariates_hold_where_one_says_nothing(decided):
+    folder, _, document = decided
     assert first_problem(document, "identification") is None
-    assert main(["validate", str(tmp_path / "out")]) == 0
+    assert main(["validate", str(folder / "out")]) == 0
+    logs = {one["specimen"]: len(one["trials"]) for one in document["specimens"]}
+    assert logs == {"kidney": 3, "b": 1, "odd": 1}
+    rows = {row["specimen"]: row for row in document["study"]["specimens"]}
+    assert (rows["kidney"]["species"], rows["b"]["species"]) == ("cow", "pig")
+    assert (rows["kidney"]["thickness_mm"], rows["b"]["thickness_mm"]) == (20.0, None)
+    assert rows["kidney"]["temperature_C"] == 37.0
+    trials = {(Path(row["path"]).name, row["sheet"]): row for row in document["study"]["trials"]}
+    assert all(Path(row["path"]).parent == folder / "lab" for row in trials.values())
+    listed = {where for where, row in trials.items() if row["listed"]}
+    assert listed == {("a1.csv", None), ("w.xlsx", "S1"), ("w.xlsx", "S2")}
+    row = trials["a1.csv", None]
+    assert (row["specimen"], row["site"], row["rest_s"], row["protocol"]) == ("kidney", "A", 300.0, "p")
+
+
+def test_names_in_vain_are_refused_with_their_line_or_what_is_there_and_the_rest_goes_on(decided):
+    _, code, document = decided
+    assert code == 7
+    found = {one["error"]["line"]: one["error"] for one in document["refused"]}
+    assert {one["code"] for one in found.values()} == {"study_unmatched"}
+    line = 2 + DECIDED.split("[[override]]")[0].count("\n")
+    assert "gone.csv" in found.pop(line)["message"]
+    # a sheet that is not there, with those that are
+    ((_, sheet),) = found.items()
+    assert '"S9"' in sheet["message"]
+    assert '"S1", "S2"' in sheet["message"]
+
+
+def test_what_is_excluded_is_no_failure_be_it_damaged_or_a_whole_specimen(decided):
+    rows = {Path(row["path"]).name: row for row in decided[2]["study"]["exclusions"]}
+    assert rows.keys() == {"a2.csv", "c.csv"}
+    assert [row["with_it"] for row in rows.values()] == [[], []]
+    assert "could not be fitted anyway" in rows["a2.csv"]["note"]
+    assert rows["c.csv"]["because"] == "another tip"
+    assert "no other trial that was fitted" in rows["c.csv"]["note"]
+
+
+def test_contact_columns_and_units_are_those_that_the_study_decides(decided):
+    _, _, document = decided
+    # the ramp goes to 8 mm, depth is counted from contact
+    assert specimen(document, "b")["trials"][0]["depth_mm"] == pytest.approx(7.5, abs=0.01)
+    (row,) = [row for row in document["study"]["trials"] if row["specimen"] == "b"]
+    assert (row["overridden"], row["because"]) == (["contact_mm"], "seen on the video")
+    # 1/1000 of the force in kN is the same force, to the printed 0.1 N
+    assert value(document, "odd", STIFFNESS) == pytest.approx(value(document, "kidney", STIFFNESS), rel=0.05)
+    flags = specimen(document, "odd")["trials"][0]["flags"]
+    (keys,) = [flag["keys"] for flag in flags if "column names of a student" in flag["message"]]
+    assert keys == ["columns", "units"]
+
+
+def test_where_nothing_is_left_to_fit_it_is_said(tmp_path, capsys):
+    folder = lab(tmp_path / "lab", "", a=1.0)
+    assert main(["fit", str(folder), "--exclude", "a*", "-o", str(tmp_path / "out")]) == 3
+    shown = capsys.readouterr()
+    assert "nothing is left to fit: 1 excluded" in shown.err
+    assert "with it" not in shown.out
 
 
 def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(tmp_path, capsys):
@@ -63,20 +177,6 @@ def test_two_studies_at_once_are_a_question_for_the_user(tmp_path, capsys):
     assert "--study" in capsys.readouterr().err
 
 
-def test_covariates_of_the_study_hold_where_a_specimen_says_nothing(tmp_path):
-    manifest = (
-        "[study]\nspecies = 'pig'\ntemperature = '37 C'\n[[specimen]]\nname = 'kidney'\nspecies = 'cow'\n"
-        f"thickness = '2 cm'\n{GROUPED}site = 'A'\nrest = '5 min'\nprotocol = 'p'\n[[protocol]]\nname = 'p'\n"
-    )
-    _, document = fit_lab(tmp_path, manifest, a1=1.0, b=1.5)
-    rows = {row["specimen"]: row for row in document["study"]["specimens"]}
-    assert (rows["kidney"]["species"], rows["b"]["species"]) == ("cow", "pig")
-    assert (rows["kidney"]["thickness_mm"], rows["b"]["thickness_mm"]) == (20.0, None)
-    assert rows["kidney"]["temperature_C"] == 37.0
-    (row,) = [row for row in document["study"]["trials"] if row["listed"]]
-    assert (row["site"], row["rest_s"], row["protocol"]) == ("A", 300.0, "p")
-
-
 def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_path):
     manifest = GROUPED + "[[exclude]]\nfile = 'a3.csv'\nbecause = 'the tool <slipped>'\n"
     code, document = fit_lab(tmp_path, manifest, a1=1.0, a2=1.0, a3=1.6)
@@ -95,64 +195,6 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "the tool &lt;slipped&gt;" in page
     assert "With it" in page
-
-
-def test_a_specimen_that_is_excluded_as_a_whole_is_not_fitted(tmp_path, capsys):
-    manifest = "[[exclude]]\nfile = 'a.csv'\nbecause = 'another tip'\n"
-    code, document = fit_lab(tmp_path, manifest, a=1.0, b=1.5)
-    assert code in (0, 4)
-    (row,) = document["study"]["exclusions"]
-    assert (row["because"], row["with_it"]) == ("another tip", [])
-    assert "no other trial that was fitted" in row["note"]
-    capsys.readouterr()
-    assert main(["fit", str(tmp_path / "lab"), "--exclude", "b*", "-o", str(tmp_path / "none")]) == 3
-    shown = capsys.readouterr()
-    assert "nothing is left to fit: 2 excluded" in shown.err
-    assert "with it" not in shown.out
-
-
-def test_a_damaged_recording_that_is_excluded_is_no_failure(tmp_path):
-    manifest = GROUPED + "[[exclude]]\nfile = 'a2.csv'\nbecause = 'cut off by a power failure'\n"
-    folder = lab(tmp_path / "lab", manifest, a1=1.0)
-    (folder / "a2.csv").write_text("not a recording\n", encoding="ascii")
-    code, document = fit(folder, out=tmp_path / "out")
-    assert code in (0, 4)
-    assert not document["refused"]
-    (row,) = document["study"]["exclusions"]
-    assert row["with_it"] == []
-    assert "could not be fitted anyway" in row["note"]
-
-
-def test_names_in_vain_are_refused_with_their_line_and_the_rest_goes_on(tmp_path):
-    manifest = GROUPED + "[[override]]\nfile = 'gone.csv'\ncontact_mm = 1.0\nbecause = 'x'\n"
-    code, document = fit_lab(tmp_path, manifest, a1=1.0)
-    assert code == 7
-    (refusal,) = document["refused"]
-    assert refusal["error"]["code"] == "study_unmatched"
-    assert refusal["error"]["line"] == 5
-    assert "gone.csv" in refusal["error"]["message"]
-
-
-def workbook(path: Path, *names: str) -> None:
-    """A sheet of the same recording under each name."""
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for name in names:
-        sheet = book.create_sheet(name)
-        for i, line in enumerate(recording().splitlines()):
-            sheet.append([cell if i < 2 else float(cell) for cell in line.split(",")])
-    book.save(path)
-
-
-def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path):
-    folder = lab(tmp_path / "lab", "[[exclude]]\nfile = 'w.xlsx'\nsheet = 'S9'\nbecause = 'x'\n")
-    workbook(folder / "w.xlsx", "S1", "S2")
-    code, document = fit(folder, out=tmp_path / "out")
-    assert code == 7
-    (refusal,) = document["refused"]
-    assert '"S9"' in refusal["error"]["message"]
-    assert '"S1", "S2"' in refusal["error"]["message"]
 
 
 def test_a_recording_named_alone_follows_the_study_beside_it(tmp_path, capsys):
@@ -185,37 +227,6 @@ def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path):
     assert code in (0, 4)
     assert not document["refused"]
     assert [one["specimen"] for one in document["specimens"]] == ["cut"]
-
-
-def test_columns_and_units_of_one_file_are_those_the_study_decides(tmp_path):
-    manifest = (
-        "[[override]]\nfile = 'odd.csv'\ncolumns = {time = 't', displacement = 'pos', force = 'F'}\n"
-        "units = {force = 'kN'}\nbecause = 'column names of a student'\n"
-    )
-    folder = lab(tmp_path / "lab", manifest, plain=1.0)
-    text = recording(times=1e-3, names="t,pos,F").replace("(sec),(mm),(N)\n", "")
-    (folder / "odd.csv").write_text(text, encoding="ascii")
-    code, document = fit(folder, out=tmp_path / "out")
-    assert code in (0, 4), document["refused"]
-    assert {entry["specimen"] for entry in document["specimens"]} == {"plain", "odd"}
-    # 1/1000 of the force in kN is the same force, to the printed 0.1 N
-    assert value(document, "odd", STIFFNESS) == pytest.approx(value(document, "plain", STIFFNESS), rel=0.05)
-    (flag,) = [
-        flag
-        for flag in specimen(document, "odd")["trials"][0]["flags"]
-        if flag["code"] == "decision_overridden" and "column names of a student" in flag["message"]
-    ]
-    assert flag["keys"] == ["columns", "units"]
-
-
-def test_a_contact_point_is_where_the_user_put_it(tmp_path):
-    manifest = "[[override]]\nfile = 'a.csv'\ncontact_mm = 0.5\nbecause = 'seen on the video'\n"
-    _, document = fit_lab(tmp_path, manifest, a=1.0)
-    trial = specimen(document, "a")["trials"][0]
-    # the ramp goes to 8 mm, depth is counted from contact
-    assert trial["depth_mm"] == pytest.approx(7.5, abs=0.01)
-    row = document["study"]["trials"][0]
-    assert (row["overridden"], row["because"]) == (["contact_mm"], "seen on the video")
 
 
 def test_the_load_cell_of_the_study_decides_what_is_a_small_force(tmp_path):

@@ -92,4 +92,4 @@ def test_asking_of_every_file_costs_a_time_for_each_and_not_for_each_pair():
 
     seconds(100)
     # eight times the files: 8 times the time, or 64
-    assert seconds(8_000) < 24.0 * seconds(1_000)
+    assert seconds(4_000) < 24.0 * seconds(500)

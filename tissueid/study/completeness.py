@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final, Literal
 
+from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from tissueid.documents import typed
@@ -75,71 +76,55 @@ ITEMS: tuple[Missing, ...] = (
 )  # fmt: skip
 
 
-def _without(item: Missing, tables: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Names of the tables that state none of the keys."""
-    return tuple(name for name, table in tables.items() if all(table.get(key) is None for key in item.keys))
-
-
 def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> StudyCheck:
     """Grade a study file; ``unmatched``: files and sheets that it names in vain."""
-    calibration = dict(study.calibration.values)
-    if study.calibration.frame is not None:
-        calibration["frame"] = study.calibration.frame
-    single: dict[str, Mapping[str, Any]] = {
-        "study": study.about,
-        "calibration": calibration,
-        "tip": study.tip,
+    frame = study.calibration.frame
+    calibration = {**study.calibration.values, **({} if frame is None else {"frame": frame})}
+    # what the study says of the tissue holds for every specimen
+    specimens = {name: {**study.about, **table} for name, table in study.specimens.items()}
+    trials = {str(entry.values["file"]): entry.values for entry in study.trials}
+    tables: dict[str, Mapping[str, Mapping[str, Any]]] = {
+        "study": {"": study.about},
+        "calibration": {"": calibration},
+        "tip": {"": study.tip},
+        "specimen": specimens or {"": study.about},
+        "trial": trials or {"": {}},
     }
-    several: dict[str, dict[str, Mapping[str, Any]]] = {
-        # what the study says of the tissue holds for every specimen
-        "specimen": {name: {**study.about, **table} for name, table in study.specimens.items()},
-        "trial": {str(entry.values["file"]): entry.values for entry in study.trials},
-    }
-    return _graded(study.path, single, several, unmatched)
+    return _graded(study.path, tables, unmatched)
 
 
-def completeness_of_result(study: StudyRecord | None) -> StudyCheck:
+def completeness_of_result(record: StudyRecord | None) -> StudyCheck:
     """Grade the ``study`` of identification.json; without one nothing is stated."""
-    if study is None:
-        nothing: dict[str, dict[str, Any]] = {"study": {}, "calibration": {}, "tip": {}}
-        return _graded("study.toml", nothing, {"specimen": {}, "trial": {}}, ())
-    about = _stated(asdict(study.study))
-    single = {
-        "study": about,
-        "calibration": _stated(asdict(study.calibration)),
-        "tip": _stated(asdict(study.tip)),
+    if record is None:
+        return completeness(Study("study.toml"))
+    about = _stated(record.study)
+    specimens = {row.specimen: {**about, **_stated(row)} for row in record.specimens}
+    trials = {row.path: asdict(row) for row in record.trials if row.listed}
+    tables: dict[str, Mapping[str, Mapping[str, Any]]] = {
+        "study": {"": about},
+        "calibration": {"": _stated(record.calibration)},
+        "tip": {"": _stated(record.tip)},
+        "specimen": specimens or {"": about},
+        "trial": trials or {"": {}},
     }
-    specimens = {row.specimen: {**about, **_stated(asdict(row))} for row in study.specimens}
-    trials = {row.path: asdict(row) for row in study.trials if row.listed}
-    return _graded("study.toml", single, {"specimen": specimens, "trial": trials}, ())
+    return _graded("study.toml", tables, ())
 
 
-def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if value not in (None, [], (), "")}
+def _stated(table: Struct) -> dict[str, Any]:
+    return {key: value for key, value in asdict(table).items() if value not in (None, [], (), "")}
 
 
 def _graded(
-    path: str,
-    single: Mapping[str, Mapping[str, Any]],
-    several: Mapping[str, Mapping[str, Mapping[str, Any]]],
-    unmatched: Sequence[Refusal],
+    path: str, tables: Mapping[str, Mapping[str, Mapping[str, Any]]], unmatched: Sequence[Refusal]
 ) -> StudyCheck:
-    """The verdict on tables of which there is one, and of which there are several by name."""
-    about = single["study"]
+    """The verdict on tables by name; one of which there is one only has none."""
     stated, missing = 0.0, []
     for item in ITEMS:
-        if item.table in single:
-            lacking = _without(item, {item.table: single[item.table]})
-            share = 0.0 if lacking else 1.0
-            where: tuple[str, ...] = ()
-        else:
-            tables = several[item.table] or ({"": about} if item.table == "specimen" else {"": {}})
-            lacking = _without(item, tables)
-            share = 1.0 - len(lacking) / len(tables)
-            where = lacking if len(lacking) < len(tables) else ()
-        stated += item.weight * share
+        rows = tables[item.table]
+        lacking = [name for name, row in rows.items() if all(row.get(key) is None for key in item.keys)]
+        stated += item.weight * (1.0 - len(lacking) / len(rows))
         if lacking:
-            missing.append(replace(item, where=where))
+            missing.append(replace(item, where=tuple(lacking) if len(lacking) < len(rows) else ()))
     missing.sort(key=lambda one: -one.weight)
     total = stated / sum(item.weight for item in ITEMS)
     whole = all(one.weight < ESSENTIAL for one in missing)
