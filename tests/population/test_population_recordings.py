@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cohort_factory import COORDINATES, TYPICAL, lkj_factor, plain_design
+from cohort_factory import COORDINATES, TYPICAL, lkj_factor, normal_stage, plain_design
 
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
@@ -21,6 +21,7 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
+from tissueid.selfcheck.verdicts import binomial_interval
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
 
@@ -166,3 +167,38 @@ def test_where_specimens_say_much_the_population_does_no_harm(capsys):
     rows = shown_cohorts(capsys, FAST_COHORTS, FAST_HZ)
     assert all(one.converged for one in rows)
     assert np.mean([one.pooled for one in rows]) <= np.mean([one.separate for one in rows])
+
+
+#: Cohorts of as many specimens whose likelihoods are normal, and numbers of each.
+DRAWN, SIZE = 200, 7
+#: What the recordings leave open: forces to 2 %, viscosities to 10 %, a relaxation time to 50 %.
+OWN = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.5])
+
+
+def holds_the_truth(seed: int) -> np.ndarray:
+    """Whether 95 % intervals of seven means and seven spreads hold a truth drawn from the priors."""
+    rng = np.random.default_rng([77, seed])
+    mean = rng.normal(0.0, STATED.mean_sd, SIZE)
+    sd = np.exp(rng.normal(np.log(STATED.between.median), STATED.between.sd_ln, SIZE))
+    low = lkj_factor(rng, SIZE, STATED.correlation_shape)
+    nu = 0.0
+    while nu < 1.0:
+        nu = rng.gamma(STATED.tail_shape, 1.0 / STATED.tail_rate)
+    weight = rng.gamma(0.5 * nu, 2.0 / nu, SPECIMENS)
+    places = (
+        mean + (rng.standard_normal((SPECIMENS, SIZE)) / np.sqrt(weight)[:, None]) @ (sd[:, None] * low).T
+    )
+    own = OWN * np.exp(rng.normal(0.0, 0.3, (SPECIMENS, SIZE)))
+    stage = normal_stage(places, own, rng)
+    found = sample_population(stage, plain_design(SPECIMENS), STATED, SamplerOptions(seed=seed))
+    draws = np.concatenate([found.mean, found.sd.reshape(-1, SIZE)], axis=1)
+    first, last = np.quantile(draws, [0.025, 0.975], axis=0)
+    truth = np.concatenate([mean, sd])
+    return (first <= truth) & (truth <= last)
+
+
+def test_intervals_of_means_and_spreads_cover_in_200_cohorts():
+    held = np.array([holds_the_truth(seed) for seed in range(DRAWN)]).sum(axis=0)
+    # 99 % for fourteen numbers together
+    low, high = binomial_interval(DRAWN, 0.95, 0.01 / (2 * SIZE))
+    assert ((low <= held) & (held <= high)).all(), held
