@@ -49,14 +49,11 @@ def test_the_ramp_keeps_speed_and_acceleration_and_ends_at_the_depth(acceleratio
     assert np.abs(np.diff(v)).max() <= acceleration * (time[1] - time[0]) * (1.0 + 1e-6) + 1e-7
 
 
-def test_a_short_way_does_not_reach_the_speed():
+def test_a_short_way_does_not_reach_the_speed_and_all_of_a_log_counts_as_machine_time():
     machine = replace(MACHINE, acceleration_mm_s2=10.0, standoff_mm=0.1)
     ramp = ramp_of(Indentation(500.0, 1.0), machine)
     # from rest over 1.1 mm and to rest again: the way is halved between them
     assert ramp.top_mm_s == pytest.approx(np.sqrt(10.0 * 1.1), rel=1e-9)
-
-
-def test_machine_time_counts_approach_ramp_hold_and_return():
     machine = replace(MACHINE, acceleration_mm_s2=1e9, standoff_mm=2.0, return_speed_mm_min=300.0)
     seconds = seconds_of(Indentation(120.0, 4.0, 30.0), machine)
     # 2 mm and 4 mm at 2 mm/s, 30 s, 6 mm at 5 mm/s

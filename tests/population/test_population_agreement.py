@@ -82,14 +82,11 @@ def test_a_slope_common_to_all_specimens_is_the_order_effect():
     assert found.p_value < 1e-6
 
 
-def test_logs_without_gains_of_their_own_say_nothing():
+def test_logs_without_gains_or_at_other_speeds_or_sites_are_no_repeats():
     cohort = with_gains((1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0))
     assert repeatability(cohort, np.full(100, 0.1), np.random.default_rng(0)) is None
     assert agreement(cohort, {one.specimen: 1.0 for one in cohort}) is None
     assert order_effect(cohort) is None
-
-
-def test_logs_at_other_speeds_or_sites_are_no_repeats():
     cohort = with_gains((0.9, 1.1))
     first, second = cohort[0].trials
     other_speed = replace(cohort[0], trials=(first, replace(second, speed_mm_s=2.0 * first.speed_mm_s)))

@@ -180,15 +180,12 @@ def test_specimens_of_a_rarer_law_and_spectra_at_other_times_are_left_out_and_na
     assert "0.0206 to 8 s" in left.reason
 
 
-def test_a_covariate_that_is_the_same_for_all_or_stated_by_nobody_is_refused():
+def test_covariates_are_columns_and_levels_or_refused():
     same = [replace(one, covariates={**one.covariates, "sex": "f"}) for one in members(3, draws=100)]
     with pytest.raises(UsageError, match="nothing to compare"):
         design_of(same, "sex", ())
     with pytest.raises(UsageError, match="no specimen states 'weight'; stated are age_years, donor, sex"):
         design_of(same, None, ("weight",))
-
-
-def test_missing_numbers_get_the_mean_and_are_named():
     three = members(5, draws=100)
     gap = (replace(three[0], covariates={**three[0].covariates, "age_years": None}), *three[1:])
     described = design_of(gap, None, ("age_years",))
@@ -197,9 +194,6 @@ def test_missing_numbers_get_the_mean_and_are_named():
     # 61 to 64 years: mean 62.5, standard deviation root of 1.25
     assert described.scales["age_years"] == pytest.approx((62.5, np.sqrt(1.25)))
     assert described.design.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
-
-
-def test_donors_of_several_specimens_are_a_level_and_single_ones_none():
     six = members(6, draws=100)
     alone = tuple(replace(one, covariates={"donor": one.specimen}) for one in six)
     assert design_of(six, None, ()).design.levels == ("donor",)

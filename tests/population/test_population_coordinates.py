@@ -55,10 +55,21 @@ def test_every_law_has_as_many_coordinates_as_parameters_and_comes_back(name):
     assert coordinates.quantities(theta)[:, coordinates.static_at_depth] == pytest.approx(force, rel=1e-9)
 
 
-def test_a_shape_beyond_its_bounds_is_refused():
+def test_tissue_that_is_not_passive_is_told_and_what_is_zero_is_floored_and_counted():
     coordinates = Coordinates(parsed("power * stretched").model(6.0, 0.01, 8.0))
     good, steep = [12.0, 1.5, 30.0, 0.4, 0.5], [12.0, 4.5, 30.0, 0.4, 0.5]
     assert coordinates.passive(np.array([good, steep])).tolist() == [True, False]
+    coordinates = Coordinates(kelvin_voigt(1, 0, 6.0))
+    theta = np.tile([20.0, -1.2, 0.35, 60.0, 0.02], (5, 1))
+    theta[1, 3] = 0.0
+    phi, floored = coordinates.to_phi(theta)
+    assert floored == 1
+    assert phi[1, 3] == pytest.approx(np.log(60.0 * 0.02 * FLOOR_SHARE), rel=1e-12)
+    coordinates = Coordinates(kelvin_voigt(2, 0, 6.0))
+    good = [20.0, -1.2, 0.35, 60.0, 0.02, 5.0, 4.0]
+    pulls = [20.0, -12.0, 1.5, 60.0, 0.02, 5.0, 4.0]
+    swapped = [20.0, -1.2, 0.35, 60.0, 4.0, 5.0, 0.02]
+    assert coordinates.passive(np.array([good, pulls, swapped])).tolist() == [True, False, False]
 
 
 @settings(max_examples=50, deadline=None)
@@ -83,20 +94,3 @@ def test_quantities_are_forces_and_viscosities_at_their_depths():
     second = [(5.0 + 1.0 * x) * 4.0 for x in (3.0, 6.0)]
     assert found == pytest.approx([*static, *first, 0.02, *second, 4.0], rel=1e-12)
     assert len(coordinates.names) == len(coordinates.units) == len(coordinates.words) == 9
-
-
-def test_what_is_zero_is_floored_and_counted():
-    coordinates = Coordinates(kelvin_voigt(1, 0, 6.0))
-    theta = np.tile([20.0, -1.2, 0.35, 60.0, 0.02], (5, 1))
-    theta[1, 3] = 0.0
-    phi, floored = coordinates.to_phi(theta)
-    assert floored == 1
-    assert phi[1, 3] == pytest.approx(np.log(60.0 * 0.02 * FLOOR_SHARE), rel=1e-12)
-
-
-def test_tissue_that_pulls_or_whose_times_do_not_ascend_is_not_passive():
-    coordinates = Coordinates(kelvin_voigt(2, 0, 6.0))
-    good = [20.0, -1.2, 0.35, 60.0, 0.02, 5.0, 4.0]
-    pulls = [20.0, -12.0, 1.5, 60.0, 0.02, 5.0, 4.0]
-    swapped = [20.0, -1.2, 0.35, 60.0, 4.0, 5.0, 0.02]
-    assert coordinates.passive(np.array([good, pulls, swapped])).tolist() == [True, False, False]

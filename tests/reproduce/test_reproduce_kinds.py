@@ -35,7 +35,7 @@ QUICK = Effort(draws=0)
 CHANGE, FOLLOWS = 1.02, 0.5
 
 
-def test_a_number_that_was_put_in_is_a_round_trip():
+def test_what_stands_behind_a_row_follows_from_what_its_ledger_handed_out():
     ledger = Ledger(SADEGHNEJAD, "Table 1")
     value = ledger.printed("table-2/tau")
     assert ledger.item("table-2/tau", value).kind is Kind.ROUND_TRIP
@@ -45,9 +45,6 @@ def test_a_number_that_was_put_in_is_a_round_trip():
     assert ledger.item("table-2/stiffness", value).kind is Kind.ASSUMED
     assert ledger.item("table-2/tau", value).kind is Kind.ROUND_TRIP
     assert ledger.item("table-2/tau", None).kind is Kind.NOT_REPRODUCIBLE
-
-
-def test_a_branch_of_a_ledger_keeps_its_own_inputs():
     ledger = Ledger(SADEGHNEJAD, "Table 1")
     ledger.read("a reading")
     other = ledger.branch()
@@ -57,6 +54,14 @@ def test_a_branch_of_a_ledger_keeps_its_own_inputs():
     assert other.item("table-2/tau", 1.0).reading == "a reading"
     with pytest.raises(TypeError, match="range"):
         ledger.printed("figure-5/nrmsd")
+    ledger = Ledger(SADEGHNEJAD, "Table 1")
+    assert ledger.item("figure-9/new", 1.0).kind is Kind.RECOMPUTED
+    assert ledger.item("new", 1.0, against="table-2/tau").kind is Kind.REPRODUCED
+    given = ledger.given("table-3/1", "Mass of the operator [kg]", "put in")
+    assert (given.kind, given.published, given.recomputed) == (Kind.GIVEN, 1.25, None)
+    for kind in (Kind.REPRODUCED, Kind.GIVEN):
+        with pytest.raises(ValueError, match="no printed number"):
+            Item(**structs.asdict(ledger.item("figure-9/new", 1.0)) | {"kind": kind})
 
 
 @pytest.mark.parametrize(
@@ -131,17 +136,6 @@ def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in():
     mean = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)[0][-2]
     assert (mean.item, mean.kind, mean.agrees) == ("table-2/mean-of-table-1", Kind.REPRODUCED, True)
     assert mean.recomputed == pytest.approx((0.0214 + 0.0212 + 0.0206 + 0.0209) / 4)
-
-
-def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number():
-    ledger = Ledger(SADEGHNEJAD, "Table 1")
-    assert ledger.item("figure-9/new", 1.0).kind is Kind.RECOMPUTED
-    assert ledger.item("new", 1.0, against="table-2/tau").kind is Kind.REPRODUCED
-    given = ledger.given("table-3/1", "Mass of the operator [kg]", "put in")
-    assert (given.kind, given.published, given.recomputed) == (Kind.GIVEN, 1.25, None)
-    for kind in (Kind.REPRODUCED, Kind.GIVEN):
-        with pytest.raises(ValueError, match="no printed number"):
-            Item(**structs.asdict(ledger.item("figure-9/new", 1.0)) | {"kind": kind})
 
 
 def test_readings_that_contradict_the_table_are_said_to():

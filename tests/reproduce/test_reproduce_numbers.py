@@ -100,12 +100,9 @@ def test_force_at_rupture_is_that_of_the_criterion(criterion, speed):
     assert rupture_force(tissue, speed, criterion, 6.0) == pytest.approx(expected, rel=1e-5)
 
 
-def test_an_exponential_is_found_in_a_hold():
+def test_an_exponential_is_found_in_a_hold_and_made_by_a_settling_crosshead():
     time = np.arange(0.0, 0.5, 1e-3)
     assert hold_exponential(time, 80.0 + 5.0 * np.exp(-time / 0.03)) == pytest.approx((5.0, 0.03), rel=1e-6)
-
-
-def test_an_elastic_tissue_behind_a_settling_crosshead_relaxes_in_appearance():
     time, force = settling_force((40.0,), 2.0, 0.1, 0.02)
     # linear: an exponential through a first-order filter that starts at the full overshoot
     lag, filter_s = 0.02, 0.005

@@ -73,15 +73,12 @@ def in_other_units(failures: list[Failure], power: float) -> list[Failure]:
     ]
 
 
-def test_evidence_and_interval_do_not_depend_on_the_unit_or_power_of_a_measure(cohort):
+def test_thresholds_do_not_depend_on_unit_or_power_and_of_one_test_each_are_their_mean(cohort):
     plain, fourth = threshold_of(cohort, "depth"), threshold_of(in_other_units(cohort, 4.0), "depth")
     assert fourth.ln_evidence == pytest.approx(plain.ln_evidence, abs=1e-6)
     assert fourth.median == pytest.approx(7.0 * plain.median**4.0, rel=1e-4)
     assert fourth.ci95 == pytest.approx([7.0 * end**4.0 for end in plain.ci95], rel=1e-6)
     assert fourth.trend_p == pytest.approx(plain.trend_p, rel=1e-2)
-
-
-def test_threshold_of_one_test_a_specimen_each_ruptured_is_their_mean(cohort):
     slow = cohort[::3]
     found = threshold_of(slow, "work")
     logs, growth, _ = standardised(slow, "work")

@@ -33,7 +33,7 @@ def thresholds(evidence: tuple[float, ...], trend_p: float | None = 0.5) -> list
     return [threshold(name, value, trend_p) for name, value in zip(CRITERIA, evidence, strict=True)]
 
 
-def test_stored_energy_and_depth_share_one_prior_and_their_evidence():
+def test_stored_energy_and_depth_are_one_kind_and_a_trend_that_is_left_says_none():
     # ln evidence of work, weighted force, stored energy, depth
     found = decide(thresholds((0.0, 0.0, 0.0, 0.0)))
     assert found.answer == "undecided"
@@ -42,9 +42,6 @@ def test_stored_energy_and_depth_share_one_prior_and_their_evidence():
     elastic = (np.exp(5.0) + np.exp(6.0)) / 2.0
     assert found.probability["elastic limit"] == pytest.approx(elastic / (elastic + 2.0))
     assert (found.answer, found.kind, found.criterion) == ("decided", "elastic limit", "depth")
-
-
-def test_a_trend_with_speed_that_the_likeliest_leaves_says_none_of_them():
     found = decide(thresholds((9.0, 0.0, 0.0, 0.0), trend_p=0.001))
     assert (found.answer, found.kind, found.criterion) == ("none", None, None)
     assert "none of the criteria" in found.reason
@@ -167,16 +164,13 @@ def test_the_middle_of_the_step_is_not_early_or_late():
     assert np.mean(early) == pytest.approx(0.0, abs=0.036)
 
 
-def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample():
+def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample_and_one_in_air_is_none():
     held = Log("held", (Move(4.0, 600.0), Hold(1.0)))
     ((log, test),) = up_to_end(replace(PLAN, logs=(held,)))
     assert test is not None
     assert (test.ruptured, test.step_mm, test.residual) == (False, 0.0, None)
     assert test.depth_mm[-1] == pytest.approx(4.0 - log.truth["contact_offset_mm"], abs=0.05)
     assert test.work_N_mm == pytest.approx(log.truth["rupture_work_N_mm"], rel=0.05)
-
-
-def test_nothing_is_made_of_a_recording_in_air():
     air = Log("air", (Move(0.5, 60.0),))
     (trial,) = as_trials(simulate(replace(PLAN, logs=(air,)), rng=np.random.default_rng(1)))
     assert loaded_test(trial, segment(trial, options=SegmentOptions())) is None

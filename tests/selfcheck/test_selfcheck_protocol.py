@@ -144,13 +144,7 @@ def asked(monkeypatch):
     return given
 
 
-def test_the_law_that_is_asked_for_is_fitted(asked):
-    of_these([trial("a.csv")], model="power * fung")
-
-    assert asked["options"].fit.model == "power * fung"
-
-
-def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked):
+def test_the_measured_motion_behind_a_known_frame_is_kept_to_where_the_tool_turns_back(asked):
     name, protocol, centre = of_these([trial("a.csv"), trial("b.csv")])
     assert name == "liver"
     assert protocol.words == "the measured x(t) of 2 recordings"
@@ -163,6 +157,13 @@ def test_the_measured_motion_is_kept_to_where_the_tool_turns_back(asked):
     assert protocol.speeds_mm_s == pytest.approx((4.0, 4.0), rel=0.02)
     assert [one.source.path for one in asked["trials"]] == ["a.csv", "b.csv"]
     assert centre.pooling == "partial"
+    of_these([trial("a.csv")], model="power * fung")
+
+    assert asked["options"].fit.model == "power * fung"
+    study = Study("study.toml", calibration=Calibration(frame=linear_frame(600.0)))
+    _, protocol, _ = of_these([trial("a.csv")], study=study)
+    # 120 N at 600 N/mm
+    assert protocol.depth_mm == pytest.approx(4.0 - 0.2, abs=0.05)
 
 
 def test_the_tissue_and_the_noise_are_those_that_were_identified():
@@ -188,7 +189,7 @@ def test_the_share_of_white_noise_follows_from_its_moving_average(share):
     assert white_share(noise) == pytest.approx(share, rel=1e-9)
 
 
-def test_of_several_specimens_one_is_named():
+def test_of_several_specimens_one_is_named_and_none_is_told_with_its_reason(monkeypatch):
     both = [trial("a.csv"), trial("b.csv", "heart")]
     with pytest.raises(UsageError, match="holds 2 specimens: choose one with --specimen: liver, heart"):
         of_these(both)
@@ -198,6 +199,12 @@ def test_of_several_specimens_one_is_named():
         of_these([trial("a.csv", stiffness=0.0)])
     name, protocol, _ = of_these(both, specimen="heart")
     assert (name, [log.name for log in protocol.logs]) == ("heart", ["b.csv"])
+    empty = replace(
+        identification([], refused=True), exit=structs.replace(identification([]).exit, reasons=("why",))
+    )
+    monkeypatch.setattr("tissueid.selfcheck.protocol.identify", lambda *_, **__: empty)
+    with pytest.raises(InputError, match="nothing that can be fitted; the first: why"):
+        of_these([trial("a.csv")])
 
 
 def test_what_a_study_says_of_recordings_counts(asked):
@@ -214,22 +221,6 @@ def test_what_a_study_says_of_recordings_counts(asked):
     assert name == "spleen"
     assert [log.name for log in protocol.logs] == ["a.csv"]
     assert asked["study"] is study
-
-
-def test_a_known_frame_is_taken_off_the_motion():
-    study = Study("study.toml", calibration=Calibration(frame=linear_frame(600.0)))
-    _, protocol, _ = of_these([trial("a.csv")], study=study)
-    # 120 N at 600 N/mm
-    assert protocol.depth_mm == pytest.approx(4.0 - 0.2, abs=0.05)
-
-
-def test_what_can_t_be_identified_is_told_with_its_reason(monkeypatch):
-    empty = replace(
-        identification([], refused=True), exit=structs.replace(identification([]).exit, reasons=("why",))
-    )
-    monkeypatch.setattr("tissueid.selfcheck.protocol.identify", lambda *_, **__: empty)
-    with pytest.raises(InputError, match="nothing that can be fitted; the first: why"):
-        of_these([trial("a.csv")])
 
 
 def test_a_bundle_s_own_recordings_are_its_protocol(monkeypatch):

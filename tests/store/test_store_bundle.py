@@ -61,7 +61,7 @@ def test_everything_comes_back_exactly(written, tmp_path):
     assert (back.tip, back.draws, back.rupture, LAW.unit) == (cone, None, LAW, "N")
 
 
-def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path):
+def test_a_fit_gives_covariance_intervals_thinned_draws_and_its_own_inputs(tmp_path):
     fit = sampled(specimen_fit())
     write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
     bundle = load_bundle(tmp_path / "b.h5")
@@ -72,6 +72,10 @@ def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_pa
     # evenly over the chain: first and last draw are kept
     assert np.array_equal(bundle.draws[[0, -1]], fit.posterior.draws[[0, -1]])
     assert bundle.parameter("viscosity_N_s_per_mm").uncertainty == fit.parameters[-1].uncertainty
+    fits = [specimen_fit("a"), specimen_fit("b")]
+    bundle = bundle_from_fit(fits[1], provenance=identification(fits).provenance)
+    assert {entry["specimen"] for entry in bundle.provenance["inputs"]} == {"b"}
+    assert len(bundle.provenance["inputs"]) == 3
 
 
 def test_the_model_in_the_bundle_gives_the_closed_form_force(written):
@@ -83,13 +87,6 @@ def test_the_model_in_the_bundle_gives_the_closed_form_force(written):
     actual = bundle.contact_model().force(bundle.theta, ContactPath(time, depth))
     # the recursion is exact on a constant-speed ramp: rounding only
     assert actual == pytest.approx(expected, rel=1e-12, abs=1e-12)
-
-
-def test_provenance_keeps_only_the_specimens_own_inputs():
-    fits = [specimen_fit("a"), specimen_fit("b")]
-    bundle = bundle_from_fit(fits[1], provenance=identification(fits).provenance)
-    assert {entry["specimen"] for entry in bundle.provenance["inputs"]} == {"b"}
-    assert len(bundle.provenance["inputs"]) == 3
 
 
 def edit_number(file: Any) -> None:

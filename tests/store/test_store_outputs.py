@@ -106,14 +106,11 @@ def test_an_interrupt_while_the_folder_is_made_leaves_none(tmp_path, monkeypatch
     write(tmp_path, "new")
 
 
-def test_a_finished_refresh_touches_nothing(tmp_path):
+def test_a_finished_refresh_touches_nothing_and_carrying_over_replaces_the_report_alone(tmp_path):
     write(tmp_path, "a")
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     complete_refresh(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
-
-
-def test_carrying_over_replaces_the_report_alone(tmp_path):
     write(tmp_path, "a")
     numbers = (tmp_path / "identification.json").read_bytes()
     with OutputSet(tmp_path) as outputs:
@@ -299,7 +296,12 @@ def test_names_that_meet_without_case_are_kept_apart():
     assert bundle_names(["a b", "a_b"]) == bundle_names(["a_b", "a b"])
 
 
-def test_a_pipe_is_written_to_and_never_replaced(tmp_path):
+def test_folders_and_pipes_are_never_replaced_and_links_stay(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (".", ".."):
+        with pytest.raises(OSError, match=r"busy|directory"):
+            write_file(Path(name), b"")
+    assert list(tmp_path.iterdir()) == []
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -309,17 +311,6 @@ def test_a_pipe_is_written_to_and_never_replaced(tmp_path):
     with pytest.raises(OSError, match="it is no file"), replacing(pipe):
         pass
     assert pipe.is_fifo()
-
-
-def test_a_name_that_is_a_folder_is_refused_by_the_system(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in (".", ".."):
-        with pytest.raises(OSError, match=r"busy|directory"):
-            write_file(Path(name), b"")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_a_link_leads_to_is_written_and_the_link_stays(tmp_path):
     real, link = tmp_path / "real", tmp_path / "link"
     real.write_bytes(b"old")
     link.symlink_to(real)

@@ -64,7 +64,7 @@ def test_a_damaged_file_is_refused_with_the_way_out(tmp_path):
         load_posteriors(path)
 
 
-def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path):
+def test_a_set_keeps_its_own_draws_and_one_without_a_posterior_has_none(tmp_path):
     for name, fits in (("with", FITS), ("without", FITS[1:2])):
         commit(tmp_path / name, identification(fits))
         assert output_problems(tmp_path / name) == []
@@ -72,9 +72,6 @@ def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path):
     assert [one.specimen for one in posteriors] == ["a", "c"]
     assert read_results(tmp_path / "without")[2] == ()
     assert not (tmp_path / "without" / POSTERIORS).exists()
-
-
-def test_draws_of_another_run_are_told(tmp_path):
     with OutputSet(tmp_path) as run:
         write_results(run, identification(FITS))
         write_posteriors(posteriors_of_fits(FITS[:1]), run.path(POSTERIORS))

@@ -117,7 +117,7 @@ def test_a_log_without_its_head_or_with_another_is_refused_by_name(raw):
         read_session_log(raw)
 
 
-def test_other_files_are_no_session_logs(tmp_path):
+def test_other_files_are_no_session_logs_and_a_head_holds_what_the_schema_allows(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.attrs["format"] = "tissueid/bundle"
     assert not is_session_log((tmp_path / "other.h5").read_bytes())
@@ -127,8 +127,5 @@ def test_other_files_are_no_session_logs(tmp_path):
         read_session_log(tmp_path / "other.h5")
     with pytest.raises(BundleError, match="can't be read"):
         read_session_log(tmp_path / "missing.h5")
-
-
-def test_a_head_that_names_more_than_the_schema_allows_is_never_written():
     with pytest.raises(BundleError, match="name_of_the_person"):
         raw_head(head_of(name_of_the_person="Anna"), RECORD)

@@ -86,15 +86,12 @@ def full_study() -> Study:
     )
 
 
-def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_worst():
+def test_a_study_is_graded_by_what_it_says_and_what_is_missing_is_named():
     best = completeness(full_study())
     assert (best.grade, best.share, best.missing) == ("A", 1.0, ())
     worst = completeness(Study("study.toml"))
     assert (worst.grade, worst.share) == ("F", 0.0)
     assert len(worst.missing) == len(ITEMS)
-
-
-def test_one_essential_item_less_costs_the_grade_and_names_the_specimen():
     study = full_study()
     less = {key: text for key, text in study.specimens["b"].items() if key != "thickness_mm"}
     found = completeness(replace(study, specimens={"a": study.specimens["a"], "b": less}))
@@ -316,7 +313,7 @@ def test_recordings_of_one_program_are_one_whatever_their_depth():
     assert "travel 3.00 to 4.02 mm" in fast.comments()
 
 
-def test_steps_are_told_and_one_number_for_several_is_not_made_up():
+def test_steps_are_told_and_the_speed_of_a_header_is_the_program_s():
     (alike,) = programs_of([pushed("a", *3 * [(1.0, 0.5, 15.0)])])
     assert re.fullmatch(r"3 steps, each 1\.0+ mm at 0\.500 mm/s, held 15\.0 s", alike.table["notes"])
     assert alike.table["hold_s"] == pytest.approx(15.0, rel=0.02)
@@ -325,9 +322,6 @@ def test_steps_are_told_and_one_number_for_several_is_not_made_up():
     told = r"2 steps: 1\.50 mm at 0\.500 mm/s, held 10\.0 s; 1\.0+ mm at 0\.10+ mm/s, held 20\.0 s"
     assert re.fullmatch(told, mixed.table["notes"])
     assert not {"hold_s", "speed_mm_s"} & set(mixed.table)
-
-
-def test_the_speed_of_a_header_is_the_program_s():
     trials = [pushed("a", (4.0, 1.0, 12.0), stated=1.2), pushed("b", (4.0, 0.9, 12.0), stated=1.2)]
     (program,) = programs_of(trials)
     assert program.table["speed_mm_s"] == 1.2

@@ -67,7 +67,7 @@ def test_its_own_table_is_replaced_and_others_are_left():
     assert text.count(MARK) == 4  # three of its own, and the one that only stands in a text
 
 
-def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays():
+def test_a_first_decision_makes_the_file_and_a_layout_that_takes_none_is_refused():
     text = corrected_text("", Correction("exclude", "a.csv", "Sheet 1", value=True, because="slipped"))
     assert text.splitlines()[0] == 'schema = "tissueid/study/1"'
     assert tomllib.loads(text)["exclude"] == [{"file": "a.csv", "sheet": "Sheet 1", "because": "slipped"}]
@@ -75,9 +75,6 @@ def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays():
     left = corrected_text(remarked, Correction("exclude", "a.csv", "Sheet 1", None))
     assert "# asked twice" in left
     assert "exclude" not in tomllib.loads(left)
-
-
-def test_a_layout_that_takes_no_table_is_refused():
     inline = 'schema = "tissueid/study/1"\noverride = [{ file = "a.csv", rupture = false, because = "x" }]\n'
     with pytest.raises(UsageError, match=r"\[\[override\]\]"):
         corrected_text(inline, contact(1.0))

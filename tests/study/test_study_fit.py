@@ -17,46 +17,19 @@ GROUPED = "[[trial]]\nfile = 'a*.csv'\nspecimen = 'kidney'\n"
 
 
 #: Everything that a study may say of recordings at once.
-DECIDED = """\
-[study]
-species = 'pig'
-temperature = '37 C'
-[[specimen]]
-name = 'kidney'
-species = 'cow'
-thickness = '2 cm'
-[[trial]]
-file = '[aw]*.*'
-specimen = 'kidney'
-site = 'A'
-rest = '5 min'
-protocol = 'p'
-[[protocol]]
-name = 'p'
-[[exclude]]
-file = 'a2.csv'
-because = 'cut off by a power failure'
-[[exclude]]
-file = 'c.csv'
-because = 'another tip'
-[[exclude]]
-file = 'w.xlsx'
-sheet = 'S9'
-because = 'x'
-[[override]]
-file = 'gone.csv'
-contact_mm = 1.0
-because = 'x'
-[[override]]
-file = 'b.csv'
-contact_mm = 0.5
-because = 'seen on the video'
-[[override]]
-file = 'odd.csv'
-columns = {time = 't', displacement = 'pos', force = 'F'}
-units = {force = 'kN'}
-because = 'column names of a student'
-"""
+DECIDED = (
+    "[study]\nspecies = 'pig'\ntemperature = '37 C'\n"
+    "[[specimen]]\nname = 'kidney'\nspecies = 'cow'\nthickness = '2 cm'\n"
+    "[[trial]]\nfile = '[aw]*.*'\nspecimen = 'kidney'\nsite = 'A'\nrest = '5 min'\nprotocol = 'p'\n"
+    "[[protocol]]\nname = 'p'\n"
+    "[[exclude]]\nfile = 'a2.csv'\nbecause = 'cut off by a power failure'\n"
+    "[[exclude]]\nfile = 'c.csv'\nbecause = 'another tip'\n"
+    "[[exclude]]\nfile = 'w.xlsx'\nsheet = 'S9'\nbecause = 'x'\n"
+    "[[override]]\nfile = 'gone.csv'\ncontact_mm = 1.0\nbecause = 'x'\n"
+    "[[override]]\nfile = 'b.csv'\ncontact_mm = 0.5\nbecause = 'seen on the video'\n"
+    "[[override]]\nfile = 'odd.csv'\ncolumns = {time = 't', displacement = 'pos', force = 'F'}\n"
+    "units = {force = 'kN'}\nbecause = 'column names of a student'\n"
+)
 
 
 def workbook(path: Path, *names: str) -> None:

@@ -18,7 +18,7 @@ def logs(gains: Sequence[float]) -> list[TrialFit]:
     return [replace(one, path=f"run_{i}.csv", gain=gain) for i, gain in enumerate(gains, start=1)]
 
 
-def test_logs_that_differ_much_are_asked_after_and_repeats_are_not():
+def test_logs_that_differ_much_are_asked_after_and_their_order_is_that_of_the_files():
     assert gain_spread(logs([1.0, 1.04, 0.97, 1.01])) == []
     assert gain_spread(logs([1.0])) == []
     (flag,) = gain_spread(logs([0.7, 1.0, 1.3]))
@@ -26,6 +26,10 @@ def test_logs_that_differ_much_are_asked_after_and_repeats_are_not():
     assert (flag.values["lowest"], flag.values["highest"]) == (0.7, 1.3)
     assert "run_1.csv" in flag.message
     assert "run_3.csv" in flag.message
+    (flag,) = order_effect(logs([1.0, 0.95, 0.9, 0.85]), [None] * 4)
+    assert "from file 1 to file 4" in flag.message
+    assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []
+    assert order_effect(logs([1.0, 1.0, 1.0, 1.0]), [1, 2, 3, 4]) == []
 
 
 def test_stiffness_that_follows_the_order_is_said_with_its_change():
@@ -49,13 +53,6 @@ def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states():
     )
     # p < 0.01: 4 expected, 13 is the upper 99.99 % bound of a binomial of 400
     assert found <= 13
-
-
-def test_where_no_order_is_stated_it_is_that_of_the_files():
-    (flag,) = order_effect(logs([1.0, 0.95, 0.9, 0.85]), [None] * 4)
-    assert "from file 1 to file 4" in flag.message
-    assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []
-    assert order_effect(logs([1.0, 1.0, 1.0, 1.0]), [1, 2, 3, 4]) == []
 
 
 def test_a_first_test_that_is_stiffer_than_all_others_is_said():

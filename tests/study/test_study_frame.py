@@ -32,7 +32,7 @@ def curve(knots: list[float], compliance: list[float]) -> FrameCurve:
     return FrameCurve(np.array(knots), np.array(compliance), 1e-10 * np.eye(len(knots)))
 
 
-def test_deflection_is_the_integral_of_a_compliance_that_is_linear_between_knots():
+def test_deflection_is_the_integral_of_a_compliance_and_of_a_spring_the_quotient():
     frame = curve([0.0, 2.0, 5.0, 20.0, 100.0], [0.01, 0.005, 0.002, 0.001, 0.0009])
     force = np.array([-1.0, 0.0, 0.5, 2.0, 3.3, 20.0, 77.0, 100.0, 140.0])
 
@@ -43,9 +43,6 @@ def test_deflection_is_the_integral_of_a_compliance_that_is_linear_between_knots
     expected = [quad(compliance, 0.0, f, points=[k for k in inside if k < f] or None)[0] for f in force]
     # numerical integration of a piecewise linear function is exact to rounding
     assert model.deflection(frame, force) == pytest.approx(expected, abs=1e-14)
-
-
-def test_a_linear_frame_gives_force_over_stiffness_with_the_sd_of_a_quotient():
     frame = model.linear_frame(200.0, 10.0)
     force = np.array([-2.0, 0.0, 0.5, 100.0, 1e4])
     assert model.deflection(frame, force) == pytest.approx(force / 200.0)
@@ -94,14 +91,11 @@ def test_a_calibration_finds_the_frame_within_its_sd(frame, sign):
     assert 0.002 < sd[-1] / true[-1] < 0.05
 
 
-def test_one_loading_assumes_a_repeatability_and_says_so():
+def test_one_loading_assumes_a_repeatability_and_tissue_is_no_rigid_block():
     document = calibrate_frame([rigid_block(linear_frame(1000.0), np.random.default_rng(3))])
     assert document["repeatability_sd_mm"] is None
     # 5 % of 0.2 mm
     assert document["sd_mm"][-1] == pytest.approx(0.01, rel=0.1)
-
-
-def test_tissue_is_not_taken_for_a_rigid_block():
     plan = replace(small_plan(100.0), branches=(Branch((60.0,), 1.0),), sigma_N=0.2)
     soft = [
         trial for trial in as_trials(simulate(plan, rng=np.random.default_rng(4))) if "hold" in trial.name

@@ -107,9 +107,15 @@ def test_another_schema_and_other_bytes_are_refused_with_their_line(tmp_path, co
     assert line is None or caught.value.line == line
 
 
-def test_a_missing_file_says_how_to_write_one(tmp_path):
+def test_a_missing_study_and_names_that_are_not_there_are_told(tmp_path):
     with pytest.raises(UsageError, match="study init"):
         read_study(tmp_path)
+    study = read_study(
+        manifest_in(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
+    )
+    found = unmatched_files(study)
+    assert [(one.line, one.code) for one in found] == [(2, "study_unmatched"), (4, "study_unmatched")]
+    assert "gone.csv" in found[0].message
 
 
 def test_lines_are_those_of_keys_behind_long_values_and_comments():
@@ -172,16 +178,7 @@ def test_paths_are_compared_wherever_they_are_seen_from(tmp_path, monkeypatch):
     assert study.decision("../día 1/a b.csv", None).trial["site"] == "A"
 
 
-def test_a_name_that_is_not_there_is_told_with_its_line(tmp_path):
-    study = read_study(
-        manifest_in(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
-    )
-    found = unmatched_files(study)
-    assert [(one.line, one.code) for one in found] == [(2, "study_unmatched"), (4, "study_unmatched")]
-    assert "gone.csv" in found[0].message
-
-
-def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path):
+def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_path):
     (tmp_path / "a.csv").write_text("x")
     study = read_study(
         manifest_in(
@@ -194,9 +191,6 @@ def test_a_protocol_fills_in_what_the_file_does_not_state(tmp_path):
     decision = study.decision(str(tmp_path / "a.csv"), None)
     stated = Protocol(kind="comp", speed_mm_s=1.0, hold_s=0.0)
     assert study.protocol(decision, stated) == Protocol("comp", 1.0, 8.0, 0.0, 2.0)
-
-
-def test_a_stated_frame_stiffness_has_a_standard_deviation_even_where_none_was_stated(tmp_path):
     study = read_study(manifest_in(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame

@@ -30,36 +30,17 @@ def priors_in(folder: Path, text: str) -> Priors:
 
 
 WHOLE = """
-[priors.static_1_N_per_mm]
-mean = 20.0
-sd = 5.0
-
-[priors.stiffness_0_N_per_mm_b2]
-mean = 3
-sd = 2
-
-[[priors.relaxation_time_s]]
-median = 0.02
-sd_ln = 0.5
-
-[[priors.relaxation_time_s]]
-median = 4
-sd_ln = 0.7
-
-[priors.sigma_N]
-median = 0.5
-sd_ln = 0.3
-
-[priors.phi]
-low = 0.2
-high = 0.95
-
-[priors.gain_sd]
-scale = 0.05
+[priors]
+static_1_N_per_mm = {mean = 20.0, sd = 5.0}
+stiffness_0_N_per_mm_b2 = {mean = 3, sd = 2}
+relaxation_time_s = [{median = 0.02, sd_ln = 0.5}, {median = 4, sd_ln = 0.7}]
+sigma_N = {median = 0.5, sd_ln = 0.3}
+phi = {low = 0.2, high = 0.95}
+gain_sd = {scale = 0.05}
 """
 
 
-def test_every_prior_that_is_stated_is_kept(tmp_path):
+def test_every_prior_that_is_stated_is_kept_and_recorded_as_a_valid_table(tmp_path):
     found = priors_in(tmp_path, WHOLE)
     assert dict(found.linear) == {"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm_b2": (3, 2)}
     assert found.relaxation_time_s == (SpreadPrior(0.02, 0.5), SpreadPrior(4, 0.7))
@@ -68,6 +49,13 @@ def test_every_prior_that_is_stated_is_kept(tmp_path):
     assert found.gain_sd == 0.05
     for nothing in ("", "[priors]\n"):
         assert priors_in(tmp_path, nothing) == Priors()
+    found = priors_in(tmp_path, WHOLE)
+    document = {"schema": "tissueid/study/1", "priors": found.as_json()}
+    assert first_problem(document, "study") is None
+    assert document["priors"]["relaxation_time_s"][1] == {"median": 4, "sd_ln": 0.7}
+    assert document["priors"]["static_1_N_per_mm"] == {"mean": 20.0, "sd": 5.0}
+    # a default that is in use is recorded as well
+    assert Priors().as_json() == {"phi": {"low": 0.0, "high": 1.0}, "gain_sd": {"scale": 0.3}}
 
 
 def test_numbers_may_carry_another_unit(tmp_path):
@@ -145,28 +133,10 @@ def test_priors_of_the_population_are_read_and_the_rest_keeps_its_default(tmp_pa
     assert refused.value.line == 3
 
 
-def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path):
-    found = priors_in(tmp_path, WHOLE)
-    document = {"schema": "tissueid/study/1", "priors": found.as_json()}
-    assert first_problem(document, "study") is None
-    assert document["priors"]["relaxation_time_s"][1] == {"median": 4, "sd_ln": 0.7}
-    assert document["priors"]["static_1_N_per_mm"] == {"mean": 20.0, "sd": 5.0}
-    # a default that is in use is recorded as well
-    assert Priors().as_json() == {"phi": {"low": 0.0, "high": 1.0}, "gain_sd": {"scale": 0.3}}
-
-
-STATED = """
-[priors.static_1_N_per_mm]
-mean = 30.0
-sd = 0.5
-
-[[priors.relaxation_time_s]]
-median = "21 ms"
-sd_ln = 0.02
-
-[calibration]
-load_cell_class = 0.5
-"""
+STATED = (
+    "[priors]\nstatic_1_N_per_mm = {mean = 30.0, sd = 0.5}\n"
+    "relaxation_time_s = [{median = '21 ms', sd_ln = 0.02}]\n[calibration]\nload_cell_class = 0.5\n"
+)
 
 
 def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp_path):

@@ -51,7 +51,7 @@ def test_scales_and_damping_are_those_of_the_check_before_force():
     assert found.draws == found.draws_passive == 500
 
 
-def test_a_law_that_is_not_passive_and_normalised_recordings_are_said():
+def test_what_can_not_be_rendered_is_said_with_its_reason(monkeypatch):
     fit = specimen_fit()
     sinking = tuple(
         replace(one, detail={"estimate": -3.0}) if one.name == "stiffness_0_N_per_mm" else one
@@ -59,9 +59,6 @@ def test_a_law_that_is_not_passive_and_normalised_recordings_are_said():
     )
     assert rendering(replace(fit, parameters=sinking)).passive is False
     assert rendering(replace(fit, axes=Axes("1", "MPa"))) == NORMALISED
-
-
-def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch):
     weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
     monkeypatch.setattr("tissueid.study.pages._devices", lambda: weak)
     (row,) = rendering(specimen_fit()).devices

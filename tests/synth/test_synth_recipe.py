@@ -86,15 +86,12 @@ def test_bad_recipe_is_refused_with_its_reason(tmp_path, text, reason):
         load_recipe(path)
 
 
-def test_white_noise_has_its_standard_deviation():
+def test_noise_is_white_or_stationary_with_its_correlation():
     log = simulate(Recipe("noise", (SHORT,), rate_Hz=50_000.0, sigma_N=0.3), rng=np.random.default_rng(5))[0]
     noise = log.force_N - log.force_clean_N
     n = noise.size
     assert noise.std() == pytest.approx(0.3, abs=4.0 * 0.3 / np.sqrt(2 * n))
     assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(0.0, abs=4.0 / np.sqrt(n))
-
-
-def test_correlated_noise_is_stationary_with_its_correlation():
     phi, n = 0.9, 400
     settings = Recipe("ar1", (SHORT,), rate_Hz=1000.0, sigma_N=0.0, ar1_sigma_N=0.5, ar1_phi=phi)
     rng = np.random.default_rng(6)
@@ -124,14 +121,11 @@ def test_gains_and_contacts_scatter_as_stated_and_are_kept_in_the_truth():
     assert log.force_N[-1] == pytest.approx(log.truth["gain"] * 40.0, rel=1e-12)
 
 
-def test_compression_sign_turns_displacement_and_force():
+def test_logs_have_the_sign_the_label_and_the_protocol_of_their_recipe():
     plain = simulate(Recipe("s", (SHORT,)), rng=np.random.default_rng(1))[0]
     turned = simulate(Recipe("s", (SHORT,), compression_sign=-1), rng=np.random.default_rng(1))[0]
     assert np.array_equal(turned.displacement_mm, -plain.displacement_mm)
     assert np.array_equal(turned.force_N, -plain.force_N)
-
-
-def test_trials_carry_one_label_a_specimen_and_the_protocol():
     settings = Recipe("two", (SHORT,), specimens=2, specimen="S")
     trials = as_trials(simulate(settings, rng=np.random.default_rng(1)))
     assert [trial.specimen for trial in trials] == ["S-01", "S-02"]
@@ -177,7 +171,7 @@ def test_each_dialect_prints_the_simulated_numbers(tmp_path, name):
         assert f'"3{DIALECTS[name].thousands}0'.encode(DIALECTS[name].encoding) in data
 
 
-def test_bare_export_reads_as_documented(tmp_path):
+def test_a_set_reads_as_documented_and_holds_its_hashes_truth_and_recipe(tmp_path):
     write_set(SMALL, tmp_path, seed=4)
     lines = (tmp_path / "hold-1.csv").read_bytes().split(b"\r\n")
     assert lines[0] == b'Text Inputs : Specimen label,"synthetic"'
@@ -185,9 +179,6 @@ def test_bare_export_reads_as_documented(tmp_path):
     assert lines[3:6] == [b"", b"Time,Extension,Load", b"(sec),(mm),(N)"]
     assert lines[6].startswith(b"0.00000,0.00000,")
     assert lines[-1] == b""
-
-
-def test_set_holds_its_hashes_truth_and_recipe(tmp_path):
     # written again it is the same set
     for _ in range(2):
         written = write_set(replace(SMALL, cv_both=0.1), tmp_path, seed=4)

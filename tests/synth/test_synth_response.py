@@ -29,15 +29,12 @@ def one(recipe: Recipe):
     return simulate(recipe, rng=np.random.default_rng(1))[0]
 
 
-def test_constant_velocity_ramp_follows_equation_7():
+def test_ramps_and_holds_follow_their_closed_forms_and_branches_add_up():
     log = one(quiet(Log("ramp", (Move(8.0, 500.0),))))
     v, x = 500.0 / 60.0, log.displacement_mm
     expected = 20.0 * x - 1.2 * x**2 + 0.35 * x**3 + K * v * TAU * (1.0 - np.exp(-x / (v * TAU)))
     # rounding of sums of terms up to 300 N
     np.testing.assert_allclose(log.force_N, expected, atol=1e-11)
-
-
-def test_hold_decays_with_tau_from_the_corner():
     log = one(quiet(RAMP_HOLD))
     v, t_ramp = 250.0 / 60.0, 4.0 / (250.0 / 60.0)
     held = log.time_s >= t_ramp
@@ -46,6 +43,12 @@ def test_hold_decays_with_tau_from_the_corner():
     expected = static + start * np.exp(-(log.time_s[held] - t_ramp) / TAU)
     np.testing.assert_allclose(log.force_N[held], expected, atol=1e-11)
     assert log.displacement_mm.max() == 4.0
+    branches = (Branch((10.0, 2.0), 0.05), Branch((3.0,), 4.0))
+    both = one(quiet(RAMP_HOLD, branches=branches))
+    first = one(quiet(RAMP_HOLD, branches=branches[:1]))
+    second = one(quiet(RAMP_HOLD, branches=branches[1:]))
+    none = one(quiet(RAMP_HOLD, branches=()))
+    np.testing.assert_allclose(both.force_N, first.force_N + second.force_N - none.force_N, atol=1e-11)
 
 
 def test_a_corner_between_samples_is_exact():
@@ -82,7 +85,7 @@ def test_rounded_stop_slows_down_smoothly_and_ends_at_the_nominal_travel(roundin
     )
 
 
-def test_positive_offset_starts_in_air_and_shifts_the_curve():
+def test_an_offset_starts_in_air_or_preloaded_and_shifts_the_curve():
     offset = 0.137
     late = one(quiet(RAMP_HOLD, contact_offset_mm=offset))
     air = late.displacement_mm < offset
@@ -93,22 +96,16 @@ def test_positive_offset_starts_in_air_and_shifts_the_curve():
     x = late.displacement_mm[ramp] - offset
     expected = 20.0 * x - 1.2 * x**2 + 0.35 * x**3 + K * v * TAU * (1.0 - np.exp(-x / (v * TAU)))
     np.testing.assert_allclose(late.force_N[ramp], expected, atol=1e-10)
-
-
-def test_negative_offset_starts_preloaded_and_relaxed_at_recorded_zero():
     log = one(quiet(RAMP_HOLD, contact_offset_mm=-0.5))
     assert log.displacement_mm[0] == 0.0
     assert log.force_N[0] == pytest.approx(20.0 * 0.5 - 1.2 * 0.25 + 0.35 * 0.125, abs=1e-12)
 
 
-def test_low_pass_of_a_ramp_lags_by_its_time_constant():
+def test_the_force_filter_is_a_first_order_low_pass():
     time_s = np.linspace(0.0, 1.0, 5001)
     filtered = low_pass(time_s, 3.0 * time_s, 0.01)
     expected = 3.0 * (time_s - 0.01 * (1.0 - np.exp(-time_s / 0.01)))
     np.testing.assert_allclose(filtered, expected, atol=1e-12)
-
-
-def test_force_filter_of_a_recipe_is_the_convolution_of_its_clean_force():
     plain = one(quiet(RAMP_HOLD, rate_Hz=20_000.0))
     filtered = one(quiet(RAMP_HOLD, rate_Hz=200.0, force_filter_s=0.01))
     dense = low_pass(plain.time_s, plain.force_N, 0.01)
@@ -150,15 +147,6 @@ def test_energy_put_into_the_tissue_is_never_returned_in_full():
     work = np.cumsum(0.5 * (log.force_N[1:] + log.force_N[:-1]) * np.diff(log.displacement_mm))
     assert work.min() > -1e-6
     assert work[-1] > 0.1
-
-
-def test_several_branches_add_up():
-    branches = (Branch((10.0, 2.0), 0.05), Branch((3.0,), 4.0))
-    both = one(quiet(RAMP_HOLD, branches=branches))
-    first = one(quiet(RAMP_HOLD, branches=branches[:1]))
-    second = one(quiet(RAMP_HOLD, branches=branches[1:]))
-    none = one(quiet(RAMP_HOLD, branches=()))
-    np.testing.assert_allclose(both.force_N, first.force_N + second.force_N - none.force_N, atol=1e-11)
 
 
 STATIC = (6.0, 0.0, 0.4)

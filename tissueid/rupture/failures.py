@@ -237,31 +237,25 @@ def _failure(
     def spread(values: Sequence[float]) -> float:
         return float(np.std(values)) if len(values) >= FEWEST_DRAWS else 0.0
 
-    values = {
-        "work": test.work_N_mm,
-        "weighted-force": test.force_N * _weighted(found, weight),
-        "stored-energy": test.work_N_mm * max(found.stored_share, LEAST_SHARE),
-        "depth": depth_mm,
-    }
-    law_sd = {
-        "work": 0.0,
-        "weighted-force": spread([np.log(_weighted(one, weight)) for one in drawn]),
-        "stored-energy": spread([np.log(max(one.stored_share, LEAST_SHARE)) for one in drawn]),
-        "depth": 0.0,
-    }
     step_sd = test.step_mm / SQRT_12
-    noise = test.force_sd_N / test.force_N
-    own = {"work": 0.0, "weighted-force": noise, "stored-energy": 0.0, "depth": test.contact_sd_mm / depth_mm}
-    measures = {
-        name: Limit(
-            value=values[name],
-            sd_ln=float(
-                np.sqrt((found.growth[name] * step_sd / depth_mm) ** 2 + own[name] ** 2 + law_sd[name] ** 2)
-            ),
-            growth=found.growth[name],
-        )
-        for name in CRITERIA
+    weighted_sd = spread([np.log(_weighted(one, weight)) for one in drawn])
+    stored_sd = spread([np.log(max(one.stored_share, LEAST_SHARE)) for one in drawn])
+    # value, and sd of its logarithm by the measurement and by the law
+    rows = {
+        "work": (test.work_N_mm, 0.0, 0.0),
+        "weighted-force": (
+            test.force_N * _weighted(found, weight),
+            test.force_sd_N / test.force_N,
+            weighted_sd,
+        ),
+        "stored-energy": (test.work_N_mm * max(found.stored_share, LEAST_SHARE), 0.0, stored_sd),
+        "depth": (depth_mm, test.contact_sd_mm / depth_mm, 0.0),
     }
+    measures = {}
+    for name, (value, own_sd, law_sd) in rows.items():
+        growth = found.growth[name]
+        sd_ln = float(np.sqrt((growth * step_sd / depth_mm) ** 2 + own_sd**2 + law_sd**2))
+        measures[name] = Limit(value=value, sd_ln=sd_ln, growth=growth)
     slope = test.force_N * found.growth["weighted-force"] / depth_mm
     slowest_mm = SETTLED * test.speed_mm_s * float(law.model.times(law.theta).max(initial=0.0))
     return Failure(

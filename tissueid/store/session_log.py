@@ -106,7 +106,9 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
     name = where or (str(source) if not isinstance(source, bytes) else "session log")
     data = source if isinstance(source, bytes) else _bytes(Path(source))
     if data.startswith(RAW_MAGIC):
-        return _read_raw(data, name)
+        head, start, record = _parsed_head(data, name)
+        count = (len(data) - start) // record.itemsize
+        return SessionLog(head, np.frombuffer(data, record, count, start).copy(), None)
     try:
         text, records, attributes = _read_hdf5(data)
     except HDF5_ERRORS as error:
@@ -181,12 +183,6 @@ def _read_hdf5(data: bytes) -> tuple[bytes, RecordArray, dict[str, Any]]:
         records = np.asarray(file["records"][()])
     _check_record(records.dtype)
     return text, records, attributes
-
-
-def _read_raw(data: bytes, name: str) -> SessionLog:
-    head, start, record = _parsed_head(data, name)
-    count = (len(data) - start) // record.itemsize
-    return SessionLog(head, np.frombuffer(data, record, count, start).copy(), None)
 
 
 def _raw_layout(path: Path) -> tuple[dict[str, Any], int, np.dtype[Any]]:

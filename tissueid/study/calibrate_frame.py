@@ -19,7 +19,7 @@ from tissueid.errors import InputError
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import deflection, deflection_basis, deflection_sd
 from tissueid.segment import segment
-from tissueid.trial import Phase, Segmentation, Trial
+from tissueid.trial import Segmentation, Trial
 
 #: Stretches of a loading whose means are fitted.
 BINS = 60
@@ -55,32 +55,21 @@ def _refuse(trial: Trial, message: str) -> InputError:
     return InputError(code="not_rigid", message=message, path=trial.source.path, sheet=trial.source.sheet)
 
 
-def _loading(trial: Trial, segmentation: Segmentation, phase: Phase) -> Loading | None:
+def _loading(force: FloatArray, travel: FloatArray, force_noise_N: float) -> Loading | None:
     """The rising part of a phase, binned; ``None`` where it is too short."""
-    contact = segmentation.contact
-    assert contact is not None  # noqa: S101 -- the caller has looked
-    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
-    start = max(phase.start, contact.index)
-    if phase.stop - start < FEWEST_SAMPLES:
+    size = int(np.argmax(force)) + 1 if force.size else 0
+    if size < FEWEST_SAMPLES:
         return None
-    stop = start + int(np.argmax(force[start : phase.stop])) + 1
-    if stop - start < FEWEST_SAMPLES:
-        return None
-    rows = np.array_split(np.arange(start, stop), min(BINS, (stop - start) // 2))
-    travel = segmentation.compression_sign * trial.displacement_mm
-    per_bin = (stop - start) / len(rows)
+    rows = np.array_split(np.arange(size), min(BINS, size // 2))
     return Loading(
         np.array([force[row].mean() for row in rows]),
         np.array([travel[row].mean() for row in rows]),
-        segmentation.force_noise_N / float(np.sqrt(per_bin)),
+        force_noise_N / float(np.sqrt(size / len(rows))),
     )
 
 
-def _refuse_relaxing(trial: Trial, segmentation: Segmentation) -> None:
+def _refuse_relaxing(trial: Trial, segmentation: Segmentation, force: FloatArray) -> None:
     """Refuse a block whose force falls while the crosshead stands, beyond noise and the creep of joints."""
-    contact = segmentation.contact
-    assert contact is not None  # noqa: S101 -- the caller has looked
-    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
     for hold in segmentation.of_kind("hold"):
         held = force[hold.start : hold.stop]
         first, last = float(held[:FEW].mean()), float(held[-max(FEW, held.size // 10) :].mean())
@@ -96,15 +85,21 @@ def _refuse_relaxing(trial: Trial, segmentation: Segmentation) -> None:
 def loadings_of(trial: Trial) -> list[Loading]:
     """Every ramp, and way in of a cycle, of a rigid block; InputError ``not_rigid`` where there is none."""
     segmentation = segment(trial)
-    if segmentation.contact is None:
+    contact = segmentation.contact
+    if contact is None:
         raise _refuse(trial, "no contact with a block was found: the force never rises with the travel")
-    _refuse_relaxing(trial, segmentation)
-    phases = [phase for phase in segmentation.phases if phase.kind in {"ramp", "cycle"}]
-    found = [_loading(trial, segmentation, phase) for phase in phases]
-    loadings = [one for one in found if one is not None]
-    if not loadings:
+    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
+    travel = segmentation.compression_sign * trial.displacement_mm
+    _refuse_relaxing(trial, segmentation, force)
+    loadings = []
+    for phase in segmentation.phases:
+        inside = slice(max(phase.start, contact.index), phase.stop)
+        if phase.kind in {"ramp", "cycle"}:
+            loadings.append(_loading(force[inside], travel[inside], segmentation.force_noise_N))
+    found = [one for one in loadings if one is not None]
+    if not found:
         raise _refuse(trial, f"no loading of {FEWEST_SAMPLES} samples or more was found")
-    return loadings
+    return found
 
 
 def _knots(loadings: Sequence[Loading], top_N: float) -> FloatArray:

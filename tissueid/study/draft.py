@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,8 @@ class Step:
 class _Run:
     """One recording's program, and what the comments count."""
 
+    position: int  # of the recording among those that were given
+    specimen: str
     steps: tuple[Step, ...]
     cycles: int
     travel_mm: float
@@ -83,45 +85,38 @@ class _Run:
         )
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Program:
-    """Recordings of one program."""
+    """Recordings of one program; the first one is the measure."""
 
-    trials: list[int] = field(default_factory=list)  # their positions among those that were given
-    specimens: set[str] = field(default_factory=set)
-    _runs: list[_Run] = field(default_factory=list)
+    runs: list[_Run]
 
-    def takes(self, run: _Run) -> bool:
-        """True where a recording is one more of it; the first one is the measure."""
-        return not self._runs or self._runs[0].like(run)
-
-    def add(self, position: int, specimen: str, run: _Run) -> None:
-        """Count one more recording."""
-        self.trials.append(position)
-        self.specimens.add(specimen)
-        self._runs.append(run)
+    @property
+    def trials(self) -> list[int]:
+        """Positions of its recordings among those that were given."""
+        return [run.position for run in self.runs]
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """Median steps of its recordings."""
-        return tuple(_median_step(each) for each in zip(*(run.steps for run in self._runs), strict=True))
+        return tuple(_median_step(each) for each in zip(*(run.steps for run in self.runs), strict=True))
 
     @property
     def table(self) -> dict[str, Any]:
         """Its ``[[protocol]]``, without a name; what differs between recordings is left to the comments."""
-        first, steps = self._runs[0], self.steps
+        first, steps = self.runs[0], self.steps
         table: dict[str, Any] = {"kind": first.kind}
         speeds = [step.speed_mm_s for step in steps]
         if first.stated_speed or _all_near(speeds):
             table["speed_mm_s"] = first.stated_speed or float(np.median(speeds))
-        travels = [run.travel_mm for run in self._runs]
+        travels = [run.travel_mm for run in self.runs]
         if _all_near(travels, SAME_DEPTH):
             table["depth_mm"] = float(np.median(travels))
         holds = [step.hold_s for step in steps if step.hold_s is not None]
         if _all_near(holds):
             table["hold_s"] = first.stated_hold or float(np.median(holds))
         if first.cycles:
-            table["cycles"] = round(float(np.median([run.cycles for run in self._runs])))
+            table["cycles"] = round(float(np.median([run.cycles for run in self.runs])))
         if len(steps) > 1:
             table["notes"] = self._steps_told()
         return table
@@ -129,7 +124,7 @@ class Program:
     @property
     def name(self) -> str:
         """The program in a few words."""
-        first, steps, table = self._runs[0], self.steps, self.table
+        first, steps, table = self.runs[0], self.steps, self.table
         length = first.units[0]
         parts = [first.kind if len(steps) < 2 else f"{first.kind} in {len(steps)} steps"]
         if "speed_mm_s" in table:
@@ -144,17 +139,22 @@ class Program:
 
     def comments(self) -> list[str]:
         """Observations, with their counts."""
-        length, force = self._runs[0].units
-        count = len(self._runs)
-        lines = [f"{_counted(count, 'recording')} of {_counted(len(self.specimens), 'specimen')}"]
-        lines += self._counts()
-        steps = self.steps
-        if len(steps) == 1:
-            lines.append(_step_words(steps[0], length))
-        depths = [run.depth_mm for run in self._runs if run.depth_mm is not None]
-        peaks = [run.peak_N for run in self._runs if run.peak_N is not None]
+        length, force = self.runs[0].units
+        specimens = {run.specimen for run in self.runs}
+        lines = [f"{_counted(len(self.runs), 'recording')} of {_counted(len(specimens), 'specimen')}"]
+        for name, one, more in (
+            ("preloaded", "starts in contact", "start in contact"),
+            ("broken", "breaks", "break"),
+        ):
+            count = sum(getattr(run, name) for run in self.runs)
+            if count:
+                lines.append(f"{count} {one if count == 1 else more}")
+        if len(self.steps) == 1:
+            lines.append(_step_words(self.steps[0], length))
+        depths = [run.depth_mm for run in self.runs if run.depth_mm is not None]
+        peaks = [run.peak_N for run in self.runs if run.peak_N is not None]
         for words, values, unit in (
-            ("travel", [run.travel_mm for run in self._runs], length),
+            ("travel", [run.travel_mm for run in self.runs], length),
             ("depth below contact", depths, length),
             ("peak force", peaks, force),
         ):
@@ -162,16 +162,9 @@ class Program:
                 lines.append(f"{words} {_range(values)} {unit}")
         return lines
 
-    def _counts(self) -> list[str]:
-        preloaded, broken = (
-            sum(getattr(run, name) for run in self._runs) for name in ("preloaded", "broken")
-        )
-        said = ((preloaded, "starts in contact", "start in contact"), (broken, "breaks", "break"))
-        return [f"{count} {one if count == 1 else more}" for count, one, more in said if count]
-
     def _steps_told(self) -> str:
         """The steps in words: once where they are alike."""
-        length, steps = self._runs[0].units[0], self.steps
+        length, steps = self.runs[0].units[0], self.steps
         if all(step.like(steps[0]) and _near(step.travel_mm, steps[0].travel_mm) for step in steps):
             return f"{len(steps)} steps, each {_step_words(steps[0], length)}"
         told = "; ".join(_step_words(step, length) for step in steps[:MOST_STEPS_TOLD])
@@ -186,16 +179,16 @@ def programs_of(trials: Sequence[Trial]) -> list[Program]:
         divided = segmented(trial)
         if isinstance(divided, Refusal):
             continue
-        run = _run(trial, divided, measured_of(trial, divided))
-        program = next((one for one in found if one.takes(run)), None)
+        run = _run(position, trial, divided, measured_of(trial, divided))
+        program = next((one for one in found if one.runs[0].like(run)), None)
         if program is None:
-            program = Program()
-            found.append(program)
-        program.add(position, trial.specimen, run)
+            found.append(Program([run]))
+        else:
+            program.runs.append(run)
     return found
 
 
-def _run(trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
+def _run(position: int, trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
     steps = [
         _step(hold.push, hold.length_s, hold.control) for hold in measured.holds if hold.push is not None
     ]
@@ -206,6 +199,8 @@ def _run(trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
     contact = divided.contact
     push = measured.push
     return _Run(
+        position=position,
+        specimen=trial.specimen,
         steps=tuple(steps),
         cycles=len(divided.of_kind("cycle")),
         travel_mm=float(travel.max()),
