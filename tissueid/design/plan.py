@@ -129,7 +129,6 @@ class Against:
     """A protocol that is given: what it would reach on this machine, or why it can't be run there."""
 
     name: str
-    protocol: Protocol
     judged: Judged | None
     obstacle: str = ""
 
@@ -173,9 +172,9 @@ def against(name: str, protocol: Protocol, machine: Machine, tissues: Tissues, a
             obstacle = (
                 f"it moves at {test.speed_mm_min:g} mm/min, the machine at {machine.max_speed_mm_min:g}"
             )
-            return Against(name, protocol, None, obstacle)
+            return Against(name, None, obstacle)
     options = [judged(_ledger(machine, setting, tissues, asked), protocol) for setting in machine.settings]
-    return Against(name, protocol, min(options, key=lambda one: one.worst))
+    return Against(name, min(options, key=lambda one: one.worst))
 
 
 def matched_wants(protocol: Protocol, machine: Machine, tissues: Tissues, asked: Asked) -> tuple[Want, ...]:

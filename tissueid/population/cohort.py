@@ -55,7 +55,6 @@ class SharedInstrument:
 
     shift: FloatArray  # (p,), of ln quantities
     covariance: FloatArray  # (p, p)
-    specimens: int  # of how many it was taken
 
     def added_to(self, mean: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draws of the mean with the machine's uncertainty, shape (n, p)."""
@@ -78,7 +77,7 @@ def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> Sh
     covariance = np.median(more, axis=0)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return SharedInstrument(np.median(shifts, axis=0), np.asarray(positive), len(shifts))
+    return SharedInstrument(np.median(shifts, axis=0), np.asarray(positive))
 
 
 def _covariance(phi: FloatArray) -> FloatArray:

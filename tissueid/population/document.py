@@ -111,17 +111,14 @@ def population_priors(document: Identification) -> PopulationPriors:
     stated = document.study.population if document.study else None
     if stated is None:
         return PopulationPriors()
-    default = PopulationPriors()
-    between, level, tails = stated.between, stated.level, stated.tails
-    return PopulationPriors(
-        mean_sd=stated.mean_sd or default.mean_sd,
-        effect_sd=stated.effect_sd or default.effect_sd,
-        between=SpreadPrior(between.median, between.sd_ln) if between else default.between,
-        level=SpreadPrior(level.median, level.sd_ln) if level else default.level,
-        correlation_shape=stated.correlation_shape or default.correlation_shape,
-        tail_shape=tails.shape if tails else default.tail_shape,
-        tail_rate=tails.rate if tails else default.tail_rate,
-    )
+    plain_numbers = ("mean_sd", "effect_sd", "correlation_shape")
+    told: dict[str, Any] = {name: value for name in plain_numbers if (value := getattr(stated, name))}
+    for name in ("between", "level"):
+        if (spread := getattr(stated, name)) is not None:
+            told[name] = SpreadPrior(spread.median, spread.sd_ln)
+    if stated.tails is not None:
+        told |= {"tail_shape": stated.tails.shape, "tail_rate": stated.tails.rate}
+    return PopulationPriors(**told)
 
 
 def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> Population:

@@ -70,9 +70,7 @@ class PopulationDraws:
     nu: FloatArray  # (chains, sweeps), degrees of freedom; infinite where the population is normal
     specimens: FloatArray  # (kept, n, p), draws of each specimen's phi
     far: FloatArray  # (n,), probability that a specimen is beyond the :data:`FAR_QUANTILE` of a normal core
-    weight: FloatArray  # (n,), posterior mean of its weight in the scale mixture; 1 is ordinary
     deviation: FloatArray  # (n, p), posterior mean of its deviation over D
-    effect: FloatArray  # (G, p), posterior mean of the groups' effects
     worth: FloatArray  # (n,), effective stage-1 draws under the last pilot
     smoothed: NDArray[np.int64]  # specimens whose likelihood was smoothed
     diagnostics: dict[str, Diagnostics]  # name -> :class:`tissueid.inference.diagnostics.Diagnostics`
@@ -153,7 +151,6 @@ class Record:
         far = squares(state.phi - centre, scales.unit) > chains.hyper.far
         sums: dict[str, FloatArray] = {
             "far": far.astype(np.float64),
-            "weight": state.weight,
             "deviation": (state.phi - centre) * np.exp(-scales.log_sd)[:, None],
             "effect": state.effect,
         }
@@ -287,9 +284,7 @@ def _gathered(
         nu=nu if chains.hyper.heavy else np.full_like(nu, np.inf),
         specimens=np.concatenate(record.phi).astype(np.float64),
         far=record.mean("far"),
-        weight=record.mean("weight"),
         deviation=record.mean("deviation"),
-        effect=record.mean("effect"),
         worth=worth,
         smoothed=chains.cohort.smooth,
         diagnostics=found,

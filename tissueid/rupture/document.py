@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.documents import plain, typed
-from tissueid.documents.rupture import Change, Rupture
+from tissueid.documents.rupture import Change, LeftOut, Rupture
 from tissueid.errors import UsageError
 from tissueid.report.rupture_page import render_rupture
 from tissueid.rupture.failures import Failure
@@ -93,33 +93,27 @@ def _sign(study: RuptureStudy) -> str:
 
 
 def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
-    """Write the document."""
-    study = run.study
+    """Write the document, its parts as they are."""
+    study, refused = run.study, run.identification.refused
     return {
         "schema": "tissueid/rupture/1",
         "asked": study.asked,
         "taken": study.taken,
         "weight": study.weight,
-        "decision": plain(study.decision),
-        "criteria": plain(study.thresholds),
-        "confounding": plain(study.confounding),
-        "speeds": plain(study.speeds),
-        "changes": plain(study.changes),
-        "hardening": plain(study.hardening),
+        "decision": study.decision,
+        "criteria": study.thresholds,
+        "confounding": study.confounding,
+        "speeds": study.speeds,
+        "changes": study.changes,
+        "hardening": study.hardening,
         "tests": [_test(one) for one in study.failures],
         "laws": [
             {"specimen": name, "bundle": bundles[name], "law": law.as_json()}
             for name, law in study.laws.items()
         ],
         "sentences": sentences(study),
-        "left_out": [
-            *plain(run.left_out),
-            *(
-                {"path": one.path, "sheet": one.sheet, "reason": one.message}
-                for one in run.identification.refused
-            ),
-        ],
-        "flags": plain(study.flags),
+        "left_out": [*run.left_out, *(LeftOut(one.path, one.sheet, one.message) for one in refused)],
+        "flags": study.flags,
         "provenance": dict(run.identification.provenance),
     }
 
@@ -134,7 +128,7 @@ _MEASURED = (
 
 def _test(one: Failure) -> dict[str, Any]:
     loaded = {name: getattr(one.test, name) for name in _LOADED}
-    return loaded | {name: getattr(one, name) for name in _MEASURED} | {"measures": plain(one.measures)}
+    return loaded | {name: getattr(one, name) for name in _MEASURED} | {"measures": one.measures}
 
 
 RUPTURE = "rupture.json"

@@ -299,9 +299,11 @@ def load_bundle(path: Path | str) -> Bundle:
     path = Path(path)
     damaged = "it is damaged, incomplete or another kind of file: copy it again or run `tissueid fit` again"
     with open_file(path, "a bundle", damaged, "bundles into its output folder") as file:
-        text, arrays, attributes = _read(file)
-    _check_header(path, attributes)
-    if attributes["content_sha256"] != _content_hash(text, arrays):
+        check_format(file, BUNDLE_FORMAT)
+        _check_header(path, file.attrs)
+        text, arrays = _read(file)
+        seal = file.attrs["content_sha256"]
+    if seal != _content_hash(text, arrays):
         msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
         raise BundleError(msg)
     try:
@@ -324,12 +326,8 @@ def _content_hash(text: bytes, arrays: Mapping[str, FloatArray]) -> str:
     return digest.hexdigest()
 
 
-def _read(file: Any) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
-    attributes = dict(file.attrs)
+def _read(file: Any) -> tuple[bytes, dict[str, FloatArray]]:
     names = set(file) - {SPECIMEN_GROUP}
-    check_format(file, BUNDLE_FORMAT)
-    if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
-        return b"", {}, attributes
     missing = {_DOCUMENT, *ARRAYS} - set(OPTIONAL) - names
     unknown = names - {_DOCUMENT, *ARRAYS}
     if missing or unknown:
@@ -343,7 +341,7 @@ def _read(file: Any) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
             msg = f"data set {name} holds {dataset.dtype}, not 64-bit floats"
             raise ValueError(msg)
         arrays[name] = np.asarray(dataset[()])
-    return text, arrays, attributes
+    return text, arrays
 
 
 def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:

@@ -57,33 +57,23 @@ class StoredPosterior:
         """The draws as arviz knows them; see :func:`tissueid.uncertainty.arviz_data`."""
         from tissueid.uncertainty import arviz_data
 
-        return arviz_data(
-            theta_names=self.theta_names,
-            draws=self.draws,
-            draws_total=self.draws_total,
-            chain_names=self.chain_names,
-            chain=self.chain,
-            log_density=self.log_density,
-            attributes={"specimen": self.specimen},
-        )
+        names = ("theta_names", "draws", "draws_total", "chain_names", "chain", "log_density")
+        known = {name: getattr(self, name) for name in names}
+        return arviz_data(**known, attributes={"specimen": self.specimen})
 
 
 def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ...]:
     """Collect the posteriors of the fits that have one, in their order."""
+    as_they_are = ("theta_names", "draws", "draws_total", "chain_names", "bands", "log_prior")
     return tuple(
         StoredPosterior(
             specimen=fit.specimen,
-            theta_names=fit.posterior.theta_names,
-            draws=fit.posterior.draws,
-            draws_total=fit.posterior.draws_total,
-            chain_names=fit.posterior.chain_names,
-            chain=_thinned(fit.posterior.chain),
-            bands=fit.posterior.bands,
-            log_density=None if fit.posterior.log_density is None else _thinned(fit.posterior.log_density),
-            log_prior=fit.posterior.log_prior,
+            chain=_thinned(own.chain),
+            log_density=None if own.log_density is None else _thinned(own.log_density),
+            **{name: getattr(own, name) for name in as_they_are},
         )
         for fit in fits
-        if fit.posterior is not None
+        if (own := fit.posterior) is not None
     )
 
 
@@ -100,18 +90,11 @@ def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
     file.attrs["format"] = _FORMAT
     index = []
     for position, one in enumerate(posteriors):
-        index.append(_entry(one))
+        trials = [{"path": where, "sheet": sheet} for where, sheet in one.bands]
+        names = {"theta_names": list(one.theta_names), "chain_names": list(one.chain_names)}
+        index.append({"specimen": one.specimen, **names, "trials": trials})
         hdf5.put_columns(file.create_group(str(position), track_order=False), _columns(one))
     hdf5.put_text(file, "index", json_bytes(index))
-
-
-def _entry(one: StoredPosterior) -> dict[str, Any]:
-    return {
-        "specimen": one.specimen,
-        "theta_names": list(one.theta_names),
-        "chain_names": list(one.chain_names),
-        "trials": [{"path": where, "sheet": sheet} for where, sheet in one.bands],
-    }
 
 
 def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
@@ -123,9 +106,8 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
         "bands": bands.astype("<f4"),
         "offsets": hdf5.offsets_of(sizes),
     }
-    optional = {"draws_total": one.draws_total, "log_density": one.log_density, "log_prior": one.log_prior}
-    for name, values in optional.items():
-        if values is not None:
+    for name in ("draws_total", "log_density", "log_prior"):
+        if (values := getattr(one, name)) is not None:
             columns[name] = values.astype("<f8")
     return columns
 

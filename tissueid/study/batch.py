@@ -148,18 +148,12 @@ class _Assembly:
             yield ListedSpecimen(job.specimen, path.name, fitted is not None, digest, size)
 
 
-def assemble(
-    run: OutputSet,
-    index: Index,
-    *,
-    study: Study | None,
-    options: IdentifyOptions,
-    provenance: Mapping[str, Any],
-) -> Assembled:
+def assemble(run: OutputSet, index: Index, request: Request) -> Assembled:
     """Write the document, and the merged files of a set that is not large, into an open output set.
 
     Raises BundleError: a specimen's file is damaged, or the document breaks its schema.
     """
+    study = request.study
     with ExitStack() as stack:
         parts = _Assembly(run, index, stack)
         found = parts.found
@@ -184,14 +178,15 @@ def assemble(
             "refused": parts.refused,
             "unfitted_cycles": parts.cycles,
             "study": record,
-            "provenance": run_provenance(options, parts.inputs, record, provenance),
+            "provenance": run_provenance(request.options, parts.inputs, record, request.provenance),
             "exit": plain(found.exit),
         }
         _check_frame(document)
         with replacing(found.document) as whole, whole.open("wb") as file:
             write_json(file, document)
     if parts.files:
-        merge_files(run, parts.files, parts.inputs_of, run_provenance(options, [], record, provenance))
+        provenance = run_provenance(request.options, [], record, request.provenance)
+        merge_files(run, parts.files, parts.inputs_of, provenance)
     return found
 
 
@@ -318,13 +313,7 @@ class _Cohort:
             if self.large:
                 self._make_pages(workplace)
         self.progress("putting the results together", 0, 0)
-        return assemble(
-            self.run,
-            self.index,
-            study=self.request.study,
-            options=self.request.options,
-            provenance=self.request.provenance,
-        )
+        return assemble(self.run, self.index, self.request)
 
     @property
     def large(self) -> bool:

@@ -19,6 +19,7 @@ from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.ingest.quality import capacity_in
 from tissueid.inspection import measured_of, segmented
+from tissueid.report.wording import counted, reach
 from tissueid.result import Refusal
 from tissueid.store.schema import load_schema
 from tissueid.trial import Segmentation, Trial
@@ -141,7 +142,7 @@ class Program:
         """Observations, with their counts."""
         length, force = self.runs[0].units
         specimens = {run.specimen for run in self.runs}
-        lines = [f"{_counted(len(self.runs), 'recording')} of {_counted(len(specimens), 'specimen')}"]
+        lines = [f"{counted(len(self.runs), 'recording')} of {counted(len(specimens), 'specimen')}"]
         for name, one, more in (
             ("preloaded", "starts in contact", "start in contact"),
             ("broken", "breaks", "break"),
@@ -159,7 +160,7 @@ class Program:
             ("peak force", peaks, force),
         ):
             if values:
-                lines.append(f"{words} {_range(values)} {unit}")
+                lines.append(f"{words} {reach((min(values), max(values)))} {unit}")
         return lines
 
     def _steps_told(self) -> str:
@@ -245,15 +246,6 @@ def _step_words(step: Step, length: str) -> str:
         return moved
     held = "held" if step.control == "position" else "force held"
     return f"{moved}, {held} {number(step.hold_s, 3)} s"
-
-
-def _counted(count: int, word: str) -> str:
-    return f"{count} {word}" if count == 1 else f"{count} {word}s"
-
-
-def _range(values: Sequence[float]) -> str:
-    low, high = number(min(values), 3), number(max(values), 3)
-    return low if low == high else f"{low} to {high}"
 
 
 _PEOPLE = {

@@ -17,7 +17,7 @@ from tissueid.inspection import as_decided, describe_segmented, measured_of, seg
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
-from tissueid.trial import Segmentation, Trial
+from tissueid.trial import Trial
 
 if TYPE_CHECKING:
     # pages load a compiler, which a line a recording doesn't need
@@ -144,20 +144,18 @@ class Inspection:
         described = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
         printed = plain(described)
         document = typed(printed, InspectedTrial)
-        drawn = self._page_of(trial, divided, document, study) if self._drawn else None
-        return _Made(document, printed, measured, drawn)
-
-    def _page_of(
-        self, trial: Trial, divided: Segmentation, document: InspectedTrial, study: Study | None
-    ) -> InspectedRecording:
+        if not self._drawn:
+            return _Made(document, printed, measured, None)
         from tissueid.report.inspect_page import inspected_recording
         from tissueid.study.corrections import standing
 
-        return inspected_recording(
+        source = trial.source
+        drawn = inspected_recording(
             trial,
             divided,
             document,
-            file=relative_name(trial.source.path, self._root),
+            file=relative_name(source.path, self._root),
             reader=reader_words(document),
-            standing=standing(study, trial.source.path, trial.source.sheet),
+            standing=standing(study, source.path, source.sheet),
         )
+        return _Made(document, printed, measured, drawn)

@@ -30,6 +30,7 @@ from tissueid.report.law_payload import tissue_of
 from tissueid.report.page import Beside, index_row, plotly_script, render_index
 from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedDevice, Rendering
 from tissueid.report.twin_page import twin_sections
+from tissueid.report.wording import whole_label
 from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, json_bytes, write_file
 from tissueid.store.merged import LISTED, SPECIMENS, load_record, load_specimen, read_listed
@@ -215,10 +216,7 @@ def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
 
 def _refused(run: OutputSet) -> list[str]:
     document = typed(json.loads(run.path(IDENTIFICATION).read_bytes()), Identification)
-    return [
-        f"{one.path if one.sheet is None else f'{one.path} [{one.sheet}]'}: {one.error.message}"
-        for one in document.refused
-    ]
+    return [f"{whole_label(one)}: {one.error.message}" for one in document.refused]
 
 
 def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
