@@ -29,7 +29,6 @@ def cohort_fits(count: int, *, between: float = 0.12, seed: int = 0) -> tuple[Sp
         assert all(model.is_passive(one) for one in draws)
         fit = sampled(specimen_fit(f"head {i + 1}", samples=60, seed=seed + 3 * i), seed=i)
         posterior = fit.posterior
-        assert posterior is not None
         gains = np.exp(0.03 * rng.standard_normal(len(fit.trials)))
         fits.append(
             replace(

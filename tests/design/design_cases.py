@@ -46,7 +46,7 @@ def one_tissue(static: tuple[float, ...], branches: tuple[tuple[tuple[float, ...
 def asked_for(wants: dict[str, float], machine: Machine, **more: object) -> Asked:
     named = tuple(Want(name, share) for name, share in wants.items())
     plain = Asked(wants=named, max_depth_mm=8.0, max_force_N=machine.max_force_N)
-    return replace(plain, **more)  # type: ignore[arg-type]
+    return replace(plain, **more)
 
 
 @dataclass(frozen=True)

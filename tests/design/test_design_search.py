@@ -180,7 +180,7 @@ def test_what_a_machine_cannot_run_and_a_budget_without_room_are_said():
 )
 def test_what_leaves_no_protocol_is_refused(change, says):
     with pytest.raises(UsageError, match=says):
-        planned(MACHINE, PAPER_A, replace(ASKED, **change), silent)  # type: ignore[arg-type]
+        planned(MACHINE, PAPER_A, replace(ASKED, **change), silent)
 
 
 def test_numbers_of_a_sheet_are_short_and_never_above():

@@ -42,7 +42,6 @@ def test_intraclass_correlation_is_the_ratio_of_variances():
     w, between = 0.04, 0.12
     cohort = with_gains(*[(math.exp(-w), math.exp(w))] * 40)
     found = repeatability(cohort, np.full(20_000, between), np.random.default_rng(0))
-    assert found is not None
     within2 = 40 * 2.0 * w**2 / 40
     assert (found.logs, found.groups, found.freedom) == (80, 40, 40)
     assert found.within_cv == pytest.approx(math.sqrt(math.expm1(within2)), rel=1e-12)
@@ -56,7 +55,6 @@ def test_limits_of_agreement_are_those_of_bland_and_altman():
     cohort = with_gains(*[(1.0 / math.exp(c / 2), math.exp(c / 2)) for c in changes])
     force = {one.specimen: 100.0 for one in cohort}
     found = agreement(cohort, force)
-    assert found is not None
     sd = changes.std(ddof=1)
     # t of 7 degrees of freedom, from a table
     error, limit = 2.364624 * sd / math.sqrt(8), 2.364624 * sd * math.sqrt(1 / 8 + 1.959964**2 / 14)
@@ -74,7 +72,6 @@ def test_a_slope_common_to_all_specimens_is_the_order_effect():
         for _ in range(6)
     ]
     found = order_effect(with_gains(*gains))
-    assert found is not None
     # 30 logs, sum of squares of the runs 6 * 10: an error of 0.005 / sqrt(60)
     assert found.per_run == pytest.approx(-0.03, abs=4 * 0.005 / math.sqrt(60))
     # t of 23 degrees of freedom, its error from residuals that scatter by 15 %
@@ -126,7 +123,6 @@ SLOW, MIDDLE, FAST = 10.0 / 60.0, 100.0 / 60.0, 500.0 / 60.0
 )
 def test_speeds_that_share_no_specimen_are_confounded_with_them(speeds, kind, says):
     found = confounding_of(speeds)
-    assert found is not None
     assert found.kind == kind
     assert says in found.sentence
     # two specimens at one speed are one part

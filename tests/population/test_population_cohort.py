@@ -36,7 +36,6 @@ def test_a_cohort_is_described_compared_and_predicted(found):
     assert document["specimens_used"] == [f"head {k}" for k in range(1, 9)]
     assert [row["name"] for row in document["population"]["quantities"]] == list(COORDINATES.names)
     population = found.population
-    assert population is not None
     force = {row.name: row for row in population.told.quantities}["static_force_3_N"]
     truth = dict(zip(COORDINATES.names, COORDINATES.quantities(TYPICAL)[0], strict=True))["static_force_3_N"]
     # eight specimens that differ by 15 %: three standard errors of 5.3 %
@@ -52,7 +51,6 @@ def test_a_cohort_is_described_compared_and_predicted(found):
     assert all(row.ci95[0] < row.ratio < row.ci95[1] for row in rows)
     assert all(0.0 <= row.probability <= 1.0 for row in rows)
     held = population.told.held_out
-    assert held is not None
     assert (held.folds, len(held.trials)) == (8, 24)
     assert held.nrmsd_mean.median > held.nrmsd_range.median > 0.0
 
@@ -61,18 +59,14 @@ def test_a_cohort_is_described_compared_and_predicted(found):
 def test_a_bundle_of_the_population_is_written_and_read(found, tmp_path):
     document = as_document(found, CohortOptions(sampler=SHORT), source="0" * 64)
     bundle = population_bundle(found, document.provenance)
-    assert bundle is not None
     write_bundle(bundle, tmp_path / "population.h5")
     back = load_bundle(tmp_path / "population.h5")
     assert back.is_population
-    assert back.draws is not None
     assert len(back.draws) == 2000
     assert bool(COORDINATES.passive(back.draws).all())
-    assert back.population_mean is not None
     assert np.array_equal(back.population_mean, bundle.population_mean)
     # drawn specimens differ as specimens and donors do, around a mean that is not known: ln force at depth
     low, high = np.quantile(np.log(COORDINATES.quantities(back.draws)[:, 2]), [0.1587, 0.8413])
-    assert found.population is not None
     row = found.population.told.quantities[2]
     mean = np.log(row.ci95[1] / row.ci95[0]) / 3.92
     # heavy tails widen the central 68 % a little, posteriors of spreads are skew
@@ -82,7 +76,6 @@ def test_a_bundle_of_the_population_is_written_and_read(found, tmp_path):
 
 def test_prediction_error_of_a_scaled_tissue_is_in_closed_form():
     trial = members(1, seed=1, repeats=1, draws=100)[0].trials[0]
-    assert trial.curve is not None
     theta = COORDINATES.to_theta(COORDINATES.to_phi(TYPICAL)[0])[0]
     made = COORDINATES.model.force(theta, ContactPath(trial.curve.time_s, trial.curve.depth_mm))
     scaled = replace(trial, curve=replace(trial.curve, force_N=1.1 * made))
@@ -214,7 +207,6 @@ def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator)
 def test_what_all_specimens_share_is_the_machine_s():
     made = with_one_gain(members(6, seed=3, between=0.02), 0.03, np.random.default_rng(5))
     found = shared_instrument(made, COORDINATES)
-    assert found is not None
     # a variance of 4 % relative standard error each, clipped to the central 99 %
     assert np.sqrt(np.diag(found.covariance))[:4] == pytest.approx(np.full(4, 0.03), rel=0.1)
     mean = found.added_to(np.zeros((4000, 5)), np.random.default_rng(6))
@@ -229,9 +221,7 @@ def test_the_machine_s_part_does_not_average_out():
     made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
     total = with_one_gain(made, 0.03, np.random.default_rng(5))
     found = cohort(total, CohortOptions(sampler=SHORT, hold_out=False))
-    assert found.population is not None
     row = found.population.told.quantities[2]
-    assert row.ci95_total is not None
     statistical = np.log(row.ci95[1] / row.ci95[0]) / 3.92
     with_machine = np.log(row.ci95_total[1] / row.ci95_total[0]) / 3.92
     assert with_machine == pytest.approx(np.hypot(statistical, 0.03), rel=0.15)

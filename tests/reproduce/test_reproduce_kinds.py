@@ -79,7 +79,7 @@ def test_what_stands_behind_a_row_follows_from_what_its_ledger_handed_out():
     ],
 )
 def test_agreement_is_decided_by_its_rule(judge, published, recomputed, interval, agrees):
-    assert judge.holds(published, recomputed, interval) is agrees  # type: ignore[attr-defined]
+    assert judge.holds(published, recomputed, interval) is agrees
 
 
 def numbers_with(key: str) -> dict[str, Published]:
@@ -126,7 +126,7 @@ def test_a_row_that_follows_its_printed_number_is_labelled_a_round_trip(key, unc
         for name, row in after.items()
         if PUBLISHED[key].where == row.where
         and row.published != before[name].published
-        and row.recomputed / before[name].recomputed - 1.0 > FOLLOWS * (CHANGE - 1.0)  # type: ignore[operator]
+        and row.recomputed / before[name].recomputed - 1.0 > FOLLOWS * (CHANGE - 1.0)
     }
     assert key in followed
     assert {after[name].kind for name in followed} == {Kind.ROUND_TRIP}

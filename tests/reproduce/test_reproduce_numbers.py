@@ -141,8 +141,8 @@ def test_both_variants_bear_a_hundred_times_the_stiffness(device):
     found, figures = controlled_contact(Readings(device=device), Effort())
     rows = keyed(found)
     assert [one.agrees for one in found if one.item.endswith("stable")] == [True] * 4
-    assert rows["figure-7/A-sustained-x1"].recomputed < 0.35  # type: ignore[operator]
-    assert rows["figure-7/B-sustained-x100"].recomputed < 0.003  # type: ignore[operator]
+    assert rows["figure-7/A-sustained-x1"].recomputed < 0.35
+    assert rows["figure-7/B-sustained-x100"].recomputed < 0.003
     assert [figure.key for figure in figures] == ["figure-7a", "figure-7a-error", "figure-7b"]
     assert all(len(trace.x) == len(trace.y) > 500 for figure in figures for trace in figure.traces)
 

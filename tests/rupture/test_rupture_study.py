@@ -107,7 +107,6 @@ def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mea
 def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort):
     found = hardening_of(cohort)
     slow = [one for one in cohort if one.test.speed_mm_s < 30.0]
-    assert found is not None
     assert found.ruptures == len(slow) == 12
     assert found.mean == pytest.approx(np.mean([one.hardening for one in slow]))
     assert found.direction == "falls"
@@ -141,7 +140,6 @@ def up_to_end(plan: Recipe) -> list[tuple[SyntheticLog, object]]:
 
 def test_the_end_of_a_test_is_where_the_synthetic_tissue_broke():
     for log, test in up_to_end(PLAN):
-        assert test is not None
         assert test.ruptured
         assert test.speed_mm_s == pytest.approx(log.truth["speed_mm_s"], rel=1e-6)
         # half a step to either side, and 0.02 mm of contact
@@ -167,7 +165,6 @@ def test_the_middle_of_the_step_is_not_early_or_late():
 def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample_and_one_in_air_is_none():
     held = Log("held", (Move(4.0, 600.0), Hold(1.0)))
     ((log, test),) = up_to_end(replace(PLAN, logs=(held,)))
-    assert test is not None
     assert (test.ruptured, test.step_mm, test.residual) == (False, 0.0, None)
     assert test.depth_mm[-1] == pytest.approx(4.0 - log.truth["contact_offset_mm"], abs=0.05)
     assert test.work_N_mm == pytest.approx(log.truth["rupture_work_N_mm"], rel=0.05)
@@ -178,7 +175,6 @@ def test_a_test_that_did_not_rupture_ends_at_its_deepest_sample_and_one_in_air_i
 
 def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spread():
     (_, test) = up_to_end(PLAN)[1]
-    assert test is not None
     model = kelvin_voigt(1, 0, 9.0)
     theta = np.array([6.0, 0.0, 0.4, 63.62, 0.021])
     covariance = np.diag([0.0, 0.0, 0.0, (0.05 * 63.62) ** 2, 0.0])

@@ -204,7 +204,7 @@ def test_a_law_that_makes_no_sense_never_reaches_a_file(wrong, tmp_path):
     with pytest.raises(ValueError, match=r"threshold must be above 0|no criterion of rupture"):
         replace(LAW, **wrong)
     with pytest.raises(BundleError, match="rupture"):
-        write_bundle(replace(a_bundle(), rupture=Forged({**LAW.as_json(), **wrong})), tmp_path / "bundle.h5")  # type: ignore[arg-type]
+        write_bundle(replace(a_bundle(), rupture=Forged({**LAW.as_json(), **wrong})), tmp_path / "bundle.h5")
 
 
 class Forged:

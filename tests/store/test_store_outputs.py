@@ -93,7 +93,7 @@ def test_an_interrupt_while_the_folder_is_made_leaves_none(tmp_path, monkeypatch
     make = Path.mkdir
 
     def interrupted(folder: Path, *args: object, **kwargs: object) -> None:
-        make(folder, *args, **kwargs)  # type: ignore[arg-type]
+        make(folder, *args, **kwargs)
         if folder.parent.name == ".runs":
             raise KeyboardInterrupt
 

@@ -182,7 +182,7 @@ def test_a_bad_specimen_is_named_and_the_others_are_there(again, monkeypatch, ca
     def fails_once(job: object, **options: object) -> object:
         if getattr(job, "shown", "") == "head-3":
             raise MemoryError
-        return real(job, **options)  # type: ignore[arg-type]
+        return real(job, **options)
 
     write_specimen(again / "lab", 3)
     with monkeypatch.context() as patch:

@@ -133,7 +133,6 @@ def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because=
 
 
 def hold_of(shown: CorrectedInspection) -> Phase:
-    assert shown._inspection is not None
     document = shown._inspection.shown[0].document
     return next(phase for phase in document.phases if phase.kind == "hold")
 
@@ -217,5 +216,4 @@ def test_a_folder_that_takes_no_file_is_said(lab, monkeypatch):
     with pytest.raises(UsageError, match="No space left"):
         decide(shown, lab, "exclude", True)
     assert hold_of(shown).kind == "hold"
-    assert shown._inspection is not None
     assert shown._inspection.shown[0].document.excluded is None

@@ -66,7 +66,7 @@ def rigid_block(
 
 def as_curve(document: dict[str, object]) -> FrameCurve:
     arrays = [np.array(document[key]) for key in ("force_N", "compliance_mm_per_N", "covariance")]
-    return FrameCurve(*arrays, range_N=tuple(document["range_N"]))  # type: ignore[arg-type]
+    return FrameCurve(*arrays, range_N=tuple(document["range_N"]))
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -194,6 +194,5 @@ def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_p
     study = read_study(manifest_in(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame
-    assert frame is not None
     # sd(1/k) = sd(k) / k^2
     assert frame.covariance[0, 0] == pytest.approx((100.0 / 1000.0**2) ** 2)

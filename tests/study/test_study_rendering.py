@@ -30,9 +30,7 @@ rendering_of = typed_call(rendering_of)
 
 def rendering(fit: SpecimenFit) -> Any:
     posteriors = posteriors_of_fits([fit])
-    found = rendering_of(plain(fit.as_json()), posteriors[0] if posteriors else None)
-    assert found is not None
-    return found
+    return rendering_of(plain(fit.as_json()), posteriors[0] if posteriors else None)
 
 
 def test_scales_and_damping_are_those_of_the_check_before_force():
