@@ -76,6 +76,9 @@ ITEMS: tuple[Missing, ...] = (
 )  # fmt: skip
 
 
+_Table = Mapping[str, Any]
+
+
 def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> StudyCheck:
     """Grade a study file; ``unmatched``: files and sheets that it names in vain."""
     frame = study.calibration.frame
@@ -83,14 +86,7 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> StudyCheck:
     # what the study says of the tissue holds for every specimen
     specimens = {name: {**study.about, **table} for name, table in study.specimens.items()}
     trials = {str(entry.values["file"]): entry.values for entry in study.trials}
-    tables: dict[str, Mapping[str, Mapping[str, Any]]] = {
-        "study": {"": study.about},
-        "calibration": {"": calibration},
-        "tip": {"": study.tip},
-        "specimen": specimens or {"": study.about},
-        "trial": trials or {"": {}},
-    }
-    return _graded(study.path, tables, unmatched)
+    return _graded(study.path, (study.about, calibration, study.tip), specimens, trials, unmatched)
 
 
 def completeness_of_result(record: StudyRecord | None) -> StudyCheck:
@@ -100,14 +96,8 @@ def completeness_of_result(record: StudyRecord | None) -> StudyCheck:
     about = _stated(record.study)
     specimens = {row.specimen: {**about, **_stated(row)} for row in record.specimens}
     trials = {row.path: asdict(row) for row in record.trials if row.listed}
-    tables: dict[str, Mapping[str, Mapping[str, Any]]] = {
-        "study": {"": about},
-        "calibration": {"": _stated(record.calibration)},
-        "tip": {"": _stated(record.tip)},
-        "specimen": specimens or {"": about},
-        "trial": trials or {"": {}},
-    }
-    return _graded("study.toml", tables, ())
+    general = (about, _stated(record.calibration), _stated(record.tip))
+    return _graded("study.toml", general, specimens, trials, ())
 
 
 def _stated(table: Struct) -> dict[str, Any]:
@@ -115,9 +105,21 @@ def _stated(table: Struct) -> dict[str, Any]:
 
 
 def _graded(
-    path: str, tables: Mapping[str, Mapping[str, Mapping[str, Any]]], unmatched: Sequence[Refusal]
+    path: str,
+    general: tuple[_Table, _Table, _Table],
+    specimens: Mapping[str, _Table],
+    trials: Mapping[str, _Table],
+    unmatched: Sequence[Refusal],
 ) -> StudyCheck:
-    """The verdict on tables by name; one of which there is one only has none."""
+    """The verdict on study, calibration and tip, and on specimens and trials by name."""
+    about, calibration, tip = general
+    tables: Mapping[str, Mapping[str, _Table]] = {
+        "study": {"": about},
+        "calibration": {"": calibration},
+        "tip": {"": tip},
+        "specimen": specimens or {"": about},
+        "trial": trials or {"": {}},
+    }
     stated, missing = 0.0, []
     for item in ITEMS:
         rows = tables[item.table]
