@@ -59,6 +59,7 @@ def decided(tmp_path_factory):
 def test_trials_are_of_the_specimens_that_the_study_names_and_covariates_hold_where_one_says_nothing(decided):
     folder, _, document = decided
     assert first_problem(document, "identification") is None
+    assert document["provenance"]["study"]["sha256"] == document["study"]["sha256"]
     assert main(["validate", str(folder / "out")]) == 0
     logs = {one["specimen"]: len(one["trials"]) for one in document["specimens"]}
     assert logs == {"kidney": 3, "b": 1, "odd": 1}
@@ -133,15 +134,17 @@ def test_only_listed_reads_nothing_else(tmp_path):
     assert [one["specimen"] for one in document["specimens"]] == ["kidney"]
 
 
-def test_a_study_is_found_named_or_left_out(tmp_path):
+def test_a_study_is_found_named_or_left_out(tmp_path, capsys):
     folder = lab(tmp_path / "lab", GROUPED, a1=1.0, a2=1.02)
-    for args in ([folder / "study.toml"], [folder, "--study", folder / "study.toml"], [folder]):
-        _, document = fit(*args, out=tmp_path / "out")
-        assert [one["specimen"] for one in document["specimens"]] == ["kidney"], args
-        assert document["provenance"]["study"]["sha256"] == document["study"]["sha256"]
-    _, document = fit(folder, "--no-study", out=tmp_path / "out")
-    assert [one["specimen"] for one in document["specimens"]] == ["a1", "a2"]
-    assert document["study"] is None
+    own = [str(folder / name) for name in ("a1.csv", "a2.csv")]
+    for args, names in (
+        ([folder / "study.toml"], ["kidney"] * 2),
+        ([folder, "--study", folder / "study.toml"], ["kidney"] * 2),
+        ([folder], ["kidney"] * 2),
+        ([folder, "--no-study"], own),
+    ):
+        assert main(["inspect", *map(str, args), "--json"]) == 0
+        assert [one["specimen"] for one in json.loads(capsys.readouterr().out)] == names, args
 
 
 def test_two_studies_at_once_are_a_question_for_the_user(tmp_path, capsys):
