@@ -192,6 +192,8 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path):
 @pytest.mark.parametrize(("simulations", "level"), [(60, 0.95), (200, 0.95), (200, 0.99)])
 def test_band_keeps_uniform_ranks_with_its_level(simulations, level):
     band = ecdf_band(simulations, level)
+    # below z and above 1 - z are mirror images
+    np.testing.assert_array_equal(band.low, simulations - band.high[::-1])
     rng = np.random.default_rng(71)
     repeats = 8000
     kept = np.mean([band.holds(ecdf_counts(rng.integers(0, DRAWS + 1, simulations))) for _ in range(repeats)])
