@@ -58,8 +58,8 @@ def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tm
     assert "# not read: " in text
     assert "# thickness_mm =" in text
     # and the fit with it is the fit without it
-    _, with_it = fit(tmp_path, out=tmp_path / "out")
-    _, without = fit(tmp_path, "--no-study", out=tmp_path / "out2")
+    _, with_it = fit(tmp_path / "run 1.csv", out=tmp_path / "out")
+    _, without = fit(tmp_path / "run 1.csv", "--no-study", out=tmp_path / "out2")
     assert value(with_it, "kidney", "static_1_N_per_mm") == value(without, "kidney", "static_1_N_per_mm")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from study_folder import QUICK, fit, fit_lab, lab, recording, specimen, value
+from study_folder import QUICK, fit, fit_lab, lab, manifest_in, recording, specimen, value
 
 from tissueid.cli.main import main
 from tissueid.store.schema import first_problem
@@ -129,22 +129,21 @@ def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(
     assert "its own specimen" not in said
 
 
-def test_only_listed_reads_nothing_else(tmp_path):
-    _, document = fit_lab(tmp_path, f"[study]\nonly_listed = true\n{GROUPED}", a1=1.0, b=1.5)
-    assert [one["specimen"] for one in document["specimens"]] == ["kidney"]
-
-
-def test_a_study_is_found_named_or_left_out(tmp_path, capsys):
+def test_a_study_is_found_named_or_left_out_and_may_want_nothing_that_it_does_not_list(tmp_path, capsys):
     folder = lab(tmp_path / "lab", GROUPED, a1=1.0, a2=1.02)
     own = [str(folder / name) for name in ("a1.csv", "a2.csv")]
-    for args, names in (
-        ([folder / "study.toml"], ["kidney"] * 2),
-        ([folder, "--study", folder / "study.toml"], ["kidney"] * 2),
-        ([folder], ["kidney"] * 2),
-        ([folder, "--no-study"], own),
-    ):
+
+    def specimens(*args: object) -> list[str]:
         assert main(["inspect", *map(str, args), "--json"]) == 0
-        assert [one["specimen"] for one in json.loads(capsys.readouterr().out)] == names, args
+        return [one["specimen"] for one in json.loads(capsys.readouterr().out)]
+
+    for args in ([folder / "study.toml"], [folder, "--study", folder / "study.toml"], [folder]):
+        assert specimens(*args) == ["kidney"] * 2, args
+    assert specimens(folder, "--no-study") == own
+    (folder / "b.csv").write_text(recording(), encoding="ascii")
+    assert specimens(folder) == ["kidney", "kidney", str(folder / "b.csv")]
+    manifest_in(folder, f"[study]\nonly_listed = true\n{GROUPED}")
+    assert specimens(folder) == ["kidney"] * 2
 
 
 def test_two_studies_at_once_are_a_question_for_the_user(tmp_path, capsys):
