@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from coverage_cases import CASES
 from identify_stand_ins import conjugate, of_draws, of_prior
 from msgspec import structs
 
@@ -193,20 +192,3 @@ def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch):
 def test_a_check_goes_to_other_processes():
     check = pickle.loads(pickle.dumps(check_of()))
     assert check.priors == check_of().priors
-
-
-@pytest.mark.system
-@pytest.mark.needs_jit
-@pytest.mark.parametrize("case", [CASES[3], CASES[5]], ids=lambda case: case.name)
-def test_a_real_identification_is_ranked(case):
-    check = case.check()
-    for index in range(2):
-        record = one_record(check, case.seed, index)
-        assert record.failed is None
-        assert list(record.rank)[:6] == list(check.model.parameter_names)
-        assert sum(name.startswith("force_N at ") for name in record.rank) == 3
-        for name, truth in record.truth.items():
-            # five sd off is none of the engine's finer faults
-            assert abs(truth - record.mean[name]) < 5.0 * record.sd[name], name
-        assert set(record.held) == {*check.model.parameter_names, "viscosity_N_s_per_mm"}
-        assert record.detail["logs"] == len(check.logs)
