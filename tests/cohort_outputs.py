@@ -9,6 +9,7 @@ import numpy as np
 from fit_factory import THETA, identification, specimen_fit, write_results
 from posterior_factory import sampled
 
+from tissueid.documents.identification import Calibration, StatedSpecimen
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
@@ -57,8 +58,6 @@ def cohort_folder(folder: Path, count: int, *, study: bool = True) -> Path:
 
 def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
     """What a study says of these specimens."""
-    from tissueid.documents.identification import StatedSpecimen
-
     row = dict.fromkeys(StatedSpecimen.__struct_fields__)
     trial = dict.fromkeys(("site", "protocol", "rest_s", "because", "notes"))
     return {
@@ -66,7 +65,7 @@ def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
         "sha256": "",
         "study": {},
         "tip": {},
-        "calibration": dict.fromkeys(_calibration()),
+        "calibration": dict.fromkeys(Calibration.__struct_fields__),
         "priors": {},
         "specimens": [
             row | {"specimen": fit.specimen, "sex": "fm"[i % 2], "donor": f"d{i // 2}"}
@@ -80,9 +79,3 @@ def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
         ],
         "exclusions": [],
     }
-
-
-def _calibration() -> list[str]:
-    from tissueid.documents.identification import Calibration
-
-    return list(Calibration.__struct_fields__)

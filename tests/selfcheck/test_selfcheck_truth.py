@@ -32,14 +32,14 @@ THETA = np.array([20.0, -1.2, 0.35, 63.0, 10.0, 0.02, 8.0, 1.0, 0.6])
 DRAWN = 2000
 
 
-def truths(priors: Priors, *, defects: bool = False, pooling: str = "partial") -> list:
+def truths(priors: Priors, *, defects: bool = False, pooling: str = "partial", count: int = DRAWN) -> list:
     logs = tuple(ProtocolLog("log", np.arange(2.0), np.arange(2.0), sd) for sd in (0.01, 0.02))
     centre = Centre(MODEL, THETA, sigma_N=0.5, phi=0.9, white_share=0.0, pooling=pooling)
     check = replace(
         tissue_check(Protocol("two logs", logs, (1.0, 1.0)), centre, defects=defects), priors=priors
     )
     rng = np.random.default_rng(17)
-    return [check.truth(rng) for _ in range(DRAWN)]
+    return [check.truth(rng) for _ in range(count)]
 
 
 def priors_for(**options: object) -> Priors:
@@ -88,7 +88,7 @@ def test_calibration_nuisances_follow_their_priors_and_are_cut():
         shape = "halfnorm" if np.isfinite(prior.lower) else "norm"
         assert kstest(values, shape).pvalue > 1e-4, name
     # one tissue for all logs has no gains
-    one = truths(priors_for(), pooling="shared")[0]
+    one = truths(priors_for(), pooling="shared", count=1)[0]
     assert (one.calibration, one.gain_sd, one.gain.tolist()) == ({}, 0.0, [1.0, 1.0])
 
 

@@ -68,15 +68,12 @@ def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort):
     assert found["provenance"] | {"reading": None} == document["provenance"] | {"reading": None}
 
 
-def test_the_file_of_a_specimen_is_a_bundle(cohort):
+def test_files_of_specimens_are_bundles_and_what_is_there_is_not_computed_again(cohort, again):
     for path in (cohort / "out" / "specimens").iterdir():
         alone = load_bundle(path)
         public = load_bundle(cohort / "out" / f"bundle-{alone.specimen}.h5")
         assert (alone.theta == public.theta).all()
         assert alone.as_json()["parameters"] == public.as_json()["parameters"]
-
-
-def test_what_is_there_is_not_computed_again(again):
     before, numbers = keys(again / "out"), numbers_of(again / "out")
     assert fit(again / "lab", again / "out") in (0, 4)
     assert keys(again / "out") == before

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from cohort_outputs import study_of
 from fit_factory import THETA, specimen_fit
 from posterior_factory import sampled
 from typed_call import typed_call
 
 from tissueid.documents import plain
-from tissueid.documents.identification import Calibration, StatedSpecimen, StatedTrial
 from tissueid.haptics.limits import GuardLimits
 from tissueid.ingest.stated import unit_of
 from tissueid.model.kelvin_voigt import kelvin_voigt
@@ -73,19 +73,11 @@ def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_car
     for item in ITEMS:
         key = item.keys[0]
         tables[item.table][key] = words.get(key, 1.0 if unit_of(key) or "class" in key else "stated")
-    row = dict.fromkeys(StatedSpecimen.__struct_fields__) | tables["specimen"]
-    trial = dict.fromkeys(StatedTrial.__struct_fields__) | {"listed": True, "overridden": []}
-    result = {
-        "path": "study.toml",
-        "sha256": "",
-        "priors": {},
-        "exclusions": [],
-        "study": tables["study"],
-        "calibration": dict.fromkeys(Calibration.__struct_fields__) | tables["calibration"],
-        "tip": tables["tip"],
-        "specimens": [row | {"specimen": "a"}, row | {"specimen": "b"}],
-        "trials": [trial | {"path": "x.csv", "specimen": "a", **tables["trial"]}],
-    }
+    result = study_of(tuple(specimen_fit(name, trials=1) for name in "ab"))
+    for name in ("study", "calibration", "tip"):
+        result[name] |= tables[name]
+    for name in ("specimen", "trial"):
+        result[f"{name}s"] = [row | tables[name] for row in result[f"{name}s"]]
     assert completeness_of_result(result).grade == "A"
     result["specimens"][1]["storage"] = None
     (missing,) = completeness_of_result(result).missing
