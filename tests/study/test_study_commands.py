@@ -92,6 +92,8 @@ def test_a_study_is_graded_by_what_it_says_and_what_is_missing_is_named():
     worst = completeness(Study("study.toml"))
     assert (worst.grade, worst.share) == ("F", 0.0)
     assert len(worst.missing) == len(ITEMS)
+    # what is stated nowhere is missing everywhere
+    assert {one.where for one in worst.missing} == {()}
     study = full_study()
     less = {key: text for key, text in study.specimens["b"].items() if key != "thickness_mm"}
     found = completeness(replace(study, specimens={"a": study.specimens["a"], "b": less}))

@@ -71,6 +71,7 @@ def test_recipe_survives_its_toml(tmp_path, known):
         ('name = "x"\nlogs = []', "at least one log"),
         ('name = "x"\nsigma = 1\nlogs = []', "unknown key 'sigma'"),
         ('name = "x"', "logs"),
+        ('name = "x"\n[[logs]]\nname = "a"\nmoves = []', "at least one move"),
         ('name = "x"\nrate_Hz = 0.0\n[[logs]]\nname = "a"\nmoves = [{hold_s = 1.0}]', "rate_Hz is 0.0"),
         (
             'name = "x"\n[[logs]]\nname = "a"\nmoves = [{to_mm = 1.0, speed_mm_min = 0.0}]',
