@@ -68,12 +68,13 @@ def test_a_growing_stiffness_is_found_where_it_grows():
     assert sum(chosen(ONE, seed, branches=(1,), degrees=(0, 1)).law.degree == 0 for seed in seeds) >= 5
 
 
-def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3):
+def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3, badness=0.0):
     law = law or kelvin_voigt_law(branches, degree, 8.0)
     point = SimpleNamespace(log_times=np.log(np.arange(1.0, law.times + 1)), linear=np.ones(law.linear))
     noise = SimpleNamespace(sigma_N=sigma_N)
     optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear), noise=noise)
-    return Tried(branches, degree, optimum, SimpleNamespace(law=law, logs=[None] * logs), np.array(errors))
+    system = SimpleNamespace(law=law, logs=[None] * logs)
+    return Tried(branches, degree, optimum, system, np.array(errors), badness)
 
 
 def named(name, errors, sigma_N=1.0):
@@ -197,12 +198,13 @@ def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
     assert not resolved(one, 0.1)
 
 
-def test_a_third_branch_of_one_program_has_to_gain_a_fifth():
+def test_a_third_branch_of_one_program_has_to_gain_a_fifth_and_be_shown_by_the_logs_themselves():
     base = np.array([1.0, 1.2, 0.9])
-    plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base)
+    plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base, badness=-20.0)
     assert without_bends([plain, slight]) == [plain]
-    much = tried(3, 1, 0.7 * base)
+    much, luck = (tried(3, 1, 0.7 * base, badness=-shown) for shown in (20.0, 10.0))
     assert without_bends([plain, much]) == [plain, much]
+    assert without_bends([plain, luck]) == [plain]
 
 
 PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t
+from scipy.stats import chi2, t
 
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.blocks import Blocks
@@ -34,8 +34,8 @@ TOO_MUCH = 1.0
 #: Laws of different kinds may differ by more.
 MISSES, MISSES_OF_LAWS = 1.5, 3.0
 #: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
-#: program.
-BEND = 0.2
+#: program, and level at which the logs themselves must show it: what is left out rests on few gains.
+BEND, SHOWN = 0.2, 0.99
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 20, 8
 #: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
@@ -65,6 +65,7 @@ class Tried:
     optimum: Optimum
     system: System
     errors: FloatArray
+    badness: float = 0.0  # twice the negative log density of its optimum
 
     @property
     def law(self) -> ChannelLaw:
@@ -101,7 +102,7 @@ class Rival:
     @property
     def as_good(self) -> bool:
         """It predicts as well as the chosen law, or better."""
-        return self.better or abs(self.gain) <= max(self.wide, NO_GAIN)
+        return self.gain >= -max(self.wide, NO_GAIN)
 
     @property
     def disagrees(self) -> bool:
@@ -272,9 +273,11 @@ def without_bends(tried: Sequence[Tried]) -> list[Tried]:
         flatter = other.branches == one.branches and other.degree < one.degree
         return flatter or (other.branches == 2 < one.branches and other.degree <= one.degree)
 
-    return [
-        one for one in tried if all(_gain(one, other)[0] >= BEND for other in tried if plainer(other, one))
-    ]
+    def needed(one: Tried, other: Tried) -> bool:
+        least = float(chi2.ppf(SHOWN, one.law.freedom - other.law.freedom))
+        return _gain(one, other)[0] >= BEND and other.badness - one.badness >= least
+
+    return [one for one in tried if all(needed(one, other) for other in tried if plainer(other, one))]
 
 
 def describing(tried: Sequence[Tried], most: float = MISSES) -> list[Tried]:
@@ -288,12 +291,12 @@ def describing(tried: Sequence[Tried], most: float = MISSES) -> list[Tried]:
     return [one for one in tried if one.optimum.noise.sigma_N <= most * least]
 
 
-def _describing_in_kind(laws: Sequence[Tried]) -> list[Tried]:
-    """Laws that describe their logs nearly as well as the same law with another number of branches."""
+def _kinds(laws: Sequence[Tried]) -> list[list[Tried]]:
+    """Laws by kind that describe their logs nearly as well as the same law with other branches."""
     kinds: dict[str, list[Tried]] = {}
     for one in laws:
         kinds.setdefault(one.name.rpartition(":")[0] or one.name, []).append(one)
-    return [one for kind in kinds.values() for one in describing(kind)]
+    return [describing(kind) for kind in kinds.values()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,6 +305,7 @@ class Choice:
 
     chosen: Tried
     rivals: tuple[Rival, ...]  # other laws beside it
+    simplest: tuple[Rival, ...]  # of them the one of each kind that is chosen: branches too many are junk
     mark: Rival | None  # the yardstick beside it
 
 
@@ -311,18 +315,20 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
     ``choose``: other laws than ``paper``, the Kelvin-Voigt law in its chosen order, may be chosen.
     """
     everyone = [one for one in (paper, *others) if one is not None]
-    laws = [one for one in everyone if one.name != YARDSTICK] or everyone
+    kinds = _kinds([one for one in everyone if one.name != YARDSTICK] or everyone)
     if paper is not None and not choose:
         chosen = paper
     else:
         # the yardstick is the mark: it is chosen only where it alone was asked for
-        as_good = chosen_among(describing(_describing_in_kind(laws), MISSES_OF_LAWS))[2]
+        as_good = chosen_among(describing([one for kind in kinds for one in kind], MISSES_OF_LAWS))[2]
         chosen = min(
             as_good, key=lambda one: (one.law.freedom, one is not paper, -rival_of(one, as_good[0]).gain)
         )
     beside = [rival_of(one, chosen) for one in everyone if one is not chosen]
     mark = next((one for one in beside if one.name == YARDSTICK), None)
-    return Choice(chosen, tuple(one for one in beside if one is not mark), mark)
+    rivals = tuple(one for one in beside if one is not mark)
+    simplest = {chosen_among(kind)[0].name for kind in kinds}
+    return Choice(chosen, rivals, tuple(one for one in rivals if one.name in simplest), mark)
 
 
 def table_of(

@@ -90,7 +90,7 @@ class Identified:
     as_good: tuple[tuple[int, int], ...]  # orders within one standard error of the best
     left_out: str  # what was predicted
     request: Request
-    rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one
+    rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one, the simplest of each kind
 
     @property
     def quotable(self) -> bool:
@@ -237,7 +237,7 @@ def identify_logs(
     found = _finished(fitting, choice.chosen, evidence, memory, groups.kind, tick)
     table = () if request.single else table_of(orders.table, choice, paper)
     as_good = orders.as_good if choice.chosen is paper else ()
-    return replace(found, table=table, as_good=as_good, rivals=choice.rivals)
+    return replace(found, table=table, as_good=as_good, rivals=choice.simplest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,7 +283,7 @@ def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | 
     if groups is not None:
         least = (ROUNDED * float(np.ptp(system.force))) ** 2
         errors = np.maximum(held_out(system, optimum, groups), least)
-    return Tried(law.branches, law.degree, optimum, system, errors)
+    return Tried(law.branches, law.degree, optimum, system, errors, badness(system, optimum))
 
 
 def _noise(

@@ -299,7 +299,7 @@ def _assembled(
     found = _uncertainties(names, statistical, total, (walkers, steps))
     parameters = _with_medians(fit.parameters, statistical, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
-    later = next_indentation(fitted.identified)
+    later = next_indentation(fitted.identified, {one.name: one.value for one in parameters})
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}

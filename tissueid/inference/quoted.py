@@ -220,22 +220,24 @@ def model_numbers(
 def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
     """The same numbers; shares that relax have half the range over laws as good in quadrature."""
     alike = [one for one in rivals if one.as_good]
-    if not alike:
-        return numbers
-    rows = []
-    for one in numbers.model:
-        if one.name != "fraction_relaxed" or one.value is None or one.stderr is None:
-            rows.append(one)
-            continue
-        values = [one.value, *(_share(rival, one.at) for rival in alike)]
-        form = max(0.5 * float(np.ptp(values)), LEAST_FORM)
-        rows.append(replace(one, stderr=float(np.hypot(one.stderr, form))))
-    return replace(numbers, model=tuple(rows))
+
+    def told(one: Quantity) -> Quantity:
+        if one.name not in {"fraction_relaxed", "peak_to_plateau"} or one.value is None or one.stderr is None:
+            return one
+        # a peak over what stays, p, is the share 1 - 1/p
+        share, by = one.value, 1.0
+        if one.name == "peak_to_plateau":
+            share, by = 1.0 - 1.0 / one.value, one.value**2
+        form = max(0.5 * float(np.ptp([share, *(_share(rival, one.at) for rival in alike)])), LEAST_FORM)
+        return replace(one, stderr=float(np.hypot(one.stderr, by * form)))
+
+    return replace(numbers, model=tuple(map(told, numbers.model))) if alike else numbers
 
 
 def _share(rival: Rival, at: Conditions) -> float:
-    """Share of the peak that a rival's tissue loses."""
-    model, theta, depth, times = rival.model, rival.theta, at.depth_mm or 0.0, np.array([0.0, at.time_s])
+    """Share of the peak that a rival's tissue loses, in the end where no time is given."""
+    model, theta, depth = rival.model, rival.theta, at.depth_mm or 0.0
+    times = np.array([0.0, np.inf if at.time_s is None else at.time_s])
     peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, times, at.speed_mm_s)
     return float(1.0 - later / peak)
 

@@ -166,8 +166,9 @@ def specimen_flags(
     return tuple(flags)
 
 
-def _inside(value: float, interval: tuple[float, float] | None) -> bool:
-    return interval is not None and interval[0] <= value <= interval[1]
+def inside(value: float | None, interval: tuple[float, float] | None) -> bool:
+    """Both are known, and the value lies in its interval."""
+    return value is not None and interval is not None and interval[0] <= value <= interval[1]
 
 
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
@@ -178,7 +179,7 @@ def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncer
         if one.value is None or one.name not in found:
             continue
         own = found[one.name]
-        if not _inside(one.value, own.ci95) or (totals and not _inside(one.value, own.ci95_total)):
+        if not inside(one.value, own.ci95) or (totals and not inside(one.value, own.ci95_total)):
             out.append(one.name)
     return tuple(out)
 

@@ -1,0 +1,62 @@
+"""Specimens of a simulator that shares nothing with the package: what is printed of them holds the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import tissueid as ti
+
+
+def recorded(force_of, *, seed, noise=0.002, rate_Hz=50.0, speed=2.0, depth=5.0, hold_s=20.0):
+    """A ramp through a millimetre of air and a hold; noise is a share of the peak."""
+    time = np.arange(0.0, 1.0 + (1.0 + depth) / speed + hold_s, 1.0 / rate_Hz)
+    travel = np.clip(speed * (time - 1.0), 0.0, 1.0 + depth)
+    force = force_of(time, np.maximum(travel - 1.0, 0.0))
+    force += noise * force.max() * np.random.default_rng(seed).standard_normal(time.size)
+    return ti.Trial(time_s=time, displacement_mm=travel, force_N=force)
+
+
+def relaxing(time, driven, tau):
+    """What is left of a driven state that decays with ``tau``, exact where it is driven evenly."""
+    kept, out = np.exp(-np.diff(time) / tau), np.zeros(time.size)
+    for i, (share, step, push) in enumerate(zip(kept, np.diff(time), np.diff(driven), strict=True)):
+        out[i + 1] = share * out[i] + tau * (1.0 - share) * push / step
+    return out
+
+
+def elastic(x):
+    return 0.3 * x + 0.05 * x**2 + 0.05 * x**3
+
+
+def quasi_linear(time, x):
+    """Four tenths of the elastic force relax within 1.5 s, inside the convolution."""
+    return elastic(x) + 0.4 * relaxing(time, elastic(x), 1.5)
+
+
+def paper(time, x):
+    return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.25 * relaxing(time, x, 1.5)
+
+
+def relaxed(fit, name):
+    """Values, errors and times of a number after an ideal step."""
+    rows = [one for one in fit.result.quoted.model if one.name == name and one.at.path == "step"]
+    return [(one.value, one.stderr, one.at.time_s) for one in rows if one.value is not None]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_law_that_predicts_a_little_better_widens_what_relaxes_after_a_step(seed):
+    fit = ti.fit([recorded(quasi_linear, seed=seed)])
+    share, ((over, error, _),) = 0.4 / 1.4, relaxed(fit, "peak_to_plateau")
+    for value, stderr, time in relaxed(fit, "fraction_relaxed"):
+        assert abs(value - share * (1.0 - np.exp(-time / 1.5))) < 3.0 * stderr
+    assert abs(over - 1.4) < 3.0 * error
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_branch_too_many_of_another_law_does_not_widen_it(seed):
+    fit = ti.fit([recorded(paper, seed=seed, noise=0.003)])
+    share = 1.25 / (1.5 + 1.25 + 2.5 + 1.25)
+    for value, stderr, time in relaxed(fit, "fraction_relaxed"):
+        assert stderr < 0.06
+        assert abs(value - share * (1.0 - np.exp(-time / 1.5))) < 3.0 * stderr
