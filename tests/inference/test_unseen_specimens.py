@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import tissueid as ti
+from tissueid.inference.verdict import outside
+from tissueid.uncertainty import ParameterUncertainty
 
 
 def recorded(force_of, *, seed, noise=0.002, rate_Hz=50.0, speed=2.0, depth=5.0, hold_s=20.0):
@@ -60,3 +64,19 @@ def test_a_branch_too_many_of_another_law_does_not_widen_it(seed):
     for value, stderr, time in relaxed(fit, "fraction_relaxed"):
         assert stderr < 0.06
         assert abs(value - share * (1.0 - np.exp(-time / 1.5))) < 3.0 * stderr
+
+
+@pytest.mark.parametrize(
+    ("value", "total", "alone", "held"),
+    [
+        # six places whose times differ by 20 %: F_s of the pooled fit bends, where each alone has the truth, 0.3
+        (0.165, (0.082, 0.250), (0.189, 0.382), False),
+        # identical logs: what is not known of the machine moves the pooled value, within its interval
+        (0.3789, (0.367, 0.392), (0.3720, 0.3786), True),
+        (0.3, (0.25, 0.35), (0.2, 0.4), True),
+        (0.3, (0.25, 0.35), None, True),
+    ],
+)
+def test_a_value_that_no_log_alone_has_is_withheld(value, total, alone, held):
+    own = ParameterUncertainty(value, 0.01, total, total, 400.0, 400.0, 1.0, alone)
+    assert outside((SimpleNamespace(name="a1", value=value),), {"a1": own}) == (() if held else ("a1",))

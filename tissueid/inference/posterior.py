@@ -298,9 +298,9 @@ def _assembled(
     walkers, steps = sampled.chain.shape[:2]
     found = _uncertainties(names, statistical, total, (walkers, steps))
     parameters = _with_medians(fit.parameters, statistical, found)
-    parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
-    later = next_indentation(fitted.identified, {one.name: one.value for one in parameters})
+    later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
+    parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it, or that of logs fitted alone does")
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}
     detail["total"] = {"converged": True, "worth": sampled.detail["effective_draws"]}

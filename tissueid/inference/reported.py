@@ -20,7 +20,6 @@ from tissueid.inference.optimum import minimise
 from tissueid.inference.prior import bernstein, prior_rows, time_bounds
 from tissueid.inference.system import MACHINE, Effects, Point, System
 from tissueid.inference.target import SpecimenTarget
-from tissueid.inference.verdict import inside
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import ChannelModel
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
@@ -82,23 +81,19 @@ def _alone(identified: Identified, index: int) -> FloatArray:
     return np.asarray(law.theta(one.point.log_times, one.point.linear)[0])
 
 
-def next_indentation(
-    identified: Identified, printed: Mapping[str, float | None]
-) -> dict[str, tuple[float, float]]:
-    """Prediction intervals of parameters that every log determines; none with fewer than three logs.
-
-    None of a parameter whose ``printed`` value lies outside: logs alone do not determine it.
-    """
+def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
+    """Prediction intervals of parameters that every log determines; none with fewer than three logs."""
     logs = len(identified.system.logs)
     if logs < FEWEST:
         return {}
     theta = np.array([_alone(identified, i) for i in range(logs)])
     out = {}
     for name, values in reported_draws(identified.law.model(), theta).items():
-        ln = np.log(np.maximum(values, 1e-300))
-        found = predicted(float(ln.mean()), float(ln.std(ddof=1)), logs)
-        if found is not None and (values > 0.0).all() and inside(printed[name], found):
-            out[name] = found
+        if (values > 0.0).all():
+            ln = np.log(values)
+            found = predicted(float(ln.mean()), float(ln.std(ddof=1)), logs)
+            if found is not None:
+                out[name] = found
     return out
 
 

@@ -166,9 +166,16 @@ def specimen_flags(
     return tuple(flags)
 
 
-def inside(value: float | None, interval: tuple[float, float] | None) -> bool:
-    """Both are known, and the value lies in its interval."""
-    return value is not None and interval is not None and interval[0] <= value <= interval[1]
+def _inside(value: float, interval: tuple[float, float] | None) -> bool:
+    return interval is not None and interval[0] <= value <= interval[1]
+
+
+def _apart(value: float, own: ParameterUncertainty) -> bool:
+    """Logs fitted alone have it elsewhere: neither lies within the interval of the other."""
+    if own.prediction95 is None:
+        return False
+    middle = float(np.sqrt(np.prod(own.prediction95)))
+    return not (_inside(value, own.prediction95) or _inside(middle, own.ci95_total or own.ci95))
 
 
 def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
@@ -178,8 +185,9 @@ def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncer
     for one in parameters:
         if one.value is None or one.name not in found:
             continue
-        own = found[one.name]
-        if not inside(one.value, own.ci95) or (totals and not inside(one.value, own.ci95_total)):
+        own, value = found[one.name], one.value
+        held = _inside(value, own.ci95) and (not totals or _inside(value, own.ci95_total))
+        if not held or _apart(value, own):
             out.append(one.name)
     return tuple(out)
 
