@@ -69,7 +69,7 @@ def test_a_branch_too_many_of_another_law_does_not_widen_it(seed):
 @pytest.mark.parametrize(
     ("value", "total", "alone", "held"),
     [
-        # six places whose times differ by 20 %: F_s of the pooled fit bends, where each alone has the truth, 0.3
+        # six places whose times differ by 20 %: each alone has the truth, 0.3, where the pooled F_s bends
         (0.165, (0.082, 0.250), (0.189, 0.382), False),
         # identical logs: what is not known of the machine moves the pooled value, within its interval
         (0.3789, (0.367, 0.392), (0.3720, 0.3786), True),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -253,7 +252,7 @@ def _identify_options(flags: _FitFlags) -> IdentifyOptions:
     required = tuple(name for name in flags.require if name != "none")
     posterior = None
     if flags.sampler != "none":
-        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed, workers=os.cpu_count() or 1)
+        posterior = PosteriorOptions(flags.sampler, flags.draws, flags.seed)
     return IdentifyOptions(
         fit=FitOptions(
             model=flags.model or KELVIN_VOIGT,

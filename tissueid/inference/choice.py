@@ -88,7 +88,7 @@ class Rival:
     #: Ln of the chosen law's mean square error over its own, on what was left out.
     gain: float
     stderr: float
-    wide: float  # gain within which they predict alike
+    wide: float  # loss with which it predicts as well
     tau_s: float  # its shortest relaxation time, NaN where nothing relaxes
     apart: float  # difference of ln tau from the chosen law's, in standard deviations of both
     model: ChannelModel = field(repr=False)
@@ -102,7 +102,7 @@ class Rival:
     @property
     def as_good(self) -> bool:
         """It predicts as well as the chosen law, or better."""
-        return self.gain >= -max(self.wide, NO_GAIN)
+        return self.gain >= -self.wide
 
     @property
     def disagrees(self) -> bool:
@@ -113,7 +113,7 @@ class Rival:
 def rival_of(tried: Tried, chosen: Tried) -> Rival:
     """A law that was tried beside the chosen one."""
     gain, stderr = _gain(tried, chosen)
-    wide = float(t.ppf(ONE_ERROR, max(chosen.errors.size - 1, 1))) * stderr
+    wide = float(tolerated(stderr, chosen.errors.size))
     ln_tau, sd = _first_time(tried)
     other, other_sd = _first_time(chosen)
     apart = (ln_tau - other) / max(float(np.hypot(sd, other_sd)), LEAST_SD)
@@ -305,7 +305,7 @@ class Choice:
 
     chosen: Tried
     rivals: tuple[Rival, ...]  # other laws beside it
-    simplest: tuple[Rival, ...]  # of them the one of each kind that is chosen: branches too many are junk
+    simplest: tuple[Rival, ...]  # the one of each kind with as few branches as do
     mark: Rival | None  # the yardstick beside it
 
 
@@ -357,9 +357,7 @@ def _named_row(name: str, law: ChannelLaw | ChannelModel, score: float, stderr: 
     }  # fmt: skip
 
 
-def chosen_among(
-    tried: Sequence[Tried],
-) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
+def chosen_among(tried: Sequence[Tried]) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
     """The simplest candidate within one standard error of the best, a table, and those that are as good."""
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
     as_good = []

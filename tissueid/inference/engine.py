@@ -250,11 +250,7 @@ class _Orders:
 
 
 def _orders_tried(
-    fitting: _Fitting,
-    memory: Memory,
-    groups: Groups,
-    facts: Sequence[FittedLog],
-    tick: Callable[[str], None],
+    fitting: _Fitting, memory: Memory, groups: Groups, facts: Sequence[FittedLog], tick: Callable[[str], None]
 ) -> _Orders:
     """Orders until none is wanted."""
     request, tried = fitting.request, list[Tried]()

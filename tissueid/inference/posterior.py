@@ -63,14 +63,11 @@ class PosteriorOptions:
     draws : int
         Effective draws that are asked for.
     seed : int
-    workers : int
-        Kept for callers; one process samples a specimen.
     """
 
     sampler: str = "emcee"
     draws: int = 2_000
     seed: int = 0
-    workers: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,12 +280,7 @@ def _with_medians(
 
 
 def _assembled(
-    fitted: FittedSpecimen,
-    target: SpecimenTarget,
-    sampled: Sampled,
-    draws: Draws,
-    *,
-    instrument: bool,
+    fitted: FittedSpecimen, target: SpecimenTarget, sampled: Sampled, draws: Draws, *, instrument: bool
 ) -> SpecimenFit:
     """Values, intervals, budget and checks from draws."""
     model, fit, noise = fitted.tissue.model, fitted.fit, fitted.noise
@@ -300,7 +292,8 @@ def _assembled(
     parameters = _with_medians(fit.parameters, statistical, found)
     later = next_indentation(fitted.identified)
     found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
-    parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it, or that of logs fitted alone does")
+    why = "the value lies outside it, or that of logs fitted alone does"
+    parameters, said = withheld(parameters, outside(parameters, found), why)
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     detail = {"density": "generalised" if fitted.identified.discrepant else "exact", **sampled.detail}
     detail["total"] = {"converged": True, "worth": sampled.detail["effective_draws"]}

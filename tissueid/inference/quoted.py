@@ -225,9 +225,8 @@ def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
         if one.name not in {"fraction_relaxed", "peak_to_plateau"} or one.value is None or one.stderr is None:
             return one
         # a peak over what stays, p, is the share 1 - 1/p
-        share, by = one.value, 1.0
-        if one.name == "peak_to_plateau":
-            share, by = 1.0 - 1.0 / one.value, one.value**2
+        over = one.name == "peak_to_plateau"
+        share, by = (1.0 - 1.0 / one.value, one.value**2) if over else (one.value, 1.0)
         form = max(0.5 * float(np.ptp([share, *(_share(rival, one.at) for rival in alike)])), LEAST_FORM)
         return replace(one, stderr=float(np.hypot(one.stderr, by * form)))
 

@@ -14,13 +14,7 @@ from numpy.polynomial.polynomial import polyder, polyval
 from tissueid.arrays import FloatArray
 from tissueid.model.base import MOST_BRANCHES
 from tissueid.model.channels import ChannelModel, DampedModel, Part
-from tissueid.model.kernels import (
-    LAW_SIZE,
-    MOST_PIECES,
-    OWN_SIZE,
-    pack_law,
-    pack_pieces,
-)
+from tissueid.model.kernels import LAW_SIZE, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
 from tissueid.model.yardstick import Yardstick
 
 #: What branches follow; of a law without branches, the speed over that at contact.

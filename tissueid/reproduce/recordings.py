@@ -66,9 +66,7 @@ def fitted(
     """Fit every specimen among trials of white noise, the model's order known."""
     options = IdentifyOptions(
         fit=FitOptions(branches=1, stiffness_degree=stiffness_degree, static=static, noise="white"),
-        posterior=(
-            PosteriorOptions(draws=effort.draws, seed=effort.seed, workers=2) if effort.draws else None
-        ),
+        posterior=PosteriorOptions(draws=effort.draws, seed=effort.seed) if effort.draws else None,
         seed=effort.seed,
     )
     found = identify(trials, options=options)
