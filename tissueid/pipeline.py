@@ -231,9 +231,7 @@ def _identity(
     )
     said = "" if study is None else study.sha256
     libraries = [__version__, *versions(LIBRARIES).values()]
-    posterior = None if options.posterior is None else replace(options.posterior, workers=1)
-    asked = replace(options, posterior=posterior)
-    return hashlib.sha256(repr((own, said, libraries, asked)).encode()).hexdigest()
+    return hashlib.sha256(repr((own, said, libraries, options)).encode()).hexdigest()
 
 
 def with_model(options: IdentifyOptions, study: Study | None) -> IdentifyOptions:

@@ -205,6 +205,10 @@ def test_a_third_branch_of_one_program_has_to_gain_a_fifth_and_be_shown_by_the_l
     much, luck = (tried(3, 1, 0.7 * base, badness=-shown) for shown in (20.0, 10.0))
     assert without_bends([plain, much]) == [plain, much]
     assert without_bends([plain, luck]) == [plain]
+    # a second branch needs no such gain, but to be seen
+    one, two = tried(1, 0, base), tried(2, 0, 0.97 * base, badness=0.6)
+    assert without_bends([one, two]) == [one]
+    assert without_bends([one, replace(two, badness=-20.0)])[1].branches == 2
 
 
 PAPER = small_recipe(branches=(Branch((10.0, 12.0), 0.3),), logs=LOGS, sigma_N=0.1)

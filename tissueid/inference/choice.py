@@ -34,7 +34,7 @@ TOO_MUCH = 1.0
 #: Laws of different kinds may differ by more.
 MISSES, MISSES_OF_LAWS = 1.5, 3.0
 #: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
-#: program, and level at which the logs themselves must show it: what is left out rests on few gains.
+#: program, and level at which the logs themselves must show any: what is left out rests on few gains.
 BEND, SHOWN = 0.2, 0.99
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 20, 8
@@ -263,19 +263,19 @@ def resolved(one: Tried, step_s: float) -> bool:
 
 
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
-    """Candidates of one program: K varies with depth, and has a third branch, only where much is gained.
+    """Candidates of one program: what a branch or a bend too many adds must be seen in the log itself.
 
-    Only the form of their polynomials tells F_s(x) from K(x) s(x) there: an error of the contact looks
-    like a K that bends.
+    K varies with depth, and has a third branch, only where much is gained as well: only the form of their
+    polynomials tells F_s(x) from K(x) s(x) there, and an error of the contact looks like a K that bends.
     """
 
-    def plainer(other: Tried, one: Tried) -> bool:
-        flatter = other.branches == one.branches and other.degree < one.degree
-        return flatter or (other.branches == 2 < one.branches and other.degree <= one.degree)
-
     def needed(one: Tried, other: Tried) -> bool:
+        gained = other.branches not in {one.branches, 2} or _gain(one, other)[0] >= BEND
         least = float(chi2.ppf(SHOWN, one.law.freedom - other.law.freedom))
-        return _gain(one, other)[0] >= BEND and other.badness - one.badness >= least
+        return gained and other.badness - one.badness >= least
+
+    def plainer(other: Tried, one: Tried) -> bool:
+        return other is not one and other.branches <= one.branches and other.degree <= one.degree
 
     return [one for one in tried if all(needed(one, other) for other in tried if plainer(other, one))]
 

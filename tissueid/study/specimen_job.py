@@ -57,9 +57,6 @@ class SpecimenJob:
 
     def key(self) -> str:
         """SHA-256 of everything that may change the result."""
-        posterior = self.options.posterior
-        if posterior is not None:
-            posterior = replace(posterior, workers=1)
         document = {
             "schema": SPECIMEN_SCHEMA_VERSION,
             "content": CONTENT,
@@ -67,7 +64,7 @@ class SpecimenJob:
             "recordings": [list(one) for one in self.recordings],
             "study": None if self.study is None else facts_of(self.study),
             "reading": repr(self.reading),
-            "options": repr(replace(self.options, posterior=posterior)),
+            "options": repr(self.options),
             "provenance": dict(self.provenance),
             "versions": versions(),
         }
