@@ -74,7 +74,7 @@ def _alone(identified: Identified, index: int) -> FloatArray:
         system,
         start,
         partial(prior_rows, system, identified.scatter, identified.request.priors, machine=False),
-        memory=found.noise.memory,
+        noise=found.noise.memory,
         machine=False,
         steps=STEPS,
     )
