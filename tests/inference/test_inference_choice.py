@@ -117,6 +117,15 @@ def test_a_law_that_lacks_a_branch_in_all_logs_is_no_candidate_beside_another_ki
     assert choice_of(paper, [alike, more], choose=True).chosen is alike
 
 
+def test_a_branch_too_many_of_another_law_is_a_row_and_counts_for_nothing():
+    names = [f"polynomial * tangent * prony:{n}" for n in (1, 2)]
+    found = choice_of(tried(1, 0, NEAR), [named(one, NEAR) for one in names], choose=False)
+    assert [one.name for one in found.rivals] == names
+    assert [one.name for one in found.simplest] == names[:1]
+    # a gain that is sure, and short of a fifth, is as good
+    assert rival(0.5 * BEND, 0.0, stderr=1e-3).as_good
+
+
 def test_of_as_many_parameters_the_papers_law_is_kept_and_unasked_always():
     paper, other = tried(1, 0, NEAR), named("polynomial * tangent * prony:1", [0.99, 1.09, 0.9, 1.0])
     assert choice_of(paper, [other], choose=True).chosen is paper

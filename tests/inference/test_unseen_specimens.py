@@ -38,10 +38,6 @@ def quasi_linear(time, x):
     return elastic(x) + 0.4 * relaxing(time, elastic(x), 1.5)
 
 
-def paper(time, x):
-    return 0.3 * x + 0.05 * x**2 + 0.02 * x**3 + 0.25 * relaxing(time, x, 1.5)
-
-
 def relaxed(fit, name):
     """Values, errors and times of a number after an ideal step."""
     rows = [one for one in fit.result.quoted.model if one.name == name and one.at.path == "step"]
@@ -55,15 +51,6 @@ def test_a_law_that_predicts_a_little_better_widens_what_relaxes_after_a_step(se
     for value, stderr, time in relaxed(fit, "fraction_relaxed"):
         assert abs(value - share * (1.0 - np.exp(-time / 1.5))) < 3.0 * stderr
     assert abs(over - 1.4) < 3.0 * error
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_branch_too_many_of_another_law_does_not_widen_it(seed):
-    fit = ti.fit([recorded(paper, seed=seed, noise=0.003)])
-    share = 1.25 / (1.5 + 1.25 + 2.5 + 1.25)
-    for value, stderr, time in relaxed(fit, "fraction_relaxed"):
-        assert stderr < 0.06
-        assert abs(value - share * (1.0 - np.exp(-time / 1.5))) < 3.0 * stderr
 
 
 @pytest.mark.parametrize(
