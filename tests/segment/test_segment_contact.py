@@ -79,6 +79,17 @@ def test_a_stated_contact_is_taken_where_it_lies(stated_mm, in_record, said):
     assert said is None or said in flag_of(found, "starts_in_contact").message
 
 
+@pytest.mark.parametrize("air_mm", [0.0, 2.0])
+def test_a_soft_start_that_may_lie_in_air_says_so(air_mm):
+    rng, time = np.random.default_rng(3), np.arange(0.0, 12.0, 0.01)
+    travel = np.clip(15.0 * (time - 1.0), 0.0, 17.0)
+    depth = np.maximum(travel - air_mm, 0.0)
+    force = 0.05 * depth + 0.01 * depth**2 + 0.002 * depth**3 + 0.03 * rng.standard_normal(time.size)
+    found = segment(Trial("soft", time, travel, force))
+    assert ("in air; the start is taken" in flag_of(found, "starts_in_contact").message) == (air_mm > 0.0)
+    assert abs(found.contact.displacement_mm - air_mm) <= 1.96 * found.contact.sd_mm
+
+
 @pytest.mark.parametrize("n", [30, 500, 20_000])
 def test_white_noise_is_measured_on_a_curved_ramp_and_a_hold(n):
     rng = np.random.default_rng(9)

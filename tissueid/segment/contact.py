@@ -137,6 +137,8 @@ TOUCH_SD = 20.0
 STAYING_SHARE = 0.25
 #: Share of readings in air that repeat the last where its noise does not cross the steps of its digits.
 STEADY_SHARE = 0.9
+#: A start in air after all is said where contact would lie so many of its sd behind the start.
+DOUBTFUL_SD = 2.0
 #: Contact sd above this share of the depth is said.
 UNCERTAIN_SHARE = 0.05
 #: Fewest samples of a ramp from which a contact can be found.
@@ -385,6 +387,9 @@ def _start_in_contact(
     doubt = min(float(np.hypot(contact.sd_mm, _doubt(air, contact, u, compression))), float(np.ptp(u)))
     contact = replace(contact, sd_mm=doubt)
     message = "the record shows no samples in air before contact"
+    if air.contact_mm - start > DOUBTFUL_SD * air.sd_mm:
+        later = f"from one after {air.contact_mm - start:.3g} mm in air; the start is taken"
+        message = f"force does not tell contact at the start {later}"
     flags.append(Flag("starts_in_contact", message, {"sd_mm": contact.sd_mm}))
     return contact, flags + _uncertain(contact, u)
 
