@@ -80,14 +80,18 @@ def test_a_stated_contact_is_taken_where_it_lies(stated_mm, in_record, said):
 
 
 @pytest.mark.parametrize("air_mm", [0.0, 2.0])
-def test_a_soft_start_that_may_lie_in_air_says_so(air_mm):
-    rng, time = np.random.default_rng(3), np.arange(0.0, 12.0, 0.01)
+def test_a_soft_start_is_no_evidence_for_air_and_says_that_it_may_lie_there(air_mm):
+    time, said = np.arange(0.0, 12.0, 0.01), 0
     travel = np.clip(15.0 * (time - 1.0), 0.0, 17.0)
     depth = np.maximum(travel - air_mm, 0.0)
-    force = 0.05 * depth + 0.01 * depth**2 + 0.002 * depth**3 + 0.03 * rng.standard_normal(time.size)
-    found = segment(Trial("soft", time, travel, force))
-    assert ("in air; the start is taken" in flag_of(found, "starts_in_contact").message) == (air_mm > 0.0)
-    assert abs(found.contact.displacement_mm - air_mm) <= 1.96 * found.contact.sd_mm
+    for seed in range(4):
+        noise = 0.03 * np.random.default_rng(seed).standard_normal(time.size)
+        found = segment(
+            Trial("soft", time, travel, 0.02 * depth + 0.01 * depth**2 + 0.002 * depth**3 + noise)
+        )
+        assert abs(found.contact.displacement_mm - air_mm) <= 1.96 * found.contact.sd_mm
+        said += "in air; the start is taken" in flag_of(found, "starts_in_contact").message
+    assert air_mm == 0.0 or said >= 3
 
 
 @pytest.mark.parametrize("n", [30, 500, 20_000])

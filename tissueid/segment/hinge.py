@@ -140,6 +140,8 @@ FEWEST_BINS = 8
 NOISE_EFFICIENCY = 0.37
 NOISE_CURVATURE = 3.0
 LEAST_FREEDOM = 0.5
+#: Samples from which on the density of a contact at the start leaves out what the place of a kink tells.
+MANY = 64.0
 #: The stated standard deviation is the half width of the 95 % interval over this.
 NORMAL_95 = 1.959963984540054
 #: A step over the sd of a place within it.
@@ -261,7 +263,10 @@ def _fit(
     # the lattice ends within one row of a limit
     row = float(contact[1] - contact[0]) if contact.size > 1 else 0.0
     start = np.clip(shape.start_mm, contact[0], None) if shape.start_mm >= contact[0] - row else np.nan
-    begins = float(np.interp(start, contact, share, right=0.0)) / float(share.max()) if row else 1.0
+    # a kink tells more of its place than a soft start: of many samples that is no evidence for it
+    many = float(shape.bins.count.sum()) >= MANY
+    told = lattice.mass(found.log_likelihood).sum(axis=1) if many else share
+    begins = float(np.interp(start, contact, told, right=0.0)) / float(told.max()) if row else 1.0
     freedom = shape.freedom
     excess = float(found.misfit[lattice.inside].min()) / freedom
     adequate = excess <= 1.0 + ADEQUATE_SD * float(np.sqrt(2.0 / freedom))

@@ -207,6 +207,7 @@ class Posterior:
     """Log density at nodes, and the least-squares shape at each."""
 
     log_density: FloatArray  # (n, m)
+    log_likelihood: FloatArray  # (n, m), the density without what makes intervals of a contact in air cover
     misfit: FloatArray  # (n, m), chi-square at each node
     #: (n, m, k): p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, its drift over W and its
     #: value at contact [N]; W the window.
@@ -256,7 +257,7 @@ class RampShape:
         freedom = self.freedom
         known = self.noise_freedom
         log_density = -0.5 * (known + freedom) * np.log1p(misfit / known)
-        log_density += 0.5 * np.log(judged[0])
+        jeffreys = 0.5 * np.log(judged[0])
         log_density += 0.5 * LENGTH_WEIGHT * np.log(judged[1])
         first = scale * (coefficients[:, :, 0] + branch) + self.slope_N_per_mm * window
         log_density += _log_normal_mass(first / (scale * np.sqrt(judged[2])))
@@ -264,7 +265,7 @@ class RampShape:
         static_N = coefficients * prior
         if self.baseline:
             static_N[:, :, -1] += zero_N
-        return Posterior(log_density, misfit, static_N, branch * scale)
+        return Posterior(log_density + jeffreys, log_density, misfit, static_N, branch * scale)
 
     def slopes(
         self, found: Posterior, mass: FloatArray, contact_mm: FloatArray, length_mm: FloatArray
