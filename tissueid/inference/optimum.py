@@ -348,22 +348,20 @@ def minimise(
         if largest < STILL and gain < NO_GAIN:
             converged = True
             break
-        if rival is not None:
-            behind = CATCHING_UP * (_criterion(system, here) - rival)
-            slow = slow + 1 if gain < max(behind, LITTLE) else 0
-            if slow == SLOW_STEPS:
-                break
+        slow = slow + 1 if _is_slow(system, here, gain, rival) else 0
+        if slow == SLOW_STEPS:
+            break
     hessian = here.normal.hessian.copy()
     hessian[np.diag_indices(len(frozen))] += frozen
     return Optimum(
-        point=here.point,
-        normal=here.normal,
-        prior=here.prior,
-        noise=Noise(here.noise_N, memory),
-        covariance=covariance_of(hessian),
-        converged=converged,
-        active=_active(here.prior, here.point.shared),
-    )
+        point=here.point, normal=here.normal, prior=here.prior, noise=Noise(here.noise_N, memory),
+        covariance=covariance_of(hessian), converged=converged, active=_active(here.prior, here.point.shared),
+    )  # fmt: skip
+
+
+def _is_slow(system: System, here: _At, gain: float, rival: float | None) -> bool:
+    """True of a step that gains little, of a search that only compares."""
+    return rival is not None and gain < max(LITTLE, CATCHING_UP * (_criterion(system, here) - rival))
 
 
 def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:

@@ -265,7 +265,7 @@ def _fit(
     start = np.clip(shape.start_mm, contact[0], None) if shape.start_mm >= contact[0] - row else np.nan
     # a kink tells more of its place than a soft start: of many samples that is no evidence for it
     many = float(shape.bins.count.sum()) >= MANY
-    told = lattice.mass(found.log_likelihood).sum(axis=1) if many else share
+    told = lattice.mass(found.log_unweighted).sum(axis=1) if many else share
     begins = float(np.interp(start, contact, told, right=0.0)) / float(told.max()) if row else 1.0
     freedom = shape.freedom
     excess = float(found.misfit[lattice.inside].min()) / freedom

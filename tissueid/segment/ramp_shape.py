@@ -207,7 +207,7 @@ class Posterior:
     """Log density at nodes, and the least-squares shape at each."""
 
     log_density: FloatArray  # (n, m)
-    log_likelihood: FloatArray  # (n, m), the density without what makes intervals of a contact in air cover
+    log_unweighted: FloatArray  # (n, m), the same without Jeffreys' weight of the contact
     misfit: FloatArray  # (n, m), chi-square at each node
     #: (n, m, k): p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, its drift over W and its
     #: value at contact [N]; W the window.
