@@ -15,6 +15,8 @@ from tissueid.arrays import FloatArray
 PASSIVE_POINTS = 41
 #: Keeps states of a long hold out of denormal numbers.
 TINY = 1e-180
+#: Shortest step over a relaxation time.
+SHORTEST = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,22 +25,22 @@ class Path:
 
     step_s: FloatArray  # (m,), time since the point before; infinite at the first point of a log
     depth_mm: FloatArray  # (m,) and (n, m), at least 0; of one point of the parameters or of n
-    share: FloatArray  # share of the step that was spent in contact
+    entered: NDArray[np.int64]  # places in ``depth_mm``, flat, that are reached from air
+    share: FloatArray  # share of the step to each of these that was spent in contact
     fresh: NDArray[np.int64]  # first point of each log
     #: (m,): speed over that at which each contact began, as recorded; zero where no law follows it.
     speed_ratio: FloatArray = field(default_factory=lambda: np.zeros(1))
 
 
 def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
-    """States y_i = decay_i y_(i-1) + right_i along the last axis: one banded solve.
+    """States y_i = decay_i y_(i-1) + right_i along the last axis, in place of ``right``: one banded solve.
 
     ``decay`` (..., m): 0 at the first point of each log; ``right`` (c, ..., m) and (..., m).
     """
-    band = np.empty((2, decay.size), order="F")
-    band[0] = 1.0
+    band = np.zeros((2, decay.size), order="F")
     np.negative(decay.reshape(-1)[1:], out=band[1, :-1])
     two = np.ascontiguousarray(right).reshape(-1, decay.size)
-    return np.asarray(dtbtrs(band, two.T, uplo="L", diag="U")[0].T.reshape(right.shape))
+    return np.asarray(dtbtrs(band, two.T, uplo="L", diag="U", overwrite_b=1)[0].T.reshape(right.shape))
 
 
 def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
@@ -52,23 +54,34 @@ def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> Float
     change[..., 0] = 0.0
     np.subtract(value[..., 1:], value[..., :-1], out=change[..., 1:])
     change[..., path.fresh] = 0.0
-    right = sudden_shares(path, tau_s) * np.expand_dims(change, value.ndim - path.depth_mm.ndim)
+    right, decay = _steps(path, tau_s)
+    change = np.expand_dims(change, value.ndim - path.depth_mm.ndim)
+    right = np.multiply(right, change, out=right if change.ndim == right.ndim else None)
     right += TINY
-    return driven(np.exp(-path.step_s / tau_s[..., None]), right)
+    return driven(decay, right)
+
+
+def _steps(path: Path, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares as :func:`sudden_shares` has them, and decays over a step."""
+    down = np.minimum(path.step_s / -tau_s[..., None], -SHORTEST)
+    decay = np.expm1(down)
+    right = decay / down
+    entering = np.minimum(down.reshape(len(tau_s), -1)[:, path.entered] * path.share, -SHORTEST)
+    right.reshape(len(tau_s), -1)[:, path.entered] = np.expm1(entering) / entering
+    decay += 1.0
+    return right, decay
 
 
 def sudden_shares(path: Path, tau_s: FloatArray) -> FloatArray:
     """Share of a step's change that is left at its end by each relaxation time, (j, m) or (j, n, m)."""
-    z = np.maximum(path.step_s * path.share / tau_s[..., None], 1e-12)
-    right = np.expm1(-z)
-    return np.asarray(np.divide(right, -z, out=right))
+    return _steps(path, tau_s)[0]
 
 
 def weighted(columns: FloatArray, linear: FloatArray) -> FloatArray:
     """Force of columns: (p, m) and (p,) -> (m,), or (p, n, m) and (n, p) -> (n, m)."""
     if linear.ndim == 1:
         return np.asarray(linear @ columns)
-    return np.asarray((columns * linear.T[:, :, None]).sum(axis=0))
+    return np.asarray((linear[:, None] @ columns.swapaxes(0, 1))[:, 0])
 
 
 @lru_cache

@@ -88,6 +88,11 @@ class Weighed:
     worth: float
     pareto: float
 
+    @property
+    def telling(self) -> bool:
+        """True where the points are draws of the target but for their weights: more would tell no more."""
+        return self.pareto <= GOOD_TAILS and self.worth >= HALF * self.weights.size
+
 
 def _pareto(tail: FloatArray) -> tuple[float, float]:
     """Shape and scale of a generalised Pareto distribution of ascending exceedances."""
@@ -260,7 +265,7 @@ def sample(
 
     # walkers that no importance weights vouch for have to agree
     alike, few = (ALIKE if poor else ALIKE_WEIGHED), weighed.pareto <= TRUSTED
-    worth_it = weighed.worth >= HALF * draws
+    worth_it = weighed.telling or weighed.worth >= HALF * draws
     rounds = ROUNDS_ALONE if poor else ROUNDS if not few else FEW_ROUNDS if worth_it else MORE_ROUNDS
     walked, apart = _walked(sampler, state, weighed, draws, told, rounds=rounds, alike=alike)
     told(int(sampler.iteration), 1.0)
@@ -327,7 +332,7 @@ def _walked(
         apart = max(one.r_hat for one in coordinates.values())
         progress(int(sampler.iteration), min(found / wanted, 1.0))
         if (found >= wanted and (trusted or apart <= alike)) or (
-            trusted and weighed.worth >= draws and found >= HALF * draws
+            (weighed.telling or (trusted and weighed.worth >= draws)) and found >= HALF * draws
         ):
             break
     return found, apart
@@ -341,7 +346,7 @@ def _weighed(
     kept: Checkpoint,
     progress: Callable[[int, float], None],
 ) -> tuple[FloatArray, FloatArray, Weighed]:
-    """Importance sampling until it is worth what was asked for."""
+    """Importance sampling until it is worth what was asked for, or tells that its proposals are as good."""
     points, log_weight = kept.resume(rng, target.size)
     found = Weighed(np.zeros(0), 0.0, np.inf)
     for _ in range(MOST_LOOKS):
@@ -349,7 +354,7 @@ def _weighed(
             found = smoothed(log_weight)
             progress(len(points), min(found.worth / draws, 1.0))
             dear = len(points) >= FEW_LOOKS * LOOK and found.worth < POOR_LOOK * len(points)
-            if found.worth >= draws or (dear and found.worth >= WALKERS * FEWEST_STARTS):
+            if found.telling or found.worth >= draws or (dear and found.worth >= WALKERS * FEWEST_STARTS):
                 break
         new = proposal.draw(LOOK, rng)
         points = np.vstack([points, new])

@@ -130,16 +130,19 @@ class System:
         self.logs, self.law, self.depth_mm, self.effects = tuple(logs), law, depth_mm, effects
         points = np.array([one.time_s.size for one in logs])
         first = np.concatenate([[0], np.cumsum(points)[:-1]])
-        self.point_log = np.repeat(np.arange(len(logs)), points)
+        self.points = points
         self.travel = np.concatenate([one.depth_mm for one in logs]) / depth_mm
         self.speed_ratio = np.concatenate([one.speed_ratio for one in logs])
         step = np.diff(np.concatenate([one.time_s for one in logs]), prepend=0.0)
         step[first] = np.inf
         self.step = np.maximum(step, 1e-12)
         self.fresh = first
+        self.first = np.zeros(step.size, dtype=bool)
+        self.first[first] = True
         rows = [one.at + offset for one, offset in zip(logs, first, strict=True)]
-        self.at = np.concatenate(rows)
-        self.sampled = bool((self.at[:, 0] == self.at[:, 2]).all())
+        #: (3, k): points at both ends of each observation and in its middle, Simpson's.
+        self.at = np.ascontiguousarray(np.concatenate(rows).T)
+        self.sampled = bool((self.at[0] == self.at[2]).all())
         self.log = np.repeat(np.arange(len(logs)), [one.force_N.size for one in logs])
         self.begins = np.concatenate([[0], np.cumsum([one.force_N.size for one in logs])[:-1]])
         self.force = np.concatenate([one.force_N for one in logs])
@@ -191,20 +194,28 @@ class System:
 
     def path(self, depth: FloatArray) -> Path:
         """Depths (over the largest depth) of all points as a path in contact, (m,) or (n, m)."""
-        touching = depth > 0.0
-        crossing = np.nonzero(touching[..., 1:] & ~touching[..., :-1])
-        after = (*crossing[:-1], crossing[-1] + 1)
-        share = np.ones(depth.shape)
-        share[after] = depth[after] / (depth[after] - depth[crossing])
-        share[..., self.fresh] = 1.0
-        return Path(self.step, np.maximum(depth, 0.0) * self.depth_mm, share, self.fresh, self.speed_ratio)
+        flat = depth.ravel()
+        touching = flat > 0.0
+        entered = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
+        entered = entered[~self.first[entered % depth.shape[-1]]]
+        share = flat[entered] / (flat[entered] - flat[entered - 1])
+        below = np.maximum(depth, 0.0) * self.depth_mm
+        return Path(self.step, below, entered, share, self.fresh, self.speed_ratio)
+
+    def at_points(self, values: FloatArray) -> FloatArray:
+        """Values of the logs at each of their points, (..., logs) -> (..., m)."""
+        return np.repeat(values, self.points, axis=-1)
 
     def means(self, values: FloatArray) -> FloatArray:
         """Observations of values at points, (..., m) -> (..., k)."""
         if self.sampled:
-            return np.asarray(values[..., self.at[:, 0]])
-        a, b, c = self.at.T
-        return np.asarray((values[..., a] + 4.0 * values[..., b] + values[..., c]) / 6.0)
+            return np.take(values, self.at[0], axis=-1, mode="clip")
+        out = np.take(values, self.at[1], axis=-1, mode="clip")
+        out *= 4.0
+        for side in self.at[::2]:
+            out += np.take(values, side, axis=-1, mode="clip")
+        out /= 6.0
+        return out
 
     def recorded(self, force: FloatArray, machine: FloatArray) -> FloatArray:
         """Force as the load channel reports it, filtered and late: (c, m) or (c, n, m), or without c."""
@@ -249,20 +260,20 @@ class System:
 
     def contact(self, point: Point) -> FloatArray:
         """Contact offset of the log of each point over the largest depth, (m,) or (n, m)."""
-        return np.asarray(self.offsets(point)[..., self.point_log])
+        return self.at_points(self.offsets(point))
 
     def gain(self, point: Point, u: FloatArray) -> FloatArray:
         """Gain of each point at depths over the largest depth, (m,), (n, m) or (1,)."""
         if not self.effects.gain:
             return np.ones(1)
-        ln_gain = point.own[..., 0][..., self.point_log]
+        ln_gain = self.at_points(point.own[..., 0])
         if self.effects.shape:
             ln_gain = ln_gain + self._by_shape(point, _shape(u))
         return np.asarray(np.exp(ln_gain))
 
     def _by_shape(self, point: Point, curves: FloatArray) -> FloatArray:
         """Curves of depth times the shape of each point's log, (2, ..., m) -> (..., m)."""
-        own = np.moveaxis(point.own[..., -SHAPE:], -1, 0)[..., self.point_log]
+        own = self.at_points(np.moveaxis(point.own[..., -SHAPE:], -1, 0))
         if own.ndim < curves.ndim:
             own = own[:, None]
         return np.asarray((own * curves).sum(axis=0))
@@ -286,7 +297,8 @@ class System:
         for _ in range(1 + rounds * yields):
             path = self.path(self._behind(point, force))
             columns = self.law.columns(point.log_times, path)
-            columns *= self.gain(point, path.depth_mm / self.depth_mm)
+            if self.effects.gain:
+                columns *= self.gain(point, path.depth_mm / self.depth_mm)
             found = weighted(columns, point.linear)
             # what the frame gives way to on the way there
             force = force + self.soft * (found - force) if yields else found
@@ -385,7 +397,7 @@ class System:
             point.linear @ self.law.columns(point.log_times, deeper)
         )
         by_contact = (still - moved) / STEP_DEPTH
-        parts += [-self.onset[self.point_log] * by_contact if machine else none, *columns]
+        parts += [-self.at_points(self.onset) * by_contact if machine else none, *columns]
         parts += self._by_own(base, behind, by_contact)
         tip = np.stack(parts)
         if self._yields(point):

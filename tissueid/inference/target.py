@@ -34,7 +34,7 @@ STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
 #: Share of the largest force below which own derivatives stay those of the optimum.
 SLIGHT = 1e-3
 #: Points along all logs, times vectors, of one evaluation.
-PART = 32_768
+PART = 65_536
 
 
 class Target(Protocol):
