@@ -27,6 +27,9 @@ MACHINE_SD = np.array([-3.0, -1.5, -0.7, 0.0, 0.5, 1.0, 1.5, 2.2, 3.0])
 WIDEST, PROFILE_STEPS = 3.0, 8
 #: Intervals beyond its ends that a ridge is continued straight.
 BEYOND = 3.0
+#: Loss of ln density to which a ridge is followed closely; distance from it, whitened, that is near enough,
+#: and times that an interval is halved until it is.
+LIKELY, NEAR, HALVINGS = 8.0, 0.3, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,13 +39,19 @@ class Ridge:
     place: int  # coordinate it runs along
     values: FloatArray  # (g,), ascending
     off: FloatArray  # (g, size)
+    slopes: FloatArray  # (g, size)
 
     def at(self, value: FloatArray) -> FloatArray:
-        """Rest beside the tangent at values of the coordinate, (...,) -> (..., size)."""
+        """Rest beside the tangent at values of the coordinate, (...,) -> (..., size): cubic in between."""
         i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
-        width = self.values[i + 1] - self.values[i]
-        share = np.clip((value - self.values[i]) / width, -BEYOND, 1.0 + BEYOND)[..., None]
-        return np.asarray(self.off[i] * (1.0 - share) + self.off[i + 1] * share)
+        width = (self.values[i + 1] - self.values[i])[..., None]
+        share = np.clip((value - self.values[i])[..., None] / width, -BEYOND, 1.0 + BEYOND)
+        inside = np.clip(share, 0.0, 1.0)
+        rest = 1.0 - inside
+        out = self.off[i] * rest**2 * (1.0 + 2.0 * inside) + self.off[i + 1] * inside**2 * (1.0 + 2.0 * rest)
+        out += width * inside * rest * (self.slopes[i] * rest - self.slopes[i + 1] * inside)
+        ends = np.where(share < 0.0, self.slopes[i], self.slopes[i + 1])
+        return np.asarray(out + (share - inside) * width * ends)
 
 
 def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArray]) -> tuple[Ridge, ...]:
@@ -58,35 +67,77 @@ def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArra
             values = np.clip(middle + min(float(sd[place]), WIDEST) * TIMES_SD, low, high)
         values = np.unique(np.append(values, middle))
         if values.size > 1:
-            off = _along(target, place, values, middle) - np.outer(values - middle, _tangent(target, place))
-            off[:, : times + 3] = 0.0
-            off[:, target.n_shared + 1 :] = 0.0  # contact is the first coordinate behind the shared ones
-            out.append(Ridge(place, values, off))
+            out.append(_Profile(target, place, middle).along(values))
     system.deflection = state
     return tuple(out)
 
 
-def _along(target: SpecimenTarget, place: int, values: FloatArray, middle: float) -> FloatArray:
-    """Vectors of the best fits with a coordinate at values, less that at its optimum, (g, size)."""
-    identified, found = target.identified, target.optimum
-    held, noise = np.array([place]), found.noise
+class _Profile:
+    """Best fits with one coordinate at values."""
 
-    def best(start: Point) -> Point:
+    def __init__(self, target: SpecimenTarget, place: int, middle: float) -> None:
+        self.target, self.place, self.middle = target, place, middle
+        self.state, self.tangent = target.system.deflection, _tangent(target, place)
+        first = self._best(target.optimum.point)
+        self.origin = target.vector_of(first)
+        self.points, self.off = {middle: first}, {middle: np.zeros(target.mode.size)}
+
+    def _best(self, start: Point) -> Point:
         """All else at its best, the machine as it is."""
-        steps = PROFILE_STEPS
-        return refit(identified, machine=False, start=start, steps=steps, held=held, noise=noise).point
+        found = self.target.optimum
+        return refit(
+            self.target.identified,
+            machine=False,
+            start=start,
+            steps=PROFILE_STEPS,
+            held=np.array([self.place]),
+            noise=found.noise,
+        ).point
 
-    first = best(found.point)
-    origin, out = target.vector_of(first), np.zeros((values.size, target.mode.size))
-    up = np.flatnonzero(values >= middle)
-    for side in (up, np.flatnonzero(values < middle)[::-1]):
-        point = first
-        for k in side.tolist():
-            shared = point.shared
-            shared[place] = values[k]
-            point = best(replace(point.moved(shared), own=point.own))
-            out[k] = target.vector_of(point) - origin
-    return out
+    def _add(self, value: float) -> None:
+        """Fit at a value, from the nearest that is known."""
+        if value in self.points:
+            return
+        point = self.points[min(self.points, key=lambda one: abs(one - value))]
+        shared = point.shared
+        shared[self.place] = value
+        self.points[value] = point = self._best(replace(point.moved(shared), own=point.own))
+        off = self.target.vector_of(point) - self.origin - (value - self.middle) * self.tangent
+        off[: self.target.law.times + 3] = 0.0
+        off[self.target.n_shared + 1 :] = 0.0  # contact is the first coordinate behind the shared ones
+        self.off[value] = off
+
+    def ridge(self) -> Ridge:
+        """Ridge through all that is known."""
+        values = np.array(sorted(self.off))
+        off = np.array([self.off[value] for value in values])
+        return Ridge(self.place, values, off, np.gradient(off, values, axis=0))
+
+    def along(self, values: FloatArray) -> Ridge:
+        """Ridge through values, and closer where it bends and the density is not small."""
+        for value in sorted(values.tolist(), key=lambda one: abs(one - self.middle)):
+            self._add(value)
+        doubtful = self._likely()
+        for _ in range(HALVINGS):
+            known, bent = self.ridge(), []
+            for low, high in doubtful:
+                middle = 0.5 * (low + high)
+                self._add(middle)
+                off = (self.off[middle] - known.at(np.array(middle)))[self.target.free]
+                if np.linalg.norm(np.linalg.solve(self.target.root, off)) > NEAR:
+                    bent += [(low, middle), (middle, high)]
+            doubtful = bent
+        return self.ridge()
+
+    def _likely(self) -> list[tuple[float, float]]:
+        """Intervals of which one end is likely."""
+        values, now = sorted(self.points), self.target.system.deflection
+        self.target.system.deflection = self.state
+        level = self.target.density(np.array([self.target.vector_of(self.points[value]) for value in values]))
+        self.target.system.deflection = now
+        likely = level > level.max() - LIKELY
+        ends = np.flatnonzero(likely[1:] | likely[:-1])
+        return [(values[k], values[k + 1]) for k in ends.tolist()]
 
 
 def _tangent(target: SpecimenTarget, place: int) -> FloatArray:
