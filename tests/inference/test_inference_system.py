@@ -160,12 +160,13 @@ def test_states_are_the_recursion_step_by_step(tau):
     crossing = np.flatnonzero((value[1:] > 0.0) & (value[:-1] == 0.0)) + 1
     share[crossing] = rng.uniform(0.1, 1.0, crossing.size)
     share[[0, 120]] = 1.0
+    path = Path(step, value, crossing, share[crossing], np.array([0, 120]))
     expected = np.zeros(n)
     for i in set(range(n)) - {0, 120}:
         in_contact = step[i] * share[i]
         rate = (value[i] - value[i - 1]) / in_contact
         expected[i] = expected[i - 1] * np.exp(-step[i] / tau) + rate * tau * -np.expm1(-in_contact / tau)
-    found = relaxation_states(Path(step, value, share, np.array([0, 120])), value, np.array([tau]))[0]
+    found = relaxation_states(path, value, np.array([tau]))[0]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
@@ -176,7 +177,7 @@ def test_columns_times_coefficients_are_the_contact_model(branches, degree):
     theta = law.model().join(np.array([20.0, -1.2, 0.35]), stiffness, np.array([0.05, 1.5])[:branches])
     time, depth = ramp_hold(200.0, 3.0, 4.0, 2.0)
     point = point_of(law, theta)
-    path = Path(np.append(np.inf, np.diff(time)), depth, np.ones(time.size), np.array([0]))
+    path = Path(np.append(np.inf, np.diff(time)), depth, np.zeros(0, int), np.zeros(0), np.array([0]))
     force = point.linear @ law.columns(point.log_times, path)
     expected = law.model().force(theta, ContactPath(time, depth))
     np.testing.assert_allclose(force, expected, atol=1e-11 * expected.max())

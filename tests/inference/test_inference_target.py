@@ -13,6 +13,7 @@ from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise
 from tissueid.inference.prior import bernstein
 from tissueid.inference.reported import log_theta_prior, prior_table
+from tissueid.inference.ridges import Ridges
 from tissueid.inference.sampling import sample
 from tissueid.inference.system import Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, _coordinate, _quantile
@@ -162,6 +163,12 @@ def test_the_density_does_not_depend_on_how_the_machine_is_given():
         by = (_quantile(prior, z[:, k] + 1e-5) - _quantile(prior, z[:, k] - 1e-5)) / 2e-5
         np.testing.assert_allclose(values, _quantile(prior, z[:, k]), atol=1e-9)
         expected = expected + np.log(by)
+    assert at.ridges.widths is not None
+    for k, one in enumerate(z):
+        # all else is sheared along the ridges, which keeps volumes, and as wide as it is there
+        rest, step = np.flatnonzero(at.free)[at.still], 1e-5 * np.eye(at.size)[3:]
+        moved = (at.vectors(one + step) - at.vectors(one - step))[:, rest] / 2e-5
+        expected[k] += np.linalg.slogdet(moved)[1]
     inside = np.isfinite(found)
     assert inside.sum() >= 2
     np.testing.assert_allclose(np.diff(found[inside]), np.diff(expected[inside]), atol=1e-5)
@@ -317,7 +324,7 @@ def held_behind_an_unknown_frame():
 
 def test_a_vector_is_that_of_its_point_and_ridges_keep_volumes():
     at = held_behind_an_unknown_frame()
-    assert len(at.ridges) == 2
+    assert len(at.ridges.lines) == 2
     for x in points(at, n=4):
         one = at.point(x[None])
         back = Point(one.log_times[0], one.machine[0], one.linear[0], one.own[0])
@@ -325,7 +332,7 @@ def test_a_vector_is_that_of_its_point_and_ridges_keep_volumes():
                                    at.mode, x), rtol=1e-8, atol=1e-10)  # fmt: skip
     # what drives them stays where it was: machine, times, and the noise
     first, contact = at.law.times + 3, at.places["contact"]
-    for one in at.ridges:
+    for one in at.ridges.lines:
         assert (one.off[:, :first] == 0.0).all()
         assert (one.off[:, contact + 1 :] == 0.0).all()
         assert np.abs(one.at(at.mode[one.place])).max() < 1e-6 * np.abs(at.mode).max()
@@ -335,7 +342,7 @@ def test_a_vector_is_that_of_its_point_and_ridges_keep_volumes():
 def test_draws_reach_the_end_of_the_frames_ridge(monkeypatch):
     """One hold says of the frame little: nearly as good a fit lies far from the optimum, along a curve."""
     found = []
-    for ridges in (None, ()):
+    for ridges in (None, Ridges()):
         at = held_behind_an_unknown_frame()
         if ridges is not None:
             at.__dict__["ridges"] = ridges

@@ -17,6 +17,7 @@ from tissueid.inference.engine import refit
 from tissueid.inference.prior import time_bounds
 
 if TYPE_CHECKING:
+    from tissueid.inference.optimum import Optimum
     from tissueid.inference.system import Point
     from tissueid.inference.target import SpecimenTarget
 
@@ -54,12 +55,35 @@ class Ridge:
         return np.asarray(out + (share - inside) * width * ends)
 
 
-def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArray]) -> tuple[Ridge, ...]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Widths:
+    """Roots of the covariance of all but the machine along the frame's ridge."""
+
+    values: FloatArray  # (g,), ascending
+    roots: FloatArray  # (g, r, r), lower
+
+    def at(self, value: FloatArray) -> FloatArray:
+        """Roots at compliances, straight between those that are known, (n,) -> (n, r, r)."""
+        i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
+        share = np.clip((value - self.values[i]) / (self.values[i + 1] - self.values[i]), 0.0, 1.0)
+        share = share[:, None, None]
+        return np.asarray(self.roots[i] * (1.0 - share) + self.roots[i + 1] * share)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ridges:
+    """Ridges of a single log, the frame's first, and widths along that; none of several logs."""
+
+    lines: tuple[Ridge, ...] = ()
+    widths: Widths | None = None
+
+
+def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArray]) -> Ridges:
     """Ridges along frame and relaxation times; ``frame_at``: compliance at quantiles of its prior."""
     found, system, times = target.optimum, target.system, target.law.times
     state, sd = system.deflection, np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     low, high = time_bounds(system)
-    out = []
+    out, widths = [], None
     for place in (times, *range(target.law.counts[0])):
         middle = float(found.point.shared[place])
         values = frame_at(MACHINE_SD)
@@ -67,9 +91,11 @@ def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArra
             values = np.clip(middle + min(float(sd[place]), WIDEST) * TIMES_SD, low, high)
         values = np.unique(np.append(values, middle))
         if values.size > 1:
-            out.append(_Profile(target, place, middle).along(values))
+            profile = _Profile(target, place, middle)
+            out.append(profile.along(values))
+            widths = profile.widths() if place == times else widths
     system.deflection = state
-    return tuple(out)
+    return Ridges(tuple(out), widths)
 
 
 class _Profile:
@@ -79,10 +105,10 @@ class _Profile:
         self.target, self.place, self.middle = target, place, middle
         self.state, self.tangent = target.system.deflection, _tangent(target, place)
         first = self._best(target.optimum.point)
-        self.origin = target.vector_of(first)
-        self.points, self.off = {middle: first}, {middle: np.zeros(target.mode.size)}
+        self.origin = target.vector_of(first.point)
+        self.optima, self.off = {middle: first}, {middle: np.zeros(target.mode.size)}
 
-    def _best(self, start: Point) -> Point:
+    def _best(self, start: Point) -> Optimum:
         """All else at its best, the machine as it is."""
         found = self.target.optimum
         return refit(
@@ -92,17 +118,21 @@ class _Profile:
             steps=PROFILE_STEPS,
             held=np.array([self.place]),
             noise=found.noise,
-        ).point
+        )
 
     def _add(self, value: float) -> None:
         """Fit at a value, from the nearest that is known."""
-        if value in self.points:
+        if value in self.optima:
             return
-        point = self.points[min(self.points, key=lambda one: abs(one - value))]
+        point = self.optima[min(self.optima, key=lambda one: abs(one - value))].point
         shared = point.shared
         shared[self.place] = value
-        self.points[value] = point = self._best(replace(point.moved(shared), own=point.own))
-        off = self.target.vector_of(point) - self.origin - (value - self.middle) * self.tangent
+        self.optima[value] = self._best(replace(point.moved(shared), own=point.own))
+        off = (
+            self.target.vector_of(self.optima[value].point)
+            - self.origin
+            - (value - self.middle) * self.tangent
+        )
         off[: self.target.law.times + 3] = 0.0
         off[self.target.n_shared + 1 :] = 0.0  # contact is the first coordinate behind the shared ones
         self.off[value] = off
@@ -112,6 +142,11 @@ class _Profile:
         values = np.array(sorted(self.off))
         off = np.array([self.off[value] for value in values])
         return Ridge(self.place, values, off, np.gradient(off, values, axis=0))
+
+    def widths(self) -> Widths:
+        """Roots of the covariance of all but the machine at all that is known."""
+        values = sorted(self.optima)
+        return Widths(np.array(values), np.array([self.target.root_at(self.optima[one]) for one in values]))
 
     def along(self, values: FloatArray) -> Ridge:
         """Ridge through values, and closer where it bends and the density is not small."""
@@ -131,10 +166,10 @@ class _Profile:
 
     def _likely(self) -> list[tuple[float, float]]:
         """Intervals of which one end is likely."""
-        values, now = sorted(self.points), self.target.system.deflection
-        self.target.system.deflection = self.state
-        level = self.target.density(np.array([self.target.vector_of(self.points[value]) for value in values]))
-        self.target.system.deflection = now
+        values, target = sorted(self.optima), self.target
+        now, target.system.deflection = target.system.deflection, self.state
+        level = target.density(np.array([target.vector_of(self.optima[one].point) for one in values]))
+        target.system.deflection = now
         likely = level > level.max() - LIKELY
         ends = np.flatnonzero(likely[1:] | likely[:-1])
         return [(values[k], values[k + 1]) for k in ends.tolist()]

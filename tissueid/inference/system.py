@@ -204,13 +204,13 @@ class System:
 
     def at_points(self, values: FloatArray) -> FloatArray:
         """Values of the logs at each of their points, (..., logs) -> (..., m)."""
-        return np.repeat(values, self.points, axis=-1)
+        return np.asarray(np.repeat(values, self.points, axis=-1))
 
     def means(self, values: FloatArray) -> FloatArray:
         """Observations of values at points, (..., m) -> (..., k)."""
         if self.sampled:
-            return np.take(values, self.at[0], axis=-1, mode="clip")
-        out = np.take(values, self.at[1], axis=-1, mode="clip")
+            return np.asarray(np.take(values, self.at[0], axis=-1, mode="clip"))
+        out: FloatArray = np.take(values, self.at[1], axis=-1, mode="clip")
         out *= 4.0
         for side in self.at[::2]:
             out += np.take(values, side, axis=-1, mode="clip")

@@ -19,9 +19,9 @@ from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
-from tissueid.inference.optimum import covariance_of, nearest_inside, whitener_of
+from tissueid.inference.optimum import Optimum, covariance_of, nearest_inside, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
-from tissueid.inference.ridges import Ridge, ridges_of
+from tissueid.inference.ridges import Ridges, ridges_of
 from tissueid.inference.system import MACHINE, SHAPE, Point
 from tissueid.priors import CalibrationPrior
 
@@ -35,6 +35,8 @@ STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
 SLIGHT = 1e-3
 #: Points along all logs, times vectors, of one evaluation.
 PART = 65_536
+#: Ln of the ratio of widths beyond which curvature along a ridge is not believed.
+MOST_WIDER = 3.5
 
 
 class Target(Protocol):
@@ -105,6 +107,8 @@ class SpecimenTarget:
         at = np.arange(self.law.times, self.law.times + len(MACHINE))
         self.free[at] = machine
         self.size, self.open = int(self.free.sum()), machine
+        #: Places among the free of all but the machine.
+        self.still = np.flatnonzero(~np.isin(np.flatnonzero(self.free), at))
         #: Places of the machine, where it is open: in a vector and, as all before it is free, among the free.
         self.machine_places = at[self.free[at]]
         typical = np.concatenate(
@@ -181,22 +185,25 @@ class SpecimenTarget:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
-        if self.straight or not self.ridges:
+        if self.straight or not self.ridges.lines:
             return x
         at, times = self.machine_places, self.law.times
+        if self.ridges.widths is not None:
+            wider = self.ridges.widths.at(x[..., times]) - self.root[self.still, at.size :]
+            x[..., np.flatnonzero(self.free)[self.still]] += (wider @ z[..., at.size :, None])[..., 0]
         # a time that goes with the machine is still on its own ridge
         by_machine = np.linalg.solve(self.root[at, : at.size].T, self.root[:times, : at.size].T)
         along = x.copy()
         along[..., :times] -= (x[..., at] - self.mode[at]) @ by_machine
-        for one in self.ridges:
+        for one in self.ridges.lines:
             x += one.at(along[..., one.place])
         return x
 
     @cached_property
-    def ridges(self) -> tuple[Ridge, ...]:
+    def ridges(self) -> Ridges:
         """Ridges of a single log whose machine is open."""
         if not (self.alone and self.open):
-            return ()
+            return Ridges()
         return ridges_of(self, partial(_quantile, self._machine_priors[0]))
 
     def vector_of(self, point: Point) -> FloatArray:
@@ -238,22 +245,32 @@ class SpecimenTarget:
             out[:, k] = _coordinate(one, x[:, at[k]])
         return out
 
-    def _bent(self) -> FloatArray:
-        """Derivative of the law's parameters by the vector, at the optimum."""
-        out, step = np.eye(len(self.mode)), 1e-5
-        moving = [*range(self.law.times), *([self.places["contact"]] if "contact" in self.places else [])]
-        for j in moving:
-            moved = self.mode.copy()
-            moved[j] += step
-            out[: self.n_shared, j] = (self.shared(moved) - self.mode[: self.n_shared]) / step
+    def _bent(self, x: FloatArray) -> FloatArray:
+        """Derivative of the law's parameters by the vector."""
+        out, step = np.eye(len(x)), 1e-5
+        moving = [*range(self.n_shared), *([self.places["contact"]] if "contact" in self.places else [])]
+        sizes = step * np.maximum(np.abs(x[moving]), 1.0)
+        moved = np.tile(x, (len(moving), 1))
+        moved[np.arange(len(moving)), moving] += sizes
+        out[: self.n_shared, moving] = (self.shared(moved) - self.shared(x)).T / sizes
         return out
 
-    def _curvature(self) -> tuple[FloatArray, FloatArray]:
-        """Hessian of the negative log density at the optimum, and the downhill gradient."""
-        normal, prior, s, n = self.optimum.normal, self.optimum.prior, self.n_shared, len(self.mode)
+    def root_at(self, optimum: Optimum) -> FloatArray:
+        """Root of the covariance of all but the machine at an optimum with some of it held."""
+        found, _ = self._curvature(optimum, self._bent(self.vector_of(optimum.point)))
+        rest, here = np.flatnonzero(self.free)[self.still], self.root[self.still, len(self.machine_places) :]
+        if not np.isfinite(found).all():
+            return here
+        root = np.asarray(np.linalg.cholesky(covariance_of(found[np.ix_(rest, rest)])), dtype=np.float64)
+        wider = np.abs(np.log(np.diag(root) / np.diag(here))).max()
+        return root if wider < MOST_WIDER else here
+
+    def _curvature(self, optimum: Optimum, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Hessian of the negative log density at an optimum, and the downhill gradient."""
+        normal, prior, s, n = optimum.normal, optimum.prior, self.n_shared, len(self.mode)
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
         if self.alone:
-            off = prior.rows @ self.optimum.point.shared - prior.target
+            off = prior.rows @ optimum.point.shared - prior.target
             hessian[:s, :s] = normal.shared.T @ normal.shared + prior.rows.T @ prior.rows
             gradient[:s] = normal.shared.T @ normal.residual - prior.rows.T @ off
             if "contact" in self.places:
@@ -263,8 +280,7 @@ class SpecimenTarget:
                 gradient[k] = normal.own_gradient[0, 0]
         else:
             hessian[:s, :s], gradient[:s] = normal.hessian, normal.gradient
-        self.slope = self._bent()
-        hessian, gradient = self.slope.T @ hessian @ self.slope, self.slope.T @ gradient
+        hessian, gradient = slope.T @ hessian @ slope, slope.T @ gradient
         k = self.places["ln_sigma"]
         hessian[k, k] = 2.0 * self.samples
         for name in ("ln_memory", "ln_gain_sd"):
@@ -284,7 +300,8 @@ class SpecimenTarget:
 
     def _whiten(self) -> None:
         """Coordinates whitened about the optimum; walls and the centre of the normal in them."""
-        hessian, gradient = self._curvature()
+        self.slope = self._bent(self.mode)
+        hessian, gradient = self._curvature(self.optimum, self.slope)
         self.precision = hessian[np.ix_(self.free, self.free)]
         self.root = self.factor(covariance_of(self.precision))
         prior = self.optimum.prior
@@ -436,6 +453,9 @@ class SpecimenTarget:
         for k, one in enumerate(self._machine_priors if self.open else ()):
             off = (x[:, self.law.times + k] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
+        if not self.straight and self.ridges.widths is not None:
+            roots = self.ridges.widths.at(x[:, self.law.times])
+            out += np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
         return out
 
 
