@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from tissueid.inference.target import SpecimenTarget
 
 #: Places of a profile, in standard deviations about the optimum and of the machine's prior.
-TIMES_SD = np.array([-4.0, -3.0, -2.2, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.2, 3.0, 4.0])
-MACHINE_SD = np.array([-3.0, -1.5, -0.7, 0.0, 0.5, 1.0, 1.5, 2.2, 3.0])
+TIMES_SD = np.array([-4.0, -2.5, -1.2, 0.0, 1.2, 2.5, 4.0])
+MACHINE_SD = np.array([-3.0, -1.5, -0.7, 0.0, 1.0, 2.0, 3.0])
 #: Largest standard deviation of ln tau that places are spread by, and steps to each of them.
 WIDEST, PROFILE_STEPS = 3.0, 8
 #: Intervals beyond its ends that a ridge is continued straight.
