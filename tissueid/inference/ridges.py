@@ -59,20 +59,22 @@ class Ridge:
 class Widths:
     """Roots of the covariance of all but the machine along the frame's ridge."""
 
+    place: int
     values: FloatArray  # (g,), ascending
     roots: FloatArray  # (g, r, r), lower
 
-    def at(self, value: FloatArray) -> FloatArray:
-        """Roots at compliances, straight between those that are known, (n,) -> (n, r, r)."""
+    def at(self, x: FloatArray) -> FloatArray:
+        """Roots at vectors, straight between those that are known, (..., size) -> (..., r, r)."""
+        value = x[..., self.place]
         i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
         share = np.clip((value - self.values[i]) / (self.values[i + 1] - self.values[i]), 0.0, 1.0)
-        share = share[:, None, None]
+        share = share[..., None, None]
         return np.asarray(self.roots[i] * (1.0 - share) + self.roots[i + 1] * share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ridges:
-    """Ridges of a single log, the frame's first, and widths along that; none of several logs."""
+    """Ridges of a single log, the frame's first, with widths along that; none of several logs."""
 
     lines: tuple[Ridge, ...] = ()
     widths: Widths | None = None
@@ -146,7 +148,9 @@ class _Profile:
     def widths(self) -> Widths:
         """Roots of the covariance of all but the machine at all that is known."""
         values = sorted(self.optima)
-        return Widths(np.array(values), np.array([self.target.root_at(self.optima[one]) for one in values]))
+        return Widths(
+            self.place, np.array(values), np.array([self.target.root_at(self.optima[one]) for one in values])
+        )
 
     def along(self, values: FloatArray) -> Ridge:
         """Ridge through values, and closer where it bends and the density is not small."""

@@ -35,6 +35,11 @@ STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
 SLIGHT = 1e-3
 #: Points along all logs, times vectors, of one evaluation.
 PART = 65_536
+#: Scale below which one is not undone.
+LEAST_SCALE = 1e-3
+#: Least variance of the common scale, of that at the optimum; ln of the scale beyond which the prior of gains
+#: lets none be.
+LEAST_WIDTH, MOST_SCALE = 0.1, 30.0
 #: Ln of the ratio of widths beyond which curvature along a ridge is not believed.
 MOST_WIDER = 3.5
 
@@ -115,6 +120,15 @@ class SpecimenTarget:
             [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
         )
         self._slack = -ROUNDING * (np.abs(found.prior.cone) @ typical)
+        self.scale = self._scale() if "ln_gain_sd" in self.places else None
+
+    def _scale(self) -> FloatArray:
+        """Row that makes of a vector the common scale of its forces, 1 at the optimum, (size,)."""
+        linear = slice(self.law.times + len(MACHINE), self.n_shared)
+        columns, out = self.optimum.normal.shared[:, linear], np.zeros(self.mode.size)
+        force = columns @ self.mode[linear]
+        out[linear] = columns.T @ force / max(float(force @ force), 1e-300)
+        return out
 
     @property
     def samples(self) -> int:
@@ -185,12 +199,20 @@ class SpecimenTarget:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
-        if self.straight or not self.ridges.lines:
+        if self.straight:
             return x
         at, times = self.machine_places, self.law.times
         if self.ridges.widths is not None:
-            wider = self.ridges.widths.at(x[..., times]) - self.root[self.still, at.size :]
+            wider = self.ridges.widths.at(x) - self.root[self.still, at.size :]
             x[..., np.flatnonzero(self.free)[self.still]] += (wider @ z[..., at.size :, None])[..., 0]
+        if self.scale is not None:
+            # a common scale is as uncertain as a mean of gains that scatter so much, and its logarithm normal
+            linear, found = slice(times + len(MACHINE), self.n_shared), (x - self.mode) @ self.scale
+            ln_scale = np.clip(np.exp(self._ln_wider(x)) * found, -MOST_SCALE, MOST_SCALE)
+            unscaled = x[..., linear] - found[..., None] * self.mode[linear]
+            x[..., linear] = unscaled * np.exp(ln_scale)[..., None]
+        if not self.ridges.lines:
+            return x
         # a time that goes with the machine is still on its own ridge
         by_machine = np.linalg.solve(self.root[at, : at.size].T, self.root[:times, : at.size].T)
         along = x.copy()
@@ -198,6 +220,14 @@ class SpecimenTarget:
         for one in self.ridges.lines:
             x += one.at(along[..., one.place])
         return x
+
+    def _ln_wider(self, x: FloatArray) -> FloatArray:
+        """Ln of the width of the common scale at the scatter of vectors, over that at the optimum's."""
+        assert self.scale is not None  # noqa: S101 -- of several logs that scatter
+        scatter, row = self.places["ln_gain_sd"], self.scale[self.free] @ self.root
+        here = float(row @ row)
+        more = np.exp(2.0 * x[..., scatter]) - np.exp(2.0 * self.mode[scatter])
+        return np.asarray(0.5 * np.log(np.maximum(1.0 + more / len(self.system.logs) / here, LEAST_WIDTH)))
 
     @cached_property
     def ridges(self) -> Ridges:
@@ -399,7 +429,7 @@ class SpecimenTarget:
 
     def _log_likelihood(self, x: FloatArray, shared: FloatArray) -> FloatArray:
         """Log likelihoods of passive vectors, what is the logs' own integrated, (n,)."""
-        point = self.optimum.point.moved(self._unscaled(shared), self._own(x))
+        point = self.optimum.point.moved(self._unscaled(shared), own := self._expected(x))
         ln_sigma = x[:, self.places["ln_sigma"]]
         integrated = not self.alone
         force = self.system.near(point)
@@ -409,12 +439,21 @@ class SpecimenTarget:
         if "ln_memory" not in self.places:
             square += self.system.within_N2 * np.exp(-2.0 * ln_sigma)
         value = -0.5 * square - self.samples * ln_sigma - 0.5 * log_det
-        return np.asarray(value + self._integrated(x, white) if integrated else value)
+        return np.asarray(value + self._integrated(x, own, white) if integrated else value)
 
-    def _integrated(self, x: FloatArray, white: FloatArray) -> FloatArray:
+    def _expected(self, x: FloatArray) -> FloatArray:
+        """Own parameters about which the logs' are integrated: gains that undo the common scale."""
+        own = self._own(x)
+        if self.scale is None:
+            return own
+        own = np.repeat(own[None], len(x), axis=0)
+        own[:, :, 0] -= np.log(np.maximum(x @ self.scale, LEAST_SCALE))[:, None]
+        return own
+
+    def _integrated(self, x: FloatArray, own: FloatArray, white: FloatArray) -> FloatArray:
         """Term that integrating the logs' own parameters adds to log densities, (n,)."""
         gain = np.exp(x[:, self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else np.ones(len(x))
-        own, logs = self.optimum.point.own, len(self.system.logs)
+        logs = len(self.system.logs)
         begins, columns, q = self.system.begins, white[1:], white.shape[0] - 1
         inner, right = np.empty((len(x), logs, q, q)), np.empty((len(x), logs, q))
         for i in range(q):
@@ -433,7 +472,7 @@ class SpecimenTarget:
         value = 0.5 * (half**2).sum(axis=(1, 2)) - 0.5 * (own * pull).sum(axis=(1, 2))
         value -= np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=(1, 2))
         if self.system.centred:
-            value -= _of_mean(factor, half, own)
+            value -= _of_mean(factor, half, self.optimum.point.own)
         return np.asarray(value + 0.5 * np.log(precision).sum(axis=(1, 2)))
 
     def by_own(self, force: FloatArray) -> FloatArray:
@@ -454,8 +493,10 @@ class SpecimenTarget:
             off = (x[:, self.law.times + k] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
         if not self.straight and self.ridges.widths is not None:
-            roots = self.ridges.widths.at(x[:, self.law.times])
+            roots = self.ridges.widths.at(x)
             out += np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+        if not self.straight and self.scale is not None:
+            out += self.law.linear * np.log(x @ self.scale) + self._ln_wider(x)
         return out
 
 
