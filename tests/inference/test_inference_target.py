@@ -63,6 +63,27 @@ def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
     )
 
 
+def test_a_common_scale_is_as_likely_as_the_gains_that_undo_it():
+    ours = identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
+    at = SpecimenTarget(ours, machine=False)
+    gains, linear = ours.optimum.point.own[:, 0], slice(at.law.times + 3, at.n_shared)
+    ln_scale = np.array([-0.5, -0.1, 0.0, 0.1, 0.5])
+    x = np.tile(at.mode, (ln_scale.size, 1))
+    x[:, linear] *= np.exp(ln_scale)[:, None]
+    for sd in (0.05, 0.3):
+        x[:, at.places["ln_gain_sd"]] = np.log(sd)
+        found = at.density(x) - at._log_prior(x, at.shared(x))
+        expected = -0.5 * np.sum((gains - ln_scale[:, None]) ** 2, axis=1) / sd**2
+        np.testing.assert_allclose(found - found[2], expected - expected[2], rtol=0.02, atol=0.2)
+    # and it is drawn as wide: the density in the coordinates of the walkers has the volume of their map
+    for z in np.random.default_rng(2).standard_normal((4, at.size)):
+        step = 1e-5 * np.eye(at.size)
+        moved = (at.vectors(z + step) - at.vectors(z - step))[:, at.free] / 2e-5
+        there = np.array([z, np.zeros(at.size)])
+        volume = np.linalg.slogdet(moved)[1] - np.linalg.slogdet(at.root)[1]
+        assert np.subtract(*(at.densities(there) - at.density(at.vectors(there)))) == pytest.approx(volume)
+
+
 def test_correlated_noise_has_its_dense_covariance():
     ours, _ = one_log(noise="white")
     noise = Noise(ours.optimum.noise.sigma_N, Memory(0.08, 0.2))
