@@ -139,7 +139,7 @@ def smoothed(log_weight: FloatArray) -> Weighed:
 WALKERS, STEPS = 128, 30
 #: Rounds at the most where importance weights are trusted, and where they are worth too few draws; else steps
 #: of a round, rounds, and the effective draws of the walkers themselves that end them.
-FEW_ROUNDS, MORE_ROUNDS, ROUND, ROUNDS, WALKED = 5, 25, 60, 8, 400.0
+FEW_ROUNDS, MORE_ROUNDS, ROUND, ROUNDS, WALKED = 5, 25, 60, 20, 400.0
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
