@@ -63,17 +63,6 @@ class ChannelLaw:
     depth_mm: float
     model_of: ChannelModel | None = None  # the model that it was made from; None of a Kelvin-Voigt law
 
-    @classmethod
-    def of(cls, model: ChannelModel) -> ChannelLaw:
-        """The law of a model."""
-        return cls(
-            model.static, model.stiffness_law.powers, model.relaxation, model.branches, model.depth_mm, model
-        )
-
-    def with_branches(self, branches: int) -> ChannelLaw:
-        """The same law with another number of exponentials, for columns only."""
-        return replace(self, branches=branches, model_of=None)
-
     @property
     def degree(self) -> int:
         """Degree of K; 0 inside."""
@@ -418,7 +407,8 @@ def law_of(model: ChannelModel, logs: int) -> ChannelLaw:
     """The law of a model, as the engine fits it to a number of logs."""
     if isinstance(model, DampedModel):
         return DampedLaw(model.static, 0, model.relaxation, 1, model.depth_mm, model, logs)
-    return ChannelLaw.of(model)
+    powers = model.stiffness_law.powers
+    return ChannelLaw(model.static, powers, model.relaxation, model.branches, model.depth_mm, model)
 
 
 #: Half of the stretch, in samples, and as a share of its phase: a line through at least eleven samples has an

@@ -20,6 +20,7 @@ from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import ChannelModel
+from tissueid.model.grammar import DEGREES
 from tissueid.model.yardstick import YARDSTICK
 
 #: Speeds or depths within this factor are one; so many of them are needed to leave one out.
@@ -42,8 +43,6 @@ MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 20, 8
 AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
 #: Largest force of a branch over the noise with which it counts as seen, and factor between two times.
 SEEN, APART = 0.5, 1.5
-#: Words of the degrees of K.
-STIFFNESS = ("constant", "linear", "quadratic")
 #: Standard deviations of ln tau that two laws are apart, and the least that counts as one.
 FAR_APART, LEAST_SD = 3.0, 0.02
 
@@ -77,7 +76,7 @@ class Tried:
         """Name of the law in the grammar."""
         if self.law.model_of is not None:
             return self.law.model_of.name
-        return f"polynomial * {STIFFNESS[self.degree]} * prony:{self.branches}"
+        return f"polynomial * {tuple(DEGREES)[self.degree]} * prony:{self.branches}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,19 +226,14 @@ def _ramp(log: Blocks) -> Blocks:
     count = int((log.mid_s <= log.time_s[arrived]).sum())
     if count < FEWEST_OF_RAMP:
         return log
-    return replace(
-        log, at=log.at[:count], force_N=log.force_N[:count], count=log.count[:count], mid_s=log.mid_s[:count],
-        step_s=log.step_s[:count], chain=log.chain[:count], fold=log.fold[:count],
-        digits=log.digits[:count],
-    )  # fmt: skip
+    names = ("at", "force_N", "count", "mid_s", "step_s", "chain", "fold", "digits")
+    return replace(log, **{name: getattr(log, name)[:count] for name in names})
 
 
 def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:
     """Mean and standard error over groups of what the better one gains in ln mean square error."""
     gain = np.log(np.maximum(simpler.errors, 1e-300)) - np.log(np.maximum(better.errors, 1e-300))
-    if gain.size < 2:
-        return float(gain.mean()), 0.0
-    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size)) if gain.size > 1 else 0.0
 
 
 def tolerated(stderr: Any, count: int) -> Any:
@@ -360,19 +354,14 @@ def _named_row(name: str, law: ChannelLaw | ChannelModel, score: float, stderr: 
 def chosen_among(tried: Sequence[Tried]) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
     """The simplest candidate within one standard error of the best, a table, and those that are as good."""
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
-    as_good = []
-    for one in tried:
-        mean, error = _gain(best, one)
-        if one is best or mean <= tolerated(error, best.errors.size):
-            as_good.append(one)
-    chosen = min(as_good, key=lambda one: (one.law.freedom, _gain(best, one)[0], one.branches))
-    table: list[dict[str, Any]] = []
-    for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
-        mean, error = _gain(best, one)
-        table.append(
-            {
-                "branches": one.branches, "stiffness_degree": one.degree, "score": -mean, "stderr": error,
-                "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
-            }
-        )  # fmt: skip
-    return chosen, tuple(table), as_good
+    rows = [(one, *_gain(best, one)) for one in tried]
+    good = [row for row in rows if row[0] is best or row[1] <= tolerated(row[2], best.errors.size)]
+    chosen = min(good, key=lambda row: (row[0].law.freedom, row[1], row[0].branches))[0]
+    table = tuple(
+        {
+            "branches": one.branches, "stiffness_degree": one.degree, "score": -mean, "stderr": error,
+            "chosen": one is chosen, "tau_s": float(np.exp(_first_time(one)[0])),
+        }
+        for one, mean, error in sorted(rows, key=lambda row: (row[0].branches, row[0].degree))
+    )  # fmt: skip
+    return chosen, table, [one for one, *_ in good]

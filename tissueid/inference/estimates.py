@@ -201,11 +201,9 @@ class _Fitted(NamedTuple):
 def _curve_verdict(
     fitted: _Fitted, at: Sequence[int], curve: Callable[[FloatArray], FloatArray]
 ) -> tuple[bool, float]:
-    """Test if a curve's widest 95 % interval is narrower than the curve is high.
-
-    A curve may start soft: an interval relative to its own height at each depth would condemn it there.
-    """
+    """Test if a curve's widest 95 % interval is narrower than the curve is high."""
     _, theta, covariance = fitted
+    # a curve may start soft: an interval relative to its own height there would condemn it
     height, slopes = curve(theta), []
     for k in at:
         step = 1e-6 * max(abs(float(theta[k])), float(np.sqrt(max(covariance[k, k], 0.0))), 1e-12)
@@ -226,7 +224,9 @@ def _alike(fitted: _Fitted, at: Sequence[int], curve: Callable[[FloatArray], Flo
     return [fitted.estimate(k, verdict) for k in at]
 
 
-def _time_estimate(fitted: _Fitted, k: int, interval: ProfileInterval) -> Estimate:
+def _time_estimate(
+    fitted: _Fitted, k: int, interval: ProfileInterval, curve: dict[str, list[float]]
+) -> Estimate:
     """tau, with the wider of its profile interval and, of several branches, that of its standard error."""
     tau, stderr = float(fitted.theta[k]), float(np.sqrt(max(fitted.covariance[k, k], 0.0)))
     several = fitted.model.branches > 1
@@ -236,34 +236,30 @@ def _time_estimate(fitted: _Fitted, k: int, interval: ProfileInterval) -> Estima
         "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
         "open_low": interval.open_low,
         "open_high": interval.open_high,
+        "profile": curve,
     }
     return replace(plain, detail=detail)
 
 
-def _branch_estimates(fitted: _Fitted, branch: int, interval: ProfileInterval | None) -> list[Estimate]:
+def _branch_estimates(
+    fitted: _Fitted, branch: int, profiled: tuple[ProfileInterval, dict[str, list[float]]] | None
+) -> list[Estimate]:
     """Stiffness or ratio, relaxation time, further shapes and viscosity of one branch."""
     model, suffix = fitted.model, branch_suffix(branch)
     names = model.parameter_names
-    own = [k for k, name in enumerate(names) if _is_of(name, suffix)]
+    branched = [k for k, name in enumerate(names) if name.startswith(("stiffness", "relaxation"))]
+    own = [k for k in branched if (names[k].endswith(suffix) if suffix else "_b" not in names[k])]
     curve = [k for k in own if names[k].startswith("stiffness")]
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
     estimates = []
     if curve:
         estimates += _alike(fitted, curve, lambda theta: model.stiffness(theta, depths)[branch])
     for k in own[len(curve) :]:
-        if names[k].startswith("relaxation_time") and interval is not None:
-            estimates.append(_time_estimate(fitted, k, interval))
-        else:
-            estimates.append(fitted.estimate(k))
+        timed = profiled if names[k].startswith("relaxation_time") else None
+        estimates.append(fitted.estimate(k) if timed is None else _time_estimate(fitted, k, *timed))
     if model.viscous:
         estimates.append(_viscosity(fitted, curve, branch))
     return estimates
-
-
-def _is_of(name: str, suffix: str) -> bool:
-    """True of a parameter of a branch."""
-    branched = name.startswith(("stiffness", "relaxation"))
-    return branched and (name.endswith(suffix) if suffix else "_b" not in name)
 
 
 def _viscosity(fitted: _Fitted, curve: list[int], branch: int) -> Estimate:
@@ -346,22 +342,12 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     parameters = _alike(fitted, static, lambda theta: model.static_force(theta, depths))
     if isinstance(model, DampedModel):
         parameters = _damped(fitted, parameters, confounded=slow_share(identified) < FEWEST_SLOW)
-    intervals, law = [], identified.law
-    order = np.argsort(point.log_times[: law.counts[0]]).tolist()
+    profiles: list[tuple[ProfileInterval, dict[str, list[float]]]] = []
+    order = np.argsort(point.log_times[: identified.law.counts[0]]).tolist()
     for branch in range(model.branches):
-        if not order:
-            parameters += _branch_estimates(fitted, branch, None)
-            continue
-        interval, curve = profile(identified, order[branch])
-        intervals.append(interval)
-        for one in _branch_estimates(fitted, branch, interval):
-            timed = one.name.startswith("relaxation_time")
-            parameters.append(replace(one, detail={**one.detail, "profile": curve}) if timed else one)
-    return TissueEstimate(
-        model=model,
-        theta=theta,
-        covariance=np.where(np.isfinite(covariance), covariance, 0.0),
-        parameters=tuple(parameters),
-        intervals=tuple(intervals),
-        bounded=bounded,
-    )
+        if order:
+            profiles.append(profile(identified, order[branch]))
+        parameters += _branch_estimates(fitted, branch, profiles[-1] if order else None)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    intervals = tuple(interval for interval, _ in profiles)
+    return TissueEstimate(model, theta, finite, tuple(parameters), intervals, bounded)

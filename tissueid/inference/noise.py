@@ -55,11 +55,7 @@ class Whitener:
 
 
 def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Moments of a block of n samples of an AR(1) of unit variance.
-
-    Weight of the state before it in its mean, rest's variance, covariance with the state after it, and
-    decay.
-    """
+    """Of n samples of an AR(1): weight of the state before in the mean, variance, covariance, decay."""
     decay = r**n
     rest = np.maximum(1.0 - r, 1e-15)
     alpha = r * (1.0 - decay) / rest / n
@@ -68,12 +64,8 @@ def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray
     variance = square * inner / (n * rest) ** 2
     cross = square * ((1.0 - decay) / rest - r * (1.0 - decay**2) / square) / (n * rest)
     single = n == 1.0
-    return (
-        np.where(single, r, alpha),
-        np.where(single, square, np.maximum(variance, 0.0)),
-        np.where(single, square, cross),
-        decay,
-    )
+    variance, cross = (np.where(single, square, one) for one in (np.maximum(variance, 0.0), cross))
+    return np.where(single, r, alpha), variance, cross, decay
 
 
 def whitener(

@@ -365,10 +365,7 @@ def _is_slow(system: System, here: _At, gain: float, rival: float | None) -> boo
 
 
 def _is_astray(system: System, here: _At, there: _At, *, scaled: bool) -> bool:
-    """True of a step down with the deflection of the point before that is none with its own.
-
-    ``scaled``: the noise follows the residuals.
-    """
+    """True of a step that is up with its own deflection; ``scaled``: the noise follows the residuals."""
     if here.frame.settled and not there.frame.settled:
         return True
     if not scaled:

@@ -7,7 +7,7 @@ the printed value is the median.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -82,10 +82,7 @@ class Draws:
 
 
 def _passive(law: ChannelLaw, linear: FloatArray, optimum: FloatArray) -> FloatArray:
-    """Linear parameters (n, p) moved to the nearest passive ones in the metric of their covariance.
-
-    To ``optimum``, which is passive, where none is found.
-    """
+    """Linear parameters (n, p) at the nearest passive ones by their covariance; ``optimum`` where none is."""
     cone, out = law.cone, linear.copy()
     bad = (linear @ cone.T < -ON_WALL * np.abs(linear).max()).any(axis=1)
     if bad.any():
@@ -119,11 +116,6 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     return out
 
 
-def _with_gains(law: ChannelLaw, theta: FloatArray, gains: FloatArray) -> FloatArray:
-    """Theta behind a force and a displacement channel of given gains."""
-    return scaled_theta(law.model().parameters, theta, gains[:, 0], gains[:, 1])
-
-
 def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
     """Draws as vectors and as tissues."""
     vectors = target.vectors(sampled.chain.reshape(-1, sampled.chain.shape[2]))
@@ -135,8 +127,8 @@ def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) 
         rng, known = np.random.default_rng([seed, 5]), [priors.calibration[name] for name in GAINS]
         for k, one in enumerate(known):
             gains[:, k] = np.maximum(one.mean + one.sd * rng.standard_normal(len(vectors)), 0.05)
-        total = _with_gains(target.law, total, gains)
-        statistical = _with_gains(target.law, statistical, np.array([[one.mean for one in known]]))
+        specs, means = target.law.model().parameters, np.array([[one.mean] for one in known])
+        total, statistical = scaled_theta(specs, total, *gains.T), scaled_theta(specs, statistical, *means)
     return Draws(vectors, total, statistical, gains)
 
 
@@ -210,14 +202,13 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     """The fit moved to one passive vector in the middle of its draws, which every curve is drawn from."""
     t = target.law.times
     middle = np.median(draws.vectors, axis=0)
-    start = target.optimum.point
+    start, places = target.optimum.point, target.places
     times, machine = middle[:t], middle[t : t + len(MACHINE)] if target.open else start.machine
-    own = start.own
-    if "contact" in target.places:
-        own = middle[target.places["contact"]].reshape(1, 1)
+    own = middle[places["contact"]].reshape(1, 1) if "contact" in places else start.own
     point = Point(times, machine, start.linear, own)
-    found = refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
-    moved = fitted.moved(found)
+    moved = fitted.moved(
+        refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
+    )
     return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
 
 
@@ -239,9 +230,7 @@ def _uncertainties(
             sd=float(base[name].std(ddof=1)),
             ci95=central[name],
             ci95_total=None if total is None else whole,
-            ess_bulk=found[name].ess_bulk,
-            ess_tail=found[name].ess_tail,
-            r_hat=found[name].r_hat,
+            **asdict(found[name]),
         )
     return out
 
@@ -272,10 +261,8 @@ def _with_medians(
             known = width <= MAX_WIDTH_VISCOSITY or timed
         detail = {**one.detail, "mode": one.detail.get("estimate"), "estimate": value}
         detail["width_ln"] = width if np.isfinite(width) else None
-        stderr = own.sd if known else None
-        out.append(
-            replace(one, value=value if known else None, stderr=stderr, identified=known, detail=detail)
-        )
+        told = (value, own.sd) if known else (None, None)
+        out.append(replace(one, value=told[0], stderr=told[1], identified=known, detail=detail))
     return tuple(out)
 
 
@@ -338,7 +325,6 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
     for row in fit.selection:
         if "model" in row:
             continue
-        score, scatter = float(row["score"]), float(row["stderr"])
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
         other: Literal["undecided", "worse"] = "undecided" if (branches, degree) in as_good else "worse"
         rows.append(
@@ -346,8 +332,8 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
                 model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
                 log_evidence=None,
                 log_evidence_se=None,
-                elpd_log=score,
-                elpd_log_se=scatter,
+                elpd_log=float(row["score"]),
+                elpd_log_se=float(row["stderr"]),
                 elpd_speed=None,
                 elpd_speed_se=None,
                 verdict="chosen" if row["chosen"] else other,

@@ -33,16 +33,10 @@ def half_width(
     ln_gain = fitted.identified.optimum.point.own[:, 0] if fitted.identified.system.effects.gain else None
     if ln_gain is not None and len(ln_gain) > 1:
         gain = np.exp(ln_gain.std(ddof=1) * rng.standard_t(len(ln_gain) - 1, len(theta)))
-    model = fitted.tissue.model
-    curves = np.array(
-        [
-            by
-            * model.force(
-                one, ContactPath(data.time_s, np.maximum(data.depth_mm - off, 0.0), data.speed_ratio)
-            )
-            for one, by, off in zip(theta, gain, shift, strict=True)
-        ]
-    )
+    model, curves = fitted.tissue.model, np.empty((len(theta), data.time_s.size))
+    for k, off in enumerate(shift):
+        path = ContactPath(data.time_s, np.maximum(data.depth_mm - off, 0.0), data.speed_ratio)
+        curves[k] = gain[k] * model.force(theta[k], path)
     sigma = fitted.noise.sigma_N
     # a law misses all along alike, noise at each sample anew
     left = sigma * rng.standard_normal((len(curves), 1 if fitted.noise.discrepant else data.time_s.size))

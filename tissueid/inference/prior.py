@@ -162,28 +162,11 @@ def own_precision(system: System, scatter: Scatter) -> FloatArray:
 
 #: A class in percent -> standard deviation of the gain.
 CLASS_SD = 0.01 / 2.0
-#: Of a stated filter without its sd: a corner frequency is set in steps, and the filter's order is not said.
-FILTER_SHARE, FILTER_FLOOR_S = 0.2, 2e-4
-#: Of a stated delay without its sd: a sample or two of a controller's clock.
-SKEW_SHARE, SKEW_FLOOR_S = 0.2, 5e-4
+#: Share and floor of the sd of a stated delay without one (a sample or two of a controller's clock), and of a
+#: filter's (a corner frequency is set in steps, and the filter's order is not said).
+TIMES = (("skew_s", 0.2, 5e-4), ("force_filter_s", 0.2, 2e-4))
 #: Of a stated frame stiffness without its sd: a maker's number leaves out the user's grips and fixture.
 FRAME_SHARE = 0.25
-
-
-def _class_prior(name: str, stated: float | None) -> CalibrationPrior:
-    default = CALIBRATION_DEFAULTS[name]
-    return default if stated is None else CalibrationPrior(default.mean, CLASS_SD * stated, stated=True)
-
-
-def _time_prior(
-    name: str, calibration: Calibration, share: float, floor_s: float, lower: float
-) -> CalibrationPrior:
-    value = calibration.values.get(name)
-    if value is None:
-        return CALIBRATION_DEFAULTS[name]
-    sd = calibration.values.get(f"{name}_sd")
-    spread = max(share * abs(float(value)), floor_s) if sd is None else float(sd)
-    return CalibrationPrior(float(value), spread, lower, stated=True)
 
 
 def _frame_prior(frame: FrameCurve) -> CalibrationPrior:
@@ -213,12 +196,15 @@ def calibration_priors(calibration: Calibration | None) -> Mapping[str, Calibrat
     """Priors of gains, skew, filter and frame by their names, as a study's ``[calibration]`` has them."""
     if calibration is None:
         return CALIBRATION_DEFAULTS
-    values = calibration.values
-    frame = "frame_compliance_mm_per_N"
-    return {
-        "force_gain": _class_prior("force_gain", values.get("load_cell_class")),
-        "displacement_gain": _class_prior("displacement_gain", values.get("displacement_class")),
-        "skew_s": _time_prior("skew_s", calibration, SKEW_SHARE, SKEW_FLOOR_S, float("-inf")),
-        "force_filter_s": _time_prior("force_filter_s", calibration, FILTER_SHARE, FILTER_FLOOR_S, 0.0),
-        frame: CALIBRATION_DEFAULTS[frame] if calibration.frame is None else _frame_prior(calibration.frame),
-    }
+    values, found = calibration.values, dict(CALIBRATION_DEFAULTS)
+    for gain, key in (("force_gain", "load_cell_class"), ("displacement_gain", "displacement_class")):
+        if (limit := values.get(key)) is not None:
+            found[gain] = CalibrationPrior(found[gain].mean, CLASS_SD * limit, stated=True)
+    for name, share, floor_s in TIMES:
+        if (value := values.get(name)) is not None:
+            sd = values.get(f"{name}_sd")
+            spread = max(share * abs(float(value)), floor_s) if sd is None else float(sd)
+            found[name] = CalibrationPrior(float(value), spread, found[name].lower, stated=True)
+    if calibration.frame is not None:
+        found["frame_compliance_mm_per_N"] = _frame_prior(calibration.frame)
+    return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, product
 
 import numpy as np
 from msgspec.structs import replace
@@ -81,6 +82,11 @@ def unknown_parameters(tissue: TissueEstimate) -> NDArray[np.bool_]:
     )
 
 
+#: Number of a tissue under some conditions, and two numbers at a depth.
+Functional = Callable[[ChannelModel, FloatArray, Conditions], float]
+Pair = Callable[[ChannelModel, FloatArray, float], tuple[float, float]]
+
+
 @dataclass(frozen=True, slots=True)
 class _Quoter:
     """Turns functions of theta into quantities with errors and verdicts."""
@@ -89,18 +95,13 @@ class _Quoter:
     unknown: NDArray[np.bool_]
 
     def __call__(
-        self,
-        name: str,
-        unit: str,
-        at: Conditions,
-        function: Callable[[ChannelModel, FloatArray], float],
-        reason: str = "",
+        self, name: str, unit: str, at: Conditions, function: Functional, reason: str = ""
     ) -> Quantity:
         if reason:
             return Quantity(name, unit, at, None, None, reason)
         tissue = self.tissue
         value, stderr = functionals.delta_method(
-            lambda theta: function(tissue.model, theta), tissue.theta, tissue.covariance, self.unknown
+            lambda theta: function(tissue.model, theta, at), tissue.theta, tissue.covariance, self.unknown
         )
         fraction = name.startswith("fraction")
         width = 2.0 * TWO_SIDED_95 * stderr if fraction else width_of(abs(value), stderr)
@@ -111,13 +112,18 @@ class _Quoter:
         return Quantity(name, unit, at, value, stderr, None)
 
 
-#: Force of a tissue a time after a push, and two numbers of a tissue.
-Relaxing = Callable[[ChannelModel, FloatArray, float], float]
-Pair = Callable[[ChannelModel, FloatArray], tuple[float, float]]
+def _static(model: ChannelModel, theta: FloatArray, at: Conditions) -> float:
+    return float(model.static_force(theta, np.array([at.depth_mm or 0.0]))[0])
 
 
-def _static(model: ChannelModel, theta: FloatArray, depth: float) -> float:
-    return float(model.static_force(theta, np.array([depth]))[0])
+def _force(model: ChannelModel, theta: FloatArray, at: Conditions, time_s: float = 0.0) -> float:
+    """Force a time after a ramp, or after an ideal step where no speed is given."""
+    return functionals.force_after_ramp(model, theta, at.depth_mm or 0.0, at.speed_mm_s, time_s)
+
+
+def _complex(model: ChannelModel, theta: FloatArray, at: Conditions) -> tuple[float, float]:
+    """Storage and loss stiffness."""
+    return functionals.complex_stiffness(model, theta, at.depth_mm or 0.0, at.frequency_Hz or 0.0)
 
 
 def _over(part: float, whole: float) -> float:
@@ -135,86 +141,50 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         flat = ""
     no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
 
-    def step(model: ChannelModel, theta: FloatArray, time: float) -> float:
-        return functionals.force_after_step(model, theta, depth, time)
+    def lost(model: ChannelModel, theta: FloatArray, at: Conditions) -> float:
+        """Share of the peak that is gone after a time."""
+        return 1.0 - _over(_force(model, theta, at, at.time_s or 0.0), _force(model, theta, at))
 
-    def ramp(model: ChannelModel, theta: FloatArray, time: float) -> float:
-        return functionals.force_after_ramp(model, theta, depth, hold.speed_mm_s, time)
-
-    for path, force, reason in (("step", step, ""), ("ramp", ramp, no_ramp)):
-        speed = hold.speed_mm_s if path == "ramp" and not reason else None
+    for path, speed, reason in (("step", None, ""), ("ramp", None if no_ramp else hold.speed_mm_s, no_ramp)):
         at = Conditions(path=path, depth_mm=depth, speed_mm_s=speed)
         for time in TIMES_S:
             why = reason or supported.no_time(time)
-            yield quote("fraction_relaxed", "1", replace(at, time_s=time), partial(_lost, force, time), why)
-        yield quote("peak_to_plateau", "1", at, partial(_over_rest, force, depth), reason or flat)
-
-
-def _lost(force: Relaxing, time: float, model: ChannelModel, theta: FloatArray) -> float:
-    """Share of the peak that is gone after a time."""
-    return 1.0 - _over(force(model, theta, time), force(model, theta, 0.0))
-
-
-def _over_rest(force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray) -> float:
-    """Peak over the force that stays."""
-    return _over(force(model, theta, 0.0), _static(model, theta, depth))
+            yield quote("fraction_relaxed", "1", replace(at, time_s=time), lost, why)
+        # peak over the force that stays
+        yield quote("peak_to_plateau", "1", at, lambda *of: _over(_force(*of), _static(*of)), reason or flat)
 
 
 def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[float]) -> Iterator[Quantity]:
     """Storage, loss, tan(delta) and energy of a cycle about half depth."""
     full = quote.tissue.model.depth_mm
     depth, amplitude = CYCLE_DEPTH * full, CYCLE_AMPLITUDE * full
+
+    def energy(model: ChannelModel, theta: FloatArray, at: Conditions) -> float:
+        return functionals.dissipated_per_cycle(model, theta, depth, amplitude, at.frequency_Hz or 0.0)
+
     for f in frequencies or FREQUENCIES_HZ:
         why = supported.no_frequency(f)
         if why and not frequencies:
             continue
         at = Conditions(frequency_Hz=f, depth_mm=depth)
-        both = partial(functionals.complex_stiffness, depth_mm=depth, frequency_Hz=f)
-        energy = partial(
-            functionals.dissipated_per_cycle, depth_mm=depth, amplitude_mm=amplitude, frequency_Hz=f
-        )
-        yield quote("storage_stiffness", "N/mm", at, partial(_part, both, 0), why)
-        yield quote("loss_stiffness", "N/mm", at, partial(_part, both, 1), why)
-        yield quote("tan_delta", "1", at, partial(_tangent, both), why)
+        yield quote("storage_stiffness", "N/mm", at, lambda *of: _complex(*of)[0], why)
+        yield quote("loss_stiffness", "N/mm", at, lambda *of: _complex(*of)[1], why)
+        yield quote("tan_delta", "1", at, lambda *of: _over(*reversed(_complex(*of))), why)
         yield quote("dissipated_energy", "mJ", replace(at, amplitude_mm=amplitude), energy, why)
-
-
-def _part(of: Pair, which: int, model: ChannelModel, theta: FloatArray) -> float:
-    """One of two numbers."""
-    return float(of(model, theta)[which])
-
-
-def _tangent(of: Pair, model: ChannelModel, theta: FloatArray) -> float:
-    """Loss over storage."""
-    storage, loss = of(model, theta)
-    return _over(loss, storage)
 
 
 def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
     """Instantaneous and equilibrium stiffness at half and full depth."""
-    kinds = (
-        ("equilibrium", functionals.equilibrium_stiffness),
-        ("instantaneous", functionals.instantaneous_stiffness),
-    )
-    for share in STIFFNESS_SHARES:
-        depth = share * quote.tissue.model.depth_mm
-        for word, function in kinds:
-            both = partial(function, depth_mm=depth)
-            for which, form in enumerate(("secant", "tangent")):
-                at = Conditions(depth_mm=depth)
-                yield quote(f"{word}_{form}", "N/mm", at, partial(_part, both, which))
 
+    def part(both: Pair, which: int, model: ChannelModel, theta: FloatArray, at: Conditions) -> float:
+        return both(model, theta, at.depth_mm or 0.0)[which]
 
-def model_numbers(
-    tissue: TissueEstimate, supported: Supported, frequencies_Hz: Sequence[float] = ()
-) -> tuple[Quantity, ...]:
-    """Functionals of a fitted tissue, at the frequencies asked for, else the supported of the usual ones."""
-    quote = _Quoter(tissue, unknown_parameters(tissue))
-    return (
-        *_relaxation(quote, supported),
-        *_oscillation(quote, supported, frequencies_Hz),
-        *_stiffness(quote),
-    )
+    pairs = (functionals.equilibrium_stiffness, functionals.instantaneous_stiffness)
+    kinds = dict(zip(("equilibrium", "instantaneous"), pairs, strict=True))
+    for share, (kind, both) in product(STIFFNESS_SHARES, kinds.items()):
+        at = Conditions(depth_mm=share * quote.tissue.model.depth_mm)
+        for which, form in enumerate(("secant", "tangent")):
+            yield quote(f"{kind}_{form}", "N/mm", at, partial(part, both, which))
 
 
 def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
@@ -235,9 +205,12 @@ def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
 
 def _share(rival: Rival, at: Conditions) -> float:
     """Share of the peak that a rival's tissue loses, in the end where no time is given."""
-    model, theta, depth = rival.model, rival.theta, at.depth_mm or 0.0
-    times = np.array([0.0, np.inf if at.time_s is None else at.time_s])
-    peak, later = _static(model, theta, depth) + model.relaxing(theta, depth, times, at.speed_mm_s)
+    model, theta, times = (
+        rival.model,
+        rival.theta,
+        np.array([0.0, np.inf if at.time_s is None else at.time_s]),
+    )
+    peak, later = _static(model, theta, at) + model.relaxing(theta, at.depth_mm or 0.0, times, at.speed_mm_s)
     return float(1.0 - later / peak)
 
 
@@ -249,18 +222,23 @@ def quoted_numbers(
     duration_s: float,
     frequencies_Hz: Sequence[float] = (),
 ) -> Quoted:
-    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip."""
+    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip.
+
+    ``frequencies_Hz``: none takes those of the usual ones that the data support.
+    """
     most = max((one.longest_s for one in holds), default=0.0)
     # of holds equally long the deepest: the same protocol ends a sample earlier or later
     equal = [one for one in holds if one.longest_s >= EQUALLY_LONG * most]
     longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
     window = longest.longest_s or duration_s
     supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
+    quote = _Quoter(tissue, unknown_parameters(tissue))
+    rows = _relaxation(quote, supported), _oscillation(quote, supported, frequencies_Hz), _stiffness(quote)
     return Quoted(
         window_s=window,
         resolution_s=2.0 * step_s,
         noise="white",
-        model=model_numbers(tissue, supported, frequencies_Hz),
+        model=tuple(chain.from_iterable(rows)),
         moduli=(),
         spectra=tuple(one for hold in holds for one in hold.spectra),
         assumptions=Assumptions(),
@@ -270,28 +248,22 @@ def quoted_numbers(
 #: Depths at which a modulus is given, as shares of the fitted depth.
 SHARES = (0.5, 1.0)
 KPA_PER_MPA = 1000.0
-
-
-def _sudden(model: ChannelModel, theta: FloatArray, depth: float) -> float:
-    return functionals.force_after_step(model, theta, depth, 0.0)
+#: Moduli at rest and at once.
+MODULI = ("modulus_equilibrium", "modulus_instantaneous")
 
 
 def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
     """Moduli of a tissue at rest and at once by one formula, at one depth."""
-    quote = _Quoter(tissue, unknown_parameters(tissue))
     at = Conditions(formula=formula, doi=FORMULAS[formula], depth_mm=depth)
-    reason = "" if contact else f"{formula} has no solution here: the contact is too wide for the layer"
+    if contact is None:
+        reason = f"{formula} has no solution here: the contact is too wide for the layer"
+        return [Quantity(name, "kPa", at, None, None, reason) for name in MODULI]
+    quote, modulus_MPa = _Quoter(tissue, unknown_parameters(tissue)), contact.modulus_MPa
+    rest, sudden = MODULI
     return [
-        quote(name, "kPa", at, partial(_modulus, contact, force, depth), reason)
-        for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden))
+        quote(rest, "kPa", at, lambda *of: KPA_PER_MPA * modulus_MPa(_static(*of))),
+        quote(sudden, "kPa", at, lambda *of: KPA_PER_MPA * modulus_MPa(_force(*of))),
     ]
-
-
-def _modulus(
-    contact: Contact | None, force: Relaxing, depth: float, model: ChannelModel, theta: FloatArray
-) -> float:
-    """Young's modulus by a contact [kPa]; NaN without one."""
-    return float("nan") if contact is None else KPA_PER_MPA * contact.modulus_MPa(force(model, theta, depth))
 
 
 def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:

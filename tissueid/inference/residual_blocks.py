@@ -84,14 +84,9 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
 def _corner_columns(
     model: ChannelModel, theta: FloatArray, log: FittedLog, segmentation: Segmentation
 ) -> FloatArray:
-    """Remainder of an error of the branch states at each corner, shape (n, holds * branches).
-
-    A stop between two samples is not in the displacement: the states behind it are off, and forget that
-    with tau.
-    """
-    time = log.data.time_s
-    columns = []
-    tau = model.times(theta)
+    """Remainder of an error of the branch states at each corner, shape (n, holds * branches)."""
+    # a stop between two samples is not in the displacement: states behind it are off, until tau is over
+    time, columns, tau = log.data.time_s, [], model.times(theta)
     for hold in segmentation.of_kind("hold"):
         since = time - hold.start_s
         inside = (since >= -0.5 * log.step_s) & (time <= hold.end_s + 0.5 * log.step_s)

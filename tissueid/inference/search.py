@@ -6,6 +6,7 @@ Columns of all nodes are worked out once; every combination is then a small prob
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -89,7 +90,8 @@ def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener)
     nodes = np.linspace(low + 0.5, high - 0.5, NODES)
     target, out = white(system.force), []
     for shapes in product(*[np.log(one.starts) for one in law.shapes[law.branches :]]):
-        every = law.with_branches(NODES)
+        # another number of exponentials, for columns only
+        every = replace(law, branches=NODES, model_of=None)
         columns = observed_columns(system, every, np.concatenate([nodes, shapes]), at)
         problem = _Combinations(white(columns), target, law.static_size, law.powers)
         to = _generators(law)

@@ -36,14 +36,6 @@ from tissueid.trial import Segmentation, Trial, contact_frame
 FACTORS = np.geomspace(0.1, 10.0, 13)
 
 
-def _ranges(time_s: FloatArray, rows: Sequence[Cycle]) -> list[slice]:
-    """Samples of each loop."""
-    return [
-        slice(int(np.searchsorted(time_s, row.start_s)), int(np.searchsorted(time_s, row.end_s, "right")))
-        for row in rows
-    ]
-
-
 def with_model_viscosity(
     trial: Trial,
     segmentation: Segmentation,
@@ -57,7 +49,9 @@ def with_model_viscosity(
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
     depth, _ = contact_frame(trial, segmentation)
-    ranges = _ranges(trial.time_s, rows)
+    begins = np.searchsorted(trial.time_s, [row.start_s for row in rows]).tolist()
+    ends = np.searchsorted(trial.time_s, [row.end_s for row in rows], "right").tolist()
+    ranges = [slice(*one) for one in zip(begins, ends, strict=True)]
     # from the last sample in air, so that the surface starts at rest where it is
     first = max(segmentation.contact.index - 1, 0)
     if ranges[0].start < first:  # preconditioning comes before the contact of the test
@@ -217,16 +211,6 @@ def second_pass(
     )
 
 
-def _look(trial: Trial, segmentation: Segmentation, known: Known) -> Look:
-    """A recording as it shows itself."""
-    return Look(
-        cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
-        measured=measure(trial, segmentation, geometry=known.tip.of(trial)),
-        relaxation=relaxation_rows(trial, segmentation),
-        holds=hold_numbers(trial, segmentation),
-    )
-
-
 def _one_log(
     trial: Trial,
     segmentation: Segmentation,
@@ -238,15 +222,16 @@ def _one_log(
 ) -> _OneLog:
     """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = known.tissue.model, known.tissue.theta
-    look = look or _look(trial, segmentation, known)
+    look = look or Look(
+        cycles=tuple(cycle_rows(trial, segmentation, depths_mm=known.depths_mm)),
+        measured=measure(trial, segmentation, geometry=known.tip.of(trial)),
+        relaxation=relaxation_rows(trial, segmentation),
+        holds=hold_numbers(trial, segmentation),
+    )
     totals = ResidualTotals()
     blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
     summary = residual_summary(log, fitted, blocks, sigma_N=known.noise.sigma_N)
     told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
-    return _OneLog(
-        totals=totals,
-        trial=replace(told, residual=summary, measured=look.measured),
-        cycles=with_model_viscosity(trial, segmentation, look.cycles, model, theta, adjustment),
-        look=look,
-        blocks=blocks,
-    )
+    told = replace(told, residual=summary, measured=look.measured)
+    cycles = with_model_viscosity(trial, segmentation, look.cycles, model, theta, adjustment)
+    return _OneLog(totals, told, cycles, look, blocks)

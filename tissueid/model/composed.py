@@ -16,7 +16,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
-from tissueid.model.grammar import parsed, register
+from tissueid.model.grammar import DEGREES, parsed, register
 from tissueid.model.law import About, Shape
 
 #: Bounds over and under a starting value, and that value where none is given.
@@ -143,9 +143,6 @@ def _shape(one: inspect.Parameter, kind: str) -> Shape:
     return Shape(spec, starts if isinstance(given, tuple) else (float(given),))
 
 
-STIFFNESSES = ("constant", "linear", "quadratic")
-
-
 @dataclass(frozen=True, slots=True)
 class Polynomial:
     """Polynomial of depth: a1 x + a2 x^2 + ... as static law, b0 + b1 x + ... as stiffness.
@@ -215,8 +212,9 @@ class ContactModel:
         if damping is not None and (stiffness, relaxation) != (Polynomial(0), Prony(1)):
             msg = f"{damping} damps the static law itself: leave stiffness and relaxation out"
             raise ValueError(msg)
-        moving = (_stiffness(stiffness), _relaxation(relaxation)) if damping is None else (damping,)
-        words = (_static(static), *moving)
+        moving = (stiffness, "stiffness"), (relaxation, "relaxation")
+        words = [_word(part, kind) for part, kind in moving] if damping is None else [damping]
+        words.insert(0, _word(static, "static"))
         name = " * ".join(words) if name is None else name
         parsed(name)
         object.__setattr__(self, "name", name)
@@ -225,31 +223,20 @@ class ContactModel:
         return self.name
 
 
-def _static(part: Part) -> str:
-    if isinstance(part, Polynomial):
-        return f"polynomial:{part.degree}"
-    return _word(part, static_of)
-
-
-def _stiffness(part: Part) -> str:
-    if not isinstance(part, Polynomial):
-        return _word(part, None)
-    if not 0 <= part.degree < len(STIFFNESSES):
-        msg = f"a stiffness is a polynomial of degree 0 to {len(STIFFNESSES) - 1}, got {part.degree}"
-        raise ValueError(msg)
-    return STIFFNESSES[part.degree]
-
-
-def _relaxation(part: Part) -> str:
-    if isinstance(part, Prony):
-        return f"prony:{part.branches}"
-    return _word(part, relaxation_of)
-
-
-def _word(part: Part, of: Callable[[Callable[..., Any]], Any] | None) -> str:
-    """The word of a part; a function is registered under its own name."""
+def _word(part: Part, kind: str) -> str:
+    """The word of a part of a kind; a function is registered under its own name."""
     if isinstance(part, str):
         return part
+    if isinstance(part, Polynomial) and kind == "static":
+        return f"polynomial:{part.degree}"
+    if isinstance(part, Prony) and kind == "relaxation":
+        return f"prony:{part.branches}"
+    if isinstance(part, Polynomial) and kind == "stiffness":
+        if not 0 <= part.degree < len(DEGREES):
+            msg = f"a stiffness is a polynomial of degree 0 to {len(DEGREES) - 1}, got {part.degree}"
+            raise ValueError(msg)
+        return tuple(DEGREES)[part.degree]
+    of = {"static": static_of, "relaxation": relaxation_of}.get(kind)
     if of is None or isinstance(part, Polynomial | Prony):
         msg = f"{part!r} can't stand here; `tissueid models` lists the laws and their places"
         raise ValueError(msg)

@@ -30,14 +30,13 @@ def _static(model: ChannelModel, theta: FloatArray, depth_mm: float) -> tuple[fl
 
 def force_after_step(model: ChannelModel, theta: FloatArray, depth_mm: float, time_s: float) -> float:
     """Force a time after an ideal step from rest to a depth [N]."""
-    relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), None)
-    return _static(model, theta, depth_mm)[0] + float(relaxing[0])
+    return force_after_ramp(model, theta, depth_mm, None, time_s)
 
 
 def force_after_ramp(
-    model: ChannelModel, theta: FloatArray, depth_mm: float, speed_mm_s: float, time_s: float
+    model: ChannelModel, theta: FloatArray, depth_mm: float, speed_mm_s: float | None, time_s: float
 ) -> float:
-    """Force a time after the end of a ramp from rest, at constant speed, to a depth [N]."""
+    """Force a time after the end of a ramp from rest, at constant speed, to a depth [N]; ``None``: a step."""
     relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), speed_mm_s)
     return _static(model, theta, depth_mm)[0] + float(relaxing[0])
 
