@@ -33,10 +33,10 @@ from tissueid.documents.identification import Exit, TipGeometry
 from tissueid.errors import InputError, UsageError, exit_code
 from tissueid.extras import versions
 from tissueid.inference.frame_effect import tip_handles
-from tissueid.inference.logs import NO_CONTACT
+from tissueid.inference.logs import NO_CONTACT, LogHandle
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
 from tissueid.inference.prior import calibration_priors
-from tissueid.inference.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
+from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state
 from tissueid.inference.verdict import unsampled, without_posterior
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry

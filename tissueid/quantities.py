@@ -7,8 +7,6 @@ import math
 #: From this slope d ln tau / d ln T on a relaxation time is one of its window, where the slope is known to
 #: so many standard errors.
 EFFECTIVE_SLOPE, EFFECTIVE_SD = 0.2, 2.6
-
-
 #: Name of the slope of ln relaxation time on ln contact radius among the quantities of a model.
 DEPTH_TEST = "relaxation_by_contact_radius"
 #: A force earlier than so many ramp times after the stop still knows the ramp.

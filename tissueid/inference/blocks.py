@@ -22,10 +22,8 @@ from tissueid.signal_noise import quantum, white_noise_sd
 SAMPLED = 420
 #: Growth of blocks behind a corner, share of the depth and of the duration that one block spans at the most.
 GROWTH, TRAVEL_SHARE, TIME_SHARE = 1.25, 1.0 / 60.0, 1.0 / 25.0
-#: Root mean square distance from a straight line, over the noise of the travel, that counts as straight.
-STRAIGHT = 1.3
-#: The same relative to the depth, where travel has no noise.
-STRAIGHT_SHARE = 2e-6
+#: Root mean square distance from a line that is straight, over the noise of the travel and over the depth.
+STRAIGHT, STRAIGHT_SHARE = 1.3, 2e-6
 #: Bend of a travel that is known exactly, over its fastest speed, that is one.
 BEND_SHARE = 1e-10
 #: Samples from which a block's own line says where its ends are.
@@ -46,17 +44,15 @@ LEAD_SD = 5.0
 class Blocks:
     """One log as it is compared with a law."""
 
-    #: (m,): broken line of the tool's travel.
-    time_s: FloatArray
+    time_s: FloatArray  # (m,), broken line of the tool's travel
     depth_mm: FloatArray  # (m,)
     #: (k, 3): points of that line of each observation: its start, middle and end; thrice the sample where it
     #: is one.
     at: IntArray
     force_N: FloatArray  # (k,), measured mean force
     count: IntArray  # (k,), samples of each observation
-    #: (k,): mean time of an observation, and the sampling interval within it.
-    mid_s: FloatArray
-    step_s: FloatArray  # (k,)
+    mid_s: FloatArray  # (k,), mean time of an observation
+    step_s: FloatArray  # (k,), sampling interval within it
     chain: NDArray[np.bool_]  # (k,), true where an observation starts a chain of noise
     fold: IntArray  # (k,), held-out group
     within_N2: float  # sum of squares of the samples about lines in their blocks [N^2]

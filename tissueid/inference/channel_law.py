@@ -129,7 +129,7 @@ class ChannelLaw:
         """Parameters that the force is not linear in, in the engine's order; times of a law without model."""
         if self.model_of is None:
             return (*(self.relaxation.shapes[0] for _ in range(self.branches)), *self.static.shapes)
-        specs = self.model_of.shape_specs
+        specs = [one for one in self.model_of.layout if isinstance(one, Shape)]
         return tuple(specs[k] for k in np.argsort(self._order, kind="stable"))
 
     @cached_property
@@ -413,8 +413,7 @@ def law_of(model: ChannelModel, logs: int) -> ChannelLaw:
 
 #: Half of the stretch, in samples, and as a share of its phase: a line through at least eleven samples has an
 #: eighth of the error of a difference.
-HALF_SAMPLES = 5
-HALF_SHARE = 0.05
+HALF_SAMPLES, HALF_SHARE = 5, 0.05
 #: Root mean square distance from a line that is straight, over the noise of the travel and over the travel.
 STRAIGHT, STRAIGHT_SHARE = 1.3, 1e-5
 #: Samples beside a corner that say when it was, not how the tissue resists.

@@ -84,8 +84,7 @@ class Rival:
     """Another law beside the chosen one."""
 
     name: str
-    #: Ln of the chosen law's mean square error over its own, on what was left out.
-    gain: float
+    gain: float  # ln of the chosen law's mean square error over its own, on what was left out
     stderr: float
     wide: float  # loss with which it predicts as well
     tau_s: float  # its shortest relaxation time, NaN where nothing relaxes

@@ -15,16 +15,12 @@ from tissueid.arrays import FloatArray
 
 #: Chains that never moved have an infinite R-hat, which no document can hold: no larger one is said.
 WORST_R_HAT = 1e3
-
 #: A single chain is cut into so many, to be compared with itself.
 _PARTS_OF_ONE_CHAIN = 4
-
 #: Quantiles that the tail effective size is the smaller of.
 _TAIL = (0.05, 0.95)
-
 #: Least draws a chain must have: halves of four, the fewest that arviz-stats looks at.
 _LEAST_DRAWS = 8
-
 #: Offsets of a fractional rank (Blom 1958), as in Vehtari et al. (2021), equation 14.
 _RANK_OFFSET = 3.0 / 8.0
 
@@ -96,10 +92,7 @@ def _r_hat(chains: FloatArray) -> float:
 
 
 def _effective_size(chains: FloatArray) -> float:
-    """Effective draws for the mean of chains (chains, draws), by Geyer's initial monotone sequence.
-
-    Vehtari et al. 2021, equations 9 to 11, as ``array_stats.ess`` has it, all lags at once.
-    """
+    """Effective draws for the mean of chains (chains, draws), by Geyer's sequence, equations 9 to 11."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     count, n = chains.shape

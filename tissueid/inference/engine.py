@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,8 +240,7 @@ def identify_logs(
     return replace(found, table=table, as_good=as_good, rivals=choice.simplest)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Orders:
+class _Orders(NamedTuple):
     """Orders of the Kelvin-Voigt law: the chosen one, their table, those that are as good."""
 
     chosen: Tried | None

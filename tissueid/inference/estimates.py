@@ -23,20 +23,17 @@ from tissueid.result import Estimate
 LEVEL_95, LARGEST_RISE = 3.841458820694124, 15.0
 #: Points on each side, steps of the fit at each, and the least and largest reach in ln tau.
 POINTS, STEPS, LEAST_REACH, MOST_REACH = 5, 3, 1e-3, 4.0
-#: Times the reach may be doubled.
-DOUBLINGS = 4
-DIGITS = 6
+#: Times the reach may be doubled, and digits of a curve.
+DOUBLINGS, DIGITS = 4, 6
 
 
 @dataclass(frozen=True, slots=True)
 class ProfileInterval:
     """95 % profile-likelihood interval of one ln tau."""
 
-    #: Ends in ln(tau / s); the bound of the search where open.
-    low: float
+    low: float  # ends in ln(tau / s); the bound of the search where open
     high: float
-    #: True where the likelihood never falls far enough before the bound.
-    open_low: bool
+    open_low: bool  # true where the likelihood never falls far enough before the bound
     open_high: bool
 
     @property
@@ -131,10 +128,8 @@ NEAR_END = 1e-3
 SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12
-#: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
-REFERENCE_DEPTH = 0.5
-#: Depths, as fractions of the fitted one, at which a curve is judged.
-CURVE_DEPTHS = (0.25, 0.5, 0.75, 1.0)
+#: Fractions of the fitted depth at which viscosity is quoted where K varies, and a curve is judged.
+REFERENCE_DEPTH, CURVE_DEPTHS = 0.5, (0.25, 0.5, 0.75, 1.0)
 
 
 def width_of(estimate: float, stderr: float) -> float:
@@ -149,8 +144,7 @@ class TissueEstimate:
     """A tissue in the parameters of its contact model."""
 
     model: ChannelModel
-    #: In the order of ``model.parameter_names``, units of the field.
-    theta: FloatArray
+    theta: FloatArray  # in the order of ``model.parameter_names``, units of the field
     covariance: FloatArray
     parameters: tuple[Estimate, ...]
     intervals: tuple[ProfileInterval, ...]  # of ln tau, a branch each

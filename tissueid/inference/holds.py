@@ -19,8 +19,7 @@ MIN_SAMPLES = 12
 #: A force below so many standard deviations of its noise is none.
 NOISE_FACTOR = 5.0
 #: Relaxation times a decade, and bins a decade of the samples.
-PER_DECADE = 8
-BINS_PER_DECADE = 40
+PER_DECADE, BINS_PER_DECADE = 8, 40
 #: Nodes of a ramp whose parts drain, and points of the search in ln time.
 RAMP_NODES, DRAINAGE_GRID = 16, 25
 #: Grid of smoothing weights, strongest first.
@@ -33,11 +32,9 @@ class HoldNumbers:
 
     spectra: tuple[Spectrum, ...] = ()
     longest_s: float = 0.0  # longest hold; 0 without one
-    #: Of the ramp before the longest hold.
-    speed_mm_s: float = 0.0
+    speed_mm_s: float = 0.0  # of the ramp before the longest hold
     depth_mm: float = 0.0
-    #: Time a^2 / D of the drainage function nearest to the longest hold; 0 without one.
-    drainage_s: float = 0.0
+    drainage_s: float = 0.0  # time a^2 / D of the drainage nearest to the longest hold; 0 without one
 
 
 def drained_share(time: FloatArray) -> FloatArray:

@@ -101,10 +101,9 @@ class Slopes:
     """
 
     direct: FloatArray  # (m,)
-    #: (j, m): ``inner`` is None where nothing stands inside the convolution.
-    outer: FloatArray
+    outer: FloatArray  # (j, m)
     tau_s: FloatArray  # (j,)
-    inner: FloatArray | None = None  # (j, m)
+    inner: FloatArray | None = None  # (j, m); None where nothing stands inside the convolution
 
     def sudden(self, path: Path) -> FloatArray:
         """Change of the force by a change of depth within one step, shape (m,)."""

@@ -23,8 +23,7 @@ from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
-AIR_SHARE = 0.01
-AIR_SD = 3.0
+AIR_SHARE, AIR_SD = 0.01, 3.0
 #: Samples of the running mean that is compared with it; shorter stays in air or contact are noise.
 SMOOTHED = 5
 

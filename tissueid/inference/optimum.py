@@ -118,8 +118,7 @@ class Normal:
     """Normal equations at a point, in units of the noise."""
 
     residual: FloatArray  # (k,), whitened, over sigma
-    #: (k, s): whitened derivatives over sigma.
-    shared: FloatArray
+    shared: FloatArray  # (k, s), whitened derivatives over sigma
     own: FloatArray  # (k, q)
     hessian: FloatArray  # (s, s), of half the objective, own parameters eliminated
     gradient: FloatArray  # (s,), downhill
@@ -127,8 +126,7 @@ class Normal:
     cross: FloatArray  # (logs, q, s)
     own_gradient: FloatArray  # (logs, q)
     objective: float  # |residual|^2 and priors
-    #: Hessian, gradient and the like with shapes that need not have mean zero.
-    loose: Reduced
+    loose: Reduced  # Hessian, gradient and the like with shapes that need not have mean zero
 
 
 def about_mean(own: FloatArray) -> FloatArray:

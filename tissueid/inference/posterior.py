@@ -75,9 +75,8 @@ class Draws:
     """Draws of a specimen."""
 
     vectors: FloatArray  # (n, size), coordinates of the target
-    #: (n, p): theta with the machine open, and at its mean.
-    total: FloatArray
-    statistical: FloatArray  # (n, p)
+    total: FloatArray  # (n, p), theta with the machine open
+    statistical: FloatArray  # (n, p), with the machine at its mean
     gains: FloatArray  # (n, 2), force and displacement gain
 
 

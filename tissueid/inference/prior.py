@@ -62,8 +62,7 @@ class PriorRows:
     rows: FloatArray
     target: FloatArray  # (c,)
     own: FloatArray  # (logs, q), precision of each log's own parameters, around 0
-    #: (b, shared): ``cone @ shared >= least``.
-    cone: FloatArray
+    cone: FloatArray  # (b, shared): ``cone @ shared >= least``
     least: FloatArray  # (b,)
 
 

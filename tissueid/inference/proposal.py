@@ -29,8 +29,7 @@ class CutNormal:
 
     centre: FloatArray  # (d,)
     width: float
-    #: (c, d): half spaces ``rows @ z >= least``.
-    rows: FloatArray
+    rows: FloatArray  # (c, d): half spaces ``rows @ z >= least``
     least: FloatArray  # (c,)
     pool: FloatArray  # (n, d), draws
 

@@ -49,9 +49,8 @@ EQUALLY_LONG = 0.99
 class Supported:
     """Coverage of a specimen's recordings."""
 
-    #: Longest hold (longest log without one), and two sampling intervals.
-    window_s: float
-    resolution_s: float
+    window_s: float  # longest hold, longest log without one
+    resolution_s: float  # two sampling intervals
     hold: HoldNumbers  # with the speed and depth of the ramp before the longest hold
 
     def no_time(self, time_s: float) -> str:

@@ -193,11 +193,6 @@ def _row_in_ln(
     return _row(name, words, True, draws, given.sd_ln)
 
 
-def _largest(target: SpecimenTarget, tau_s: FloatArray) -> FloatArray:
-    """Largest state of a branch over the largest depth, by its relaxation time."""
-    return np.asarray(np.exp(np.interp(np.log(tau_s), target._ln_tau, target._ln_state)))  # noqa: SLF001
-
-
 def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
     """Coefficients of F_s and K."""
     law, priors, point = target.law, target.priors, target.optimum.point
@@ -271,9 +266,11 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
     for one in law.blocks:
         # the largest state follows the time of an exponential; of other laws it is a constant
-        follows = one.branch >= 0 and exponential
-        state = _largest(target, np.exp(logs[:, one.branch])) if follows else np.ones(len(theta))
-        if one.branch >= 0 and not exponential:
+        state = np.ones(len(theta))
+        if one.branch >= 0 and exponential:
+            tau_s = np.exp(logs[:, one.branch])
+            state = np.exp(np.interp(np.log(tau_s), target._ln_tau, target._ln_state))  # noqa: SLF001
+        elif one.branch >= 0:
             state = state * largest[one.branch]
         rows = bernstein(one.size) if one.polynomial else np.eye(one.size)
         value -= 0.5 * ((linear[:, one.at] @ rows.T) ** 2).sum(axis=1) * (state / spread) ** 2

@@ -45,16 +45,14 @@ class ResidualBlocks:
     place: NDArray[np.int64]
     count: NDArray[np.int64]  # (k,), samples that take part in the likelihood
     mean_N: FloatArray  # (k,), mean of measured less modelled force
-    #: (k,): time of the first and of the last of these samples.
-    start_s: FloatArray
-    end_s: FloatArray  # (k,)
+    start_s: FloatArray  # (k,), time of the first of these samples
+    end_s: FloatArray  # (k,), time of the last
     shared: FloatArray  # (k, p), mean derivative of the model by its theta
     #: (k, q): mean derivative by what each log has for itself: ln gain, contact offset and shape; and by the
     #: branch states at its corners, which may lie between two samples.
     own: FloatArray
-    #: Fastest loading and largest depth of the log.
-    speed_mm_s: float
-    depth_mm: float
+    speed_mm_s: float  # fastest loading of the log
+    depth_mm: float  # its largest
     step_s: float  # median sampling interval
 
 
@@ -222,8 +220,7 @@ SEED = 20110
 #: Noise that is known from a short record may be so much stronger at long lags than its fit says.
 SPECTRUM_TOLERANCE = 1.15
 #: Blocks count as early up to this share of a hold, as the start of a ramp up to this share of its path.
-EARLY_SHARE = 0.1
-START_PLACES = 3
+EARLY_SHARE, START_PLACES = 0.1, 3
 
 
 class _Row(NamedTuple):

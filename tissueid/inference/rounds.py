@@ -20,11 +20,9 @@ from tissueid.inference.logs import FreeSurface, LogHandle, air_limit
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog
 
-#: Rounds, and the change of the parameters, in standard errors, that counts as none.
-MAX_ROUNDS = 12
-#: Rounds after which steps are halved: they may go back and forth over a sample that is in contact or not.
-DAMPED_AFTER = 3
-SETTLED_SD = 0.05
+#: Rounds, and the change of the parameters, in standard errors, that counts as none; rounds after which steps
+#: are halved: they may go back and forth over a sample that is in contact or not.
+MAX_ROUNDS, SETTLED_SD, DAMPED_AFTER = 12, 0.05, 3
 #: Root mean square of the residual in air, over that in contact, beyond which the law of contact loss fails.
 AIR_MISFIT = 3.0
 

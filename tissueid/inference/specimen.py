@@ -40,12 +40,9 @@ from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
 from tissueid.result import ModelChoice, SpecimenFit
 
-__all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_with_state"]
-
 #: Share of the travel that frame and contact may take before less than the travel is claimed.
 TAKEN = 0.1
 MAX_BRANCHES, MAX_DEGREE, MAX_STATIC = 3, 2, 3
-POOLINGS = ("scaled", "partial", "shared")
 
 
 @dataclass(frozen=True, slots=True)

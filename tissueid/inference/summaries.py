@@ -83,11 +83,9 @@ def _filled(row: Cycle, areas: FloatArray, eta: float) -> Cycle:
 
 
 #: Bins of the histogram, and half its width in standard deviations of the noise.
-BINS = 40
-HALF_WIDTH_SD = 5.0
+BINS, HALF_WIDTH_SD = 40, 5.0
 #: Lags grow geometrically, the same for every log, to a quarter of it.
-LAGS_PER_DECADE = 6
-LARGEST_LAG_SHARE = 0.25
+LAGS_PER_DECADE, LARGEST_LAG_SHARE = 6, 0.25
 
 
 def _correlation(residual: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:

@@ -51,8 +51,8 @@ def lag_one_correlation(residual: FloatArray) -> float:
 CURVE_POINTS = 10_000
 #: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
 CORNER_POINTS = 32
-RESIDUAL_SHARE = 0.05
-CORRELATED = 0.5
+#: Largest residual over the range of the force, and correlation of neighbours, from which they are told.
+RESIDUAL_SHARE, CORRELATED = 0.05, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -279,9 +279,7 @@ def _machine(posterior: Posterior) -> list[Flag]:
 #: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.
 MUCH_SPREAD = 0.10
 #: An order effect is said from so many logs, this chance of a slope that large without one, and this change.
-FEWEST_RUNS = 4
-CHANCE = 0.01
-LEAST_CHANGE = 0.02
+FEWEST_RUNS, CHANCE, LEAST_CHANGE = 4, 0.01, 0.02
 #: Least difference of a first test from the others.
 FIRST_CHANGE = 0.05
 

@@ -21,13 +21,10 @@ from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 GUARD_SD = 3.0
 #: Fewest samples that are worth a fit.
 MIN_SAMPLES = 6
-#: Ratio of speeds below which a set counts as one speed.
-ONE_SPEED = 1.2
-#: Holds whose depths differ by less than this factor have one depth.
-ONE_DEPTH = 1.2
+#: Ratio of speeds, and of depths of holds, below which a set counts as one.
+ONE_SPEED, ONE_DEPTH = 1.2, 1.2
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
-FOLDS = 6
-STRETCHES = 24
+FOLDS, STRETCHES = 6, 24
 UNLOADING = ("retract",)
 #: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
 AROUND = 9
@@ -43,10 +40,9 @@ GAP = 10.0
 class LogData:
     """One log in the contact frame, from contact to the end of its fitted part."""
 
-    #: (n,): from contact on [s], depth [mm], compressive force [N].
-    time_s: FloatArray
+    time_s: FloatArray  # (n,), from contact on
     depth_mm: FloatArray  # (n,)
-    force_N: FloatArray  # (n,)
+    force_N: FloatArray  # (n,), compressive
     #: (n,): samples that take part in the likelihood (the branch state runs through all of them).
     include: NDArray[np.bool_]
     fold: NDArray[np.int64]  # (n,), held-out group of every sample; all zero where whole logs are held out

@@ -17,12 +17,10 @@ MOST_BRANCHES = 12
 class ParameterSpec:
     """One parameter of a model."""
 
-    #: Name as in identification.json, symbol as in an equation, unit as printed.
-    name: str
-    symbol: str
-    unit: str
-    #: Bounds; the passivity constraint may bind several parameters more tightly.
-    lower: float
+    name: str  # as in identification.json
+    symbol: str  # as in an equation
+    unit: str  # as printed
+    lower: float  # bounds; the passivity constraint may bind several parameters more tightly
     upper: float
     meaning: str  # one sentence
 
@@ -31,9 +29,8 @@ class ParameterSpec:
 class ContactPath:
     """Path of a tool: the input of a contact model."""
 
-    #: (n,): non-decreasing times [s] and depths below the contact point [mm]; linear in between.
-    time_s: FloatArray
-    depth_mm: FloatArray  # (n,)
+    time_s: FloatArray  # (n,), non-decreasing
+    depth_mm: FloatArray  # (n,), below the contact point; linear in between
     #: (n,): speed over that at which each contact began, for laws that follow it; else told from the path.
     speed_ratio: FloatArray | None = None
 

@@ -97,8 +97,7 @@ class ChannelModel:
     stiffness_law: StiffnessLaw
     relaxation: RelaxationLaw
     depth_mm: float  # largest depth that it is claimed for
-    #: Times between which relaxations are looked at.
-    resolution_s: float
+    resolution_s: float  # times between which relaxations are looked at
     window_s: float
     name: str = field(default="", compare=False)  # as it was asked for
 
@@ -147,11 +146,6 @@ class ChannelModel:
     def parameters(self) -> tuple[ParameterSpec, ...]:
         """Parameters in the order of theta."""
         return tuple(one.spec if isinstance(one, Shape) else one for one in self.layout)
-
-    @cached_property
-    def shape_specs(self) -> tuple[Shape, ...]:
-        """Shapes in the order of theta."""
-        return tuple(one for one in self.layout if isinstance(one, Shape))
 
     @cached_property
     def shape_places(self) -> NDArray[np.int64]:

@@ -38,8 +38,7 @@ class Named:
     """A contact model by its name."""
 
     name: str  # as it was asked for
-    #: Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
-    branches: int | None = None
+    branches: int | None = None  # of a Kelvin-Voigt law; None where they are chosen, and of other laws
     degree: int | None = None
     #: Static, stiffness and relaxation or damping law; None where it is a Kelvin-Voigt law.
     parts: tuple[Any, Any, Any] | None = None

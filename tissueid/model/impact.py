@@ -12,20 +12,10 @@ from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 
 # -- the law's numbers, and what it remembers -----------------------------------------------------
-IMPACT_SIZE = 6
-STIFFNESS = 0
-EXPONENT = 1
-CHI = 2
-SLOWEST = 3
-FILTER_S = 4
-HYSTERESIS_MM = 5
-
-IMPACT_STATE = 4
-LAST_DEPTH = 0
-SPEED = 1
-#: Speed at contact [mm/s]; 0 while no contact is on.
-LATCHED = 2
-STARTED = 3
+IMPACT_SIZE, IMPACT_STATE = 6, 4
+STIFFNESS, EXPONENT, CHI, SLOWEST, FILTER_S, HYSTERESIS_MM = range(IMPACT_SIZE)
+#: Latched is the speed at contact [mm/s]; 0 while no contact is on.
+LAST_DEPTH, SPEED, LATCHED, STARTED = range(IMPACT_STATE)
 
 
 def pack_impact(

@@ -15,8 +15,7 @@ from tissueid.model.laws.static import Polynomial
 from tissueid.model.laws.stiffness import Constant, Linear, Quadratic
 
 KEY = "kelvin-voigt"
-STATIC_DEGREE = 3
-MAX_BRANCHES = 3
+STATIC_DEGREE, MAX_BRANCHES = 3, 3
 STIFFNESS = (Constant(), Linear(), Quadratic())
 
 

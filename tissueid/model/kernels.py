@@ -34,25 +34,16 @@ def step_weights(h: float, tau: float) -> tuple[float, float]:
 
 
 # -- the law as one flat block --------------------------------------------------------------------
-LAW_SIZE = 176
-MOST_PIECES = 16
-_DEPTH = 0
-_BRANCHES = 1
-#: Pieces of F_s, cubic each: piece i begins at depth (i / pieces)^2.
-_PIECES = 2
-#: What the branches follow: 0 the depth, 1 the static force, 2 a polynomial of depth each; 3 of a law without
-#: branches whose static force is damped by the speed over that at contact.
-_FOLLOWED = 3
-_STATIC = 4
-_STATIC_SIZE = 4
-_STIFFNESS = 68
-#: Coefficients of K kept a branch, constant first; a lower degree has zeros.
-_STIFFNESS_SIZE = 3
-_TAU = 104
+LAW_SIZE, MOST_PIECES = 176, 16
+#: Pieces of F_s are cubics, of which piece i begins at depth (i / pieces)^2.  What the branches follow: 0 the
+#: depth, 1 the static force, 2 a polynomial of depth each; 3 of a law without branches whose static force is
+#: damped by the speed over that at contact.
+_DEPTH, _BRANCHES, _PIECES, _FOLLOWED, _STATIC, _STIFFNESS, _TAU = 0, 1, 2, 3, 4, 68, 104
+#: Coefficients of a piece, and of K a branch, constant first; a lower degree has zeros.
+_STATIC_SIZE, _STIFFNESS_SIZE = 4, 3
 #: Polynomials that the branches follow, constant term first (0); of a damped law chi, floor of v0 [mm/s],
 #: filter of the speed [s] and hysteresis [mm].
-_OWN = 116
-OWN_SIZE = 5
+_OWN, OWN_SIZE = 116, 5
 
 # -- what a tissue remembers ----------------------------------------------------------------------
 STATE_SIZE = 49
@@ -72,8 +63,7 @@ def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) ->
     Its ``size`` coefficients stand in ``block`` from ``at``, constant term first.
     """
     inside = min(max(x, 0.0), depth)
-    value = 0.0
-    slope = 0.0
+    value, slope = 0.0, 0.0
     for k in range(at + size - 1, at - 1, -1):
         slope = slope * inside + value
         value = value * inside + block[k]
@@ -134,14 +124,9 @@ def _following_force(
 
 @tick_kernel
 def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int, target: float) -> float:
-    """Position deeper than ``target`` at which a free surface ends this step: bracketed Newton.
-
-    Where a slow branch pulls on, or force falls with depth, that may be deeper than where it started.
-    """
+    """Position at which a free surface ends this step, deeper than ``target`` or where it was: Newton's."""
     depth = law[at + _DEPTH]
-    low = target
-    high = max(state[first + _SURFACE], target)
-    width = 1e-3 * depth
+    low, high, width = target, max(state[first + _SURFACE], target), 1e-3 * depth
     force, slope = _following_force(law, at, state, first, high)
     for _ in range(MAX_DETACHED_ITERATIONS):
         if force >= 0.0:
@@ -155,10 +140,7 @@ def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int,
     for _ in range(MAX_DETACHED_ITERATIONS):
         if abs(force) <= resolution * slope or high - low <= resolution:
             break
-        if force > 0.0:
-            high = y
-        else:
-            low = y
+        low, high = (low, y) if force > 0.0 else (y, high)
         candidate = y - force / slope if slope > 0.0 else low
         if not low < candidate < high:
             candidate = 0.5 * (low + high)
@@ -258,10 +240,8 @@ def surface_path(
     tool_mm: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Surface (n,) [mm] and force [N] on a tool along a whole path, at rest at the first sample."""
-    n = time_s.size
-    surface = np.empty(n)
-    force = np.empty(n)
-    law = np.empty(LAW_SIZE)
+    n, law = time_s.size, np.empty(LAW_SIZE)
+    surface, force = np.empty(n), np.empty(n)
     _pack_law(static, stiffness, tau, depth, law, 0)
     state = np.zeros(STATE_SIZE)
     surface[0] = max(tool_mm[0], 0.0)

@@ -26,8 +26,7 @@ import numpy as np
 from tissueid.arrays import FloatArray
 
 #: Nodes in u, and in x up to where M - 1 ~ exp(-2x) is below rounding.
-NODES_U = 32
-NODES_X, END_X = 320, 24.0
+NODES_U, NODES_X, END_X = 32, 320, 24.0
 #: Largest a/h solved: beyond it the nodes no longer resolve the kernel.
 MOST_A_OVER_H = 6.0
 #: Halvings of the bracket of the contact radius.
@@ -119,8 +118,7 @@ MOST_A_OVER_H_DEEP = 0.1
 #: Dimitriadis' truncated series is 3 % below the layer's exact equation at 0.3, 8 % at 0.5, 20 % at 1.
 MOST_CHI = 0.3
 #: Depth over thickness, and nominal contact strain, up to which small-strain theory is used.
-MOST_DEPTH_OVER_H = 0.1
-MOST_STRAIN = 0.1
+MOST_DEPTH_OVER_H, MOST_STRAIN = 0.1, 0.1
 #: Nominal strain under a sphere, 0.2 a/R (Tabor, The Hardness of Metals, 1951), and a cone, 0.2 cot(alpha).
 TABOR = 0.2
 #: Poroelastic diffusivities met in gels and soft tissue [mm^2/s], 1e-11 to 1e-8 m^2/s.

@@ -7,6 +7,7 @@ construction, whose times are then fitted as well.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
@@ -190,8 +191,7 @@ def projected(
     return best.weights, best.tau_s
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sum:
+class _Sum(NamedTuple):
     """Exponentials, and the largest error of their sum."""
 
     weights: FloatArray
@@ -208,10 +208,7 @@ def _merged(weights: FloatArray, grid: FloatArray, most: int) -> FloatArray:
 
 
 def _filled(time_s: FloatArray, wanted: FloatArray, found: _Sum, limits: tuple[int, float]) -> _Sum:
-    """The same with its heaviest time parted in two, as long as that is better.
-
-    ``limits``: exponentials that there may be, and the time that never decays.
-    """
+    """The same with its heaviest time parted in two while that is better; ``limits``: count, last time."""
     most, forever = limits
     while found.tau_s.size < most:
         heaviest = int(np.argmax(np.where(found.tau_s < forever, found.weights, 0.0)))

@@ -88,8 +88,7 @@ class Increasing:
 class Yardstick(ChannelModel):
     """Curves of depth at nodes of time, inside the convolution and outside it."""
 
-    #: Nodes.
-    inside_s: tuple[float, ...] = ()
+    inside_s: tuple[float, ...] = ()  # nodes
     outside_s: tuple[float, ...] = ()
 
     @cached_property
