@@ -10,7 +10,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.flags import Flag
-from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
+from tissueid.inference.channel_law import kelvin_voigt_law, law_of
 from tissueid.inference.choice import (
     BEND,
     Rival,
@@ -78,7 +78,7 @@ def tried(branches, degree, errors, law=None, sigma_N=1.0, logs=3, badness=0.0):
 
 
 def named(name, errors, sigma_N=1.0):
-    law = ChannelLaw.of(parsed(name).model(8.0, 0.01, 10.0))
+    law = law_of(parsed(name).model(8.0, 0.01, 10.0), 1)
     return tried(law.branches, law.degree, errors, law, sigma_N)
 
 

@@ -14,11 +14,11 @@ from tissueid.inference.posterior import (
     PosteriorOptions,
     _at_mean_machine,
     _passive,
-    _with_gains,
     with_posterior,
 )
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
+from tissueid.model.base import scaled_theta
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.synth import Branch, Hold, Log, Move
 
@@ -142,7 +142,7 @@ def test_a_law_that_lacks_a_branch_has_the_generalised_posterior():
 def test_gains_of_the_channels_scale_the_tissue():
     law, (force, travel) = kelvin_voigt_law(1, 1, 4.0), (1.02, 0.97)
     theta, model = np.array([20.0, -1.2, 0.35, 30.0, 6.0, 0.2]), law.model()
-    found = _with_gains(law, theta[None], np.array([[force, travel]]))[0]
+    found = scaled_theta(model.parameters, theta[None], np.array([force]), np.array([travel]))[0]
     # F_shown = g_F F(x), x_shown = g_x x
     x = np.linspace(0.1, 3.0, 5)
     shown = model.static_force(theta, travel * x) / force

@@ -9,7 +9,7 @@ import pytest
 from inference_cases import log_data, point_of, ramp_hold, system_of
 from scipy.signal import lfilter
 
-from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
+from tissueid.inference.channel_law import kelvin_voigt_law, law_of
 from tissueid.inference.law import Path, passive_rows, relaxation_states
 from tissueid.inference.system import MACHINE, Effects, System
 from tissueid.model.base import ContactPath
@@ -207,7 +207,7 @@ def test_lifted_polynomials_are_passive_and_others_stay():
 
 def test_a_static_law_that_is_convolved_is_lifted_until_it_grows():
     model = parsed("polynomial * tangent * prony:2").model(4.0, 0.01, 8.0)
-    law = ChannelLaw.of(model)
+    law = law_of(model, 1)
     rng = np.random.default_rng(12)
     # forces that are positive throughout and sink between their ends
     size = 200

@@ -204,11 +204,8 @@ def with_form(numbers: Quoted, rivals: Sequence[Rival]) -> Quoted:
 
 def _share(rival: Rival, at: Conditions) -> float:
     """Share of the peak that a rival's tissue loses, in the end where no time is given."""
-    model, theta, times = (
-        rival.model,
-        rival.theta,
-        np.array([0.0, np.inf if at.time_s is None else at.time_s]),
-    )
+    model, theta = rival.model, rival.theta
+    times = np.array([0.0, np.inf if at.time_s is None else at.time_s])
     peak, later = _static(model, theta, at) + model.relaxing(theta, at.depth_mm or 0.0, times, at.speed_mm_s)
     return float(1.0 - later / peak)
 

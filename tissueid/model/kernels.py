@@ -124,7 +124,7 @@ def _following_force(
 
 @tick_kernel
 def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int, target: float) -> float:
-    """Position at which a free surface ends this step, deeper than ``target`` or where it was: Newton's."""
+    """Position deeper than ``target``, perhaps than before, of a free surface after this step (Newton)."""
     depth = law[at + _DEPTH]
     low, high, width = target, max(state[first + _SURFACE], target), 1e-3 * depth
     force, slope = _following_force(law, at, state, first, high)

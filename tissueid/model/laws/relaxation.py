@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +12,7 @@ from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
+_about = partial(About, kind="relaxation")
 #: Logarithms of rates times tau to the power alpha that a fractional spectrum sums, and their number.
 REACH, RATES = 16.0, 401
 #: Gauss-Legendre points over the logarithm of Fung's box.
@@ -27,9 +29,8 @@ class Fractional:
     """Mittag-Leffler function E_alpha(-(t / tau)^alpha), by its spectrum of rates."""
 
     branches: ClassVar[int] = 0
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="fractional",
-        kind="relaxation",
         equation="R = E_alpha(-(t / tau)^alpha)",
         source="10.1142/p614",
         purpose="a springpot (fractional Zener): two parameters for decades of relaxation",
@@ -59,9 +60,8 @@ class Fung:
     """Equal weight of all times between two ends, by the logarithm: Fung's box spectrum."""
 
     branches: ClassVar[int] = 0
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="fung",
-        kind="relaxation",
         equation="R = [E1(t / tau_2) - E1(t / tau_1)] / ln(tau_2 / tau_1)",
         source="10.1007/978-1-4757-2257-4",
         purpose="quasi-linear viscoelasticity: loss that hardly depends on frequency",
@@ -88,9 +88,8 @@ class Poroelastic:
     """Hu, Zhao, Vlassak & Suo's function of D t / a^2 = t / tau: fluid drains from under a sphere."""
 
     branches: ClassVar[int] = 0
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="poroelastic",
-        kind="relaxation",
         equation="R = 0.491 exp(-0.908 (t / tau)^0.5) + 0.509 exp(-1.679 t / tau), tau = a^2 / D",
         source="10.1063/1.3370354",
         purpose="soaked tissue held at one depth: fluid drains from a contact of radius a with diffusivity D",
@@ -109,9 +108,8 @@ class PowerLaw:
     """(1 + t / tau)^-alpha."""
 
     branches: ClassVar[int] = 0
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="power-law",
-        kind="relaxation",
         equation="R = (1 + t / tau)^-alpha",
         source="10.1103/PhysRevLett.87.148102",
         purpose="tissue that relaxes over decades without a time of its own",
@@ -134,9 +132,8 @@ class Prony:
     """exp(-t / tau), one to three of them, each with a stiffness of its own."""
 
     branches: int = 1
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="prony",
-        kind="relaxation",
         equation="R_j = exp(-t / tau_j)",
         source="10.1109/ROBOT.2009.5152617",
         purpose="one to three relaxation times, each with its stiffness",
@@ -159,9 +156,8 @@ class Spectrum:
     """Exponentials at fixed times, evenly spaced in ln tau over what the recordings show."""
 
     nodes: int = 8
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="spectrum",
-        kind="relaxation",
         equation="R_j = exp(-t / tau_j), tau_j fixed from the sampling interval to the longest log",
         source="10.1007/BF01332922",
         purpose="shape of the relaxation without a law of it",
@@ -185,9 +181,8 @@ class Stretched:
     """exp(-(t / tau)^beta) of Kohlrausch."""
 
     branches: ClassVar[int] = 0
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="stretched",
-        kind="relaxation",
         equation="R = exp(-(t / tau)^beta)",
         source="10.1039/TF9706600080",
         purpose="one process with a broad spread of times",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +12,7 @@ from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
+_about = partial(About, kind="static")
 #: Exponent beyond which a law is none.
 LARGEST = 200.0
 #: Depth [mm] at which the slope of a power below one is taken instead of at the surface.
@@ -26,9 +28,8 @@ def _at_1_mm(name: str, unit: str) -> tuple[ParameterSpec, ...]:
 class Exponential:
     """F_s = (k / b) (exp(b x) - 1)."""
 
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="exponential",
-        kind="static",
         equation="F_s = (k / b) (exp(b x) - 1)",
         source="10.1152/ajplegacy.1967.213.6.1532",
         purpose="soft tissue that stiffens with strain as Fung's does",
@@ -76,9 +77,8 @@ class KnownPower:
 class Flat(KnownPower):
     """F_s = c x of a flat punch."""
 
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="flat",
-        kind="static",
         equation="F_s = c x",
         source="10.1016/0020-7225(65)90019-4",
         purpose="a flat punch on a thick specimen; with its radius in the study, Young's modulus",
@@ -91,9 +91,8 @@ class Flat(KnownPower):
 class Hertz(KnownPower):
     """F_s = c x^1.5 of a sphere."""
 
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="hertz",
-        kind="static",
         equation="F_s = c x^1.5",
         source="10.1515/crll.1882.92.156",
         purpose="a sphere that touches a thick specimen; with its radius in the study, Young's modulus",
@@ -108,9 +107,8 @@ class Polynomial:
     """F_s = a1 x + a2 x^2 + ..., of degree 1 to 3."""
 
     degree: int = 3
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="polynomial",
-        kind="static",
         equation="F_s = a1 x + a2 x^2 + a3 x^3",
         source="10.1109/ROBOT.2009.5152617",
         purpose="structural stiffness of any tool, within the depth it was pushed to",
@@ -148,9 +146,8 @@ class Polynomial:
 class Power:
     """F_s = c x^n."""
 
-    about: ClassVar[About] = About(
+    about: ClassVar[About] = _about(
         key="power",
-        kind="static",
         equation="F_s = c x^n",
         source="10.1016/0020-7225(65)90019-4",
         purpose="tips of a shape that is not known: n is 1 of a flat punch, 1.5 of a sphere, 2 of a cone",
