@@ -205,9 +205,8 @@ def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> Fi
     times, machine = middle[:t], middle[t : t + len(MACHINE)] if target.open else start.machine
     own = middle[places["contact"]].reshape(1, 1) if "contact" in places else start.own
     point = Point(times, machine, start.linear, own)
-    moved = fitted.moved(
-        refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
-    )
+    found = refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
+    moved = fitted.moved(found)
     return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
 
 

@@ -265,7 +265,7 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     value = law.ln_volume(logs, priors.linear) - logs.sum(axis=1) - np.log(field).sum(axis=1)
     spread, exponential = WEAK_FACTOR * target.force, law.relaxation.branches > 0
     for one in law.blocks:
-        # the largest state follows the time of an exponential; of other laws it is a constant
+        # the largest state of a branch follows the time of an exponential; of other laws it is a constant
         state = np.ones(len(theta))
         if one.branch >= 0 and exponential:
             tau_s = np.exp(logs[:, one.branch])
