@@ -62,7 +62,7 @@ _WORDS: Mapping[str, str] = {
     "newton": "newton newtons",
     "kN": "kn kilonewton kilonewtons",
     "mN": "millinewton millinewtons",
-    "force_gram": "gf gram grams gram-force grams-force gram_force",
+    "force_gram": "gf gr gram grams gram-force grams-force gram_force",
     "force_kilogram": "kg kgf kgs kp kilogram kilograms kilogram-force kilopond",
     "force_pound": "lb lbs lbf pound pounds pound-force pounds-force",
     "force_ounce": "oz ozf ounce ounces ounce-force",

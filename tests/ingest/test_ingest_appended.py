@@ -51,6 +51,17 @@ def test_a_head_that_comes_again_while_the_time_goes_on_is_a_page(tmp_path: Path
     assert trial.time_s.size == 60
 
 
+@pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])
+def test_another_specimen_named_above_a_head_begins_a_recording_though_the_time_goes_on(
+    tmp_path: Path, second: str, specimens: list[str]
+) -> None:
+    text = "Specimen label,A\n" + HEAD + "".join(lines(30, 1.0))
+    text += f"\nSpecimen label,{second}\n" + HEAD + "".join(lines(20, 8.5, start=3.0))
+    trials = read_trials(put(tmp_path / "a.csv", text))
+    assert [trial.specimen for trial in trials] == specimens
+    assert sum(trial.time_s.size for trial in trials) == 50
+
+
 @pytest.mark.parametrize(
     ("label", "names"),
     [("Specimen", "AB"), ("Sample No", "12"), ("sample_id", "AB"), ("Probe", "AB"), ("试样编号", "12")],
@@ -72,11 +83,11 @@ def test_a_specimen_named_in_its_first_row_alone_goes_on_below_it(tmp_path: Path
     assert [(trial.source.sheet, trial.time_s.size) for trial in trials] == [("1: A", 30), ("2: B", 20)]
 
 
-@pytest.mark.parametrize(("start", "count"), [(0.0, 2), (3.0, 1)])
-def test_a_column_of_runs_parts_them_where_the_time_starts_again(tmp_path, start, count) -> None:
+@pytest.mark.parametrize(("name", "start", "count"), [("Trial", 0.0, 2), ("Trial", 3.0, 1), ("Site", 0.0, 2)])
+def test_a_column_of_runs_parts_them_where_the_time_starts_again(tmp_path, name, start, count) -> None:
     rows = [f"liver,1,{line}" for line in lines(30, 1.0)]
     rows += [f"liver,2,{line}" for line in lines(30, 8.5, start=start)]
-    trials = read_trials(put(tmp_path / "a.csv", f"Organ,Trial,{HEAD}" + "".join(rows)))
+    trials = read_trials(put(tmp_path / "a.csv", f"Organ,{name},{HEAD}" + "".join(rows)))
     assert [trial.source.sheet for trial in trials] == (["1: 1", "2: 2"] if count == 2 else [None])
 
 

@@ -486,6 +486,7 @@ POUND_N = 4.4482216152605
         (("sec", "mm", "kp"), (1, 1, 9.80665)),
         (("s", "mm", "Kg"), (1, 1, 9.80665)),
         (("sec", "mm", "g"), (1, 1, 9.80665e-3)),
+        (("sec", "mm", "gr"), (1, 1, 9.80665e-3)),
     ],
 )
 @pytest.mark.parametrize("where", ["names", "row", "above", "wide"])
@@ -503,6 +504,16 @@ def test_units_are_read_however_they_are_spelled(tmp_path, units, factors, where
     found = (trial.time_s[2], trial.displacement_mm[2], trial.force_N[2])
     # parse, factor, product: a rounding each
     assert found == pytest.approx((0.2 * factors[0], 0.1 * factors[1], 1.5 * factors[2]), rel=1e-15)
+
+
+def test_names_that_go_on_in_another_line_are_read_and_lines_keep_their_numbers(tmp_path: Path) -> None:
+    head = '"Time\n(ms)","Extension\r\nof the piston\n(um)","Load\n(mN)"'
+    path = put(tmp_path / "a.csv", f"{head}\n{ROWS}")
+    trial = read(path)
+    assert trial.flags == ()
+    assert (trial.time_s[2], trial.force_N[2]) == pytest.approx((2e-4, 1.5e-3))
+    spoilt = put(tmp_path / "b.csv", f"{head}\n{ROWS.replace('1.500', '1.5.0')}")
+    assert spoilt.read_text(encoding="utf-8").splitlines()[refusal(spoilt).line - 1].endswith("1.5.0")
 
 
 @pytest.mark.parametrize("unit", ["G", "MN", "Mn", "NM"])

@@ -1,7 +1,7 @@
 """Recordings below each other in one table: under a head that comes again, or told by a column of specimens.
 
-A head that comes again while the time goes on begins a page; where the time starts again, or the cell under a
-name such as ``Specimen`` changes, another recording begins.
+A head that comes again while the time goes on begins a page; where the time starts again, or the name of the
+specimen above the head or in a column changes, another recording begins.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from tissueid.units import quantity_of
 
 #: Names of what is done several times to a specimen.
 _RUNS = re.compile(
-    r"(?:test|trial|run|repeat|replicate|indent(?:ation)?|curve|file)(?: ?(?:no|nr|id|name|number))?"
+    r"(?:test|trial|run|repeat|replicate|indent(?:ation)?|curve|file|site|location)"
+    r"(?: ?(?:no|nr|id|name|number))?"
 )
 #: The rows beside a head are sought in so many bytes.
 _NEAR_BYTES = 1 << 13
@@ -118,7 +119,7 @@ def _by_label(
 
 
 def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
-    """Rows under each head behind which the time starts again."""
+    """Rows under each head behind which the time starts again, or above which another specimen is named."""
     if layout.names_line is None:
         return
     data = text.data
@@ -130,14 +131,16 @@ def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
         lines = data[above:at].splitlines(keepends=True)
         ended = _first(text, layout, time, lines[::-1])
         begun = _first(text, layout, time, data[below : below + _NEAR_BYTES].splitlines(keepends=True))
-        if ended is not None and begun is not None and begun[1] < ended[1]:
-            stop = at - ended[0]
+        at, head = below, at
+        if ended is None or begun is None:
+            continue
+        stop = head - ended[0]
+        lines_of = (split_line(text.decode(line), layout.delimiter) for line in data[stop:head].splitlines())
+        own = tuple(row for row in lines_of if any(map(str.strip, row)))
+        specimen = specimen_in(header_entries(own))
+        if begun[1] < ended[1] or specimen not in (None, specimen_in(header_entries(header))):
             yield _Cut(start, stop, name, header)
-            start = below + begun[0]
-            own = (split_line(text.decode(line), layout.delimiter) for line in data[stop:at].splitlines())
-            header = tuple(row for row in own if any(map(str.strip, row)))
-            name = _title(header)
-        at = below
+            start, header, name = below + begun[0], own, _title(own)
     yield _Cut(start, len(data), name, header)
 
 

@@ -172,6 +172,10 @@ _UTF16_FRACTION = 0.15
 _UTF16_STRAY = 0.05
 #: ``mm²`` in latin-1 is ``mm˛`` in cp1250, and ``µN`` is a Chinese character.
 _SIGNED_UNIT = re.compile(r"[kcm]?m[²³]|[µμ](?:m|N|s)(?:/(?:s|min))?")
+#: A quoted cell of words that goes on in another line.
+_BROKEN_NAME = re.compile(
+    rb'(?:^|(?<=[,;\t]))"[^",;\t\n]*(?:\n[^",;\t\n]*){1,3}"(?=[,;\t\r\n])', re.MULTILINE
+)
 #: A minus sign that is no hyphen.
 _MINUS, _MINUS_SIGN = "\u2212".encode(), re.compile("\u2212(?=[0-9.,])".encode())
 
@@ -354,8 +358,18 @@ def _plain(text: Text) -> Text:
     data = text.data
     if text.codec == "utf-8" and _MINUS in data:
         data = _MINUS_SIGN.sub(b"-", data)
-    data = with_seconds(by_spaces(data))
+    data = with_seconds(by_spaces(_on_one_line(data)))
     return text if data is text.data else replace(text, data=data)
+
+
+def _on_one_line(data: bytes) -> bytes:
+    """The text with its quoted names on one line each; the lines that they leave stay, empty."""
+    head, rest = data[:HEAD_BYTES], data[HEAD_BYTES:]
+    joined = _BROKEN_NAME.sub(lambda name: re.sub(rb"\r?\n", b"\0", name[0]), head)
+    if joined == head:
+        return data
+    lines = (line.replace(b"\0", b" ") + b"\n" * line.count(b"\0") for line in joined.split(b"\n"))
+    return b"\n".join(lines) + rest
 
 
 def _unwrapped(text: Text) -> Text:
