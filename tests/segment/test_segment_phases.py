@@ -307,6 +307,29 @@ def test_neither_a_fast_ramp_beside_a_long_hold_nor_a_bend_is_noise() -> None:
     assert path_noise(time, sine + noise) < 4e-3
 
 
+@pytest.mark.parametrize(
+    ("approach_mm_s", "ramp_mm_s", "air_mm"),
+    [(1.0, 1.1, 10.0), (1.0, 1.5, 10.0), (1.0, 2.0, 3.0), (1.0, 2.0, 40.0), (3.0, 2.0, 20.0)],
+)
+def test_a_ramp_at_nearly_the_speed_of_its_approach_is_found_and_ends_at_its_stop(
+    approach_mm_s: float, ramp_mm_s: float, air_mm: float
+) -> None:
+    turn_s = 1.0 + air_mm / approach_mm_s
+    stop_s = turn_s + 3.0 / ramp_mm_s
+    time = np.arange(0.0, stop_s + 30.0, 0.05)
+    noise = np.random.default_rng(5).standard_normal((2, time.size))
+    travel = np.interp(time, [0.0, 1.0, turn_s, stop_s], [0.0, 0.0, air_mm, air_mm + 3.0])
+    depth = np.clip(travel - air_mm - 0.2, 0.0, None)
+    kept = 0.7 + 0.3 * np.exp(-np.maximum(time - stop_s, 0.0) / 5.0)
+    force = (2.0 * depth + 0.3 * depth**2) * kept
+    found = segment(Trial("log", time, travel + 2e-4 * noise[0], force + 2e-3 * noise[1]))
+    ramp, hold = found.of_kind("ramp")[-1], found.of_kind("hold")[0]
+    assert found.contact.displacement_mm == pytest.approx(air_mm + 0.2, abs=3.0 * found.contact.sd_mm)
+    assert found.contact.sd_mm < 0.05
+    assert ramp.speed_mm_s == pytest.approx(ramp_mm_s, rel=0.01)
+    assert (ramp.end_s, hold.start_s) == pytest.approx((stop_s, stop_s), abs=0.051)
+
+
 @pytest.mark.parametrize("value", [0.0, 50.0])
 def test_a_single_sample_far_off_parts_no_ramp(value: float) -> None:
     time, travel, force = recording(100.0)

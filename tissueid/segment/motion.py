@@ -149,6 +149,19 @@ def leaves_line(path: Path, move: Piece, end: int) -> int:
     return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end
 
 
+def quickens(path: Path, move: Piece) -> int:
+    """The sample from which a move goes on faster than it began; its start where it does not."""
+    span = slice(move.start, move.stop + 1)
+    time_s, travel = path.time_s[span], move.direction * path.depth_mm[span]
+    knots = corners(time_s, travel, tolerance=path.tolerance_mm)
+    knots = knots[np.append(True, np.diff(knots) >= MOVE_SAMPLES)]
+    rise, lasted = np.diff(travel[knots]), np.diff(time_s[knots])
+    large = rise >= MOVE_SHARE * float(np.ptp(path.depth_mm))
+    knots, speed = knots[:-1][large], rise[large] / np.maximum(lasted[large], 1e-300)
+    faster = np.flatnonzero(speed[1:] > QUICKER_RATIO * speed[:-1]) + 1
+    return move.start + int(knots[faster[-1]]) if faster.size else move.start
+
+
 def corners(time_s: FloatArray, values: FloatArray, *, tolerance: float) -> NDArray[np.intp]:
     """Indices of the corners, first and last sample included."""
     found = {0, values.size - 1}
@@ -201,6 +214,8 @@ HOLD_DRIFT = 0.01
 STAND_SPEED = 0.03
 #: Two moves in one direction are told apart where their speeds differ by this factor.
 SPEED_RATIO = 2.0
+#: ... and the second half of one move is faster than the first by this one.
+QUICKER_RATIO = 1.05
 #: Fewer samples than this at another speed are a start or a stop, not a move of their own.
 MOVE_SAMPLES = 5
 #: ... and a slower stretch up to this long is a crosshead that stops or starts [s], as is ...

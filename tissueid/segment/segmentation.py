@@ -21,7 +21,7 @@ from tissueid.segment.endings import (
     with_creep,
 )
 from tissueid.segment.memory import long_run_ratio, quiet_stretches, swing_of, without_slow
-from tissueid.segment.motion import Path, Piece, leaves_line, pieces
+from tissueid.segment.motion import Path, Piece, leaves_line, pieces, quickens
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
@@ -289,7 +289,11 @@ def _whole(path: Path, found: list[Piece], *, breaks: bool) -> _Moves:
 
 def _straight_until(path: Path, move: Piece) -> int:
     """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
+    move = replace(move, start=quickens(path, move))
     end = leaves_line(path, move, move.stop)
+    start_N, end_N, stop_N = path.force_N[[move.start, end, move.stop]]
+    if stop_N - end_N > end_N - start_N:
+        return move.stop  # a move that slowed down before it met anything
     if move.stop - move.start < FEWEST_STRAIGHT and path.force_N[move.stop] >= path.force_N[end]:
         return move.stop
     # a move that is no straight line has no such sample

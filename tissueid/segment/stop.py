@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.segment.motion import Line, Path, Piece, straight_line
+from tissueid.segment.motion import Line, Path, Piece, quickens, straight_line
 from tissueid.trial import Corner, Event, Phase
 
 #: Shares of the travel between which the line of a move is laid.
@@ -65,7 +65,7 @@ def placed_stops(path: Path, found: list[Piece]) -> list[Piece]:
 def _stop(path: Path, before: Piece, after: Piece) -> int | None:
     """The first sample at the level that a move ends at, ``None`` where noise hides it."""
     time_s, travel_mm, noise_mm = path.time_s, before.direction * path.depth_mm, path.noise_mm
-    speed, level_0 = travel_line(time_s, travel_mm, before.start, before.stop)
+    speed, level_0 = travel_line(time_s, travel_mm, quickens(path, before), before.stop)
     plateau = float(np.median(travel_mm[after.start : after.stop + 1]))
     share = STOP_SHARE * (plateau - float(travel_mm[before.start]))
     step_s = float(np.median(np.diff(time_s[before.start : before.stop + 1])))
