@@ -51,6 +51,18 @@ def test_a_head_that_comes_again_while_the_time_goes_on_is_a_page(tmp_path: Path
     assert trial.time_s.size == 60
 
 
+def test_each_head_has_its_own_units(tmp_path: Path) -> None:
+    names = "Time,Extension,Load\n"
+    text = (
+        f"A\n{names}s,mm,N\n" + "".join(lines(30, 1.0)) + f"\nB\n{names}s,um,mN\n" + "".join(lines(30, 1.0))
+    )
+    first, second, third = read_trials(
+        put(tmp_path / "a.csv", f"{text}\nC\n{names}" + "".join(lines(30, 1.0)))
+    )
+    assert (second.displacement_mm[2], second.force_N[2]) == pytest.approx((1e-4, 1.5e-3))
+    assert first.force_N[2] == third.force_N[2] == 1.5
+
+
 @pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])
 def test_another_specimen_named_above_a_head_begins_a_recording_though_the_time_goes_on(
     tmp_path: Path, second: str, specimens: list[str]

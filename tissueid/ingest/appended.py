@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
-from tissueid.ingest.layout import Layout, Row, split_line
+from tissueid.ingest.layout import Layout, Row, is_units_row, split_line
 from tissueid.ingest.numbers import CellFault, parse_number
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import FEWEST_ROWS, Text
@@ -39,12 +39,13 @@ class Part(NamedTuple):
 
 
 class _Cut(NamedTuple):
-    """The bytes of the rows of one recording, its name, and the lines above it."""
+    """The bytes of the rows of one recording, its name, the lines above it, and its row of units."""
 
     start: int
     stop: int
     name: str
     header: tuple[Row, ...]
+    units: Row
 
 
 def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) -> list[Part]:
@@ -65,7 +66,7 @@ def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) 
     line, counted = layout.first_line, layout.offset
     for count, cut in enumerate(cuts, 1):
         line, counted = line + text.data.count(b"\n", counted, cut.start), cut.start
-        own = replace(layout, offset=0, first_line=line)
+        own = replace(layout, offset=0, first_line=line, units=cut.units)
         name = f"{count}: {cut.name}" if cut.name else str(count)
         parts.append(Part(name, cut.header, replace(text, data=text.data[cut.start : cut.stop]), own))
     return parts
@@ -115,7 +116,9 @@ def _by_label(
     if any(later - row < FEWEST_ROWS for row, later in pairwise([*begun, rows])):
         return []
     stops = [*(start for start, _ in starts[1:]), len(text.data)]
-    return [_Cut(start, stop, name, ()) for (start, name), stop in zip(starts, stops, strict=True)]
+    return [
+        _Cut(start, stop, name, (), layout.units) for (start, name), stop in zip(starts, stops, strict=True)
+    ]
 
 
 def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
@@ -124,7 +127,7 @@ def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
         return
     data = text.data
     names = data[: layout.offset].splitlines()[layout.names_line - 1].strip()
-    start, name, header = layout.offset, _title(layout.header), layout.header
+    start, name, header, units = layout.offset, _title(layout.header), layout.header, layout.units
     at = layout.offset
     while (at := data.find(b"\n" + names, at) + 1) > 0:
         above, below = max(start, at - _NEAR_BYTES), at + len(names)
@@ -135,13 +138,22 @@ def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
         if ended is None or begun is None:
             continue
         stop = head - ended[0]
-        lines_of = (split_line(text.decode(line), layout.delimiter) for line in data[stop:head].splitlines())
-        own = tuple(row for row in lines_of if any(map(str.strip, row)))
+        own = _rows(text, layout, data[stop:head])
         specimen = specimen_in(header_entries(own))
         if begun[1] < ended[1] or specimen not in (None, specimen_in(header_entries(header))):
-            yield _Cut(start, stop, name, header)
+            yield _Cut(start, stop, name, header, units)
             start, header, name = below + begun[0], own, _title(own)
-    yield _Cut(start, len(data), name, header)
+            # the same machine may have been set to other units
+            under = _rows(text, layout, data[below:start])
+            stated = next(filter(is_units_row, under), layout.units)
+            units = (*stated, *[""] * layout.n_columns)[: layout.n_columns]
+    yield _Cut(start, len(data), name, header, units)
+
+
+def _rows(text: Text, layout: Layout, data: bytes) -> tuple[Row, ...]:
+    """The lines of a piece that hold something."""
+    rows = (split_line(text.decode(line), layout.delimiter) for line in data.splitlines())
+    return tuple(row for row in rows if any(map(str.strip, row)))
 
 
 def _first(text: Text, layout: Layout, time: int, lines: Sequence[bytes]) -> tuple[int, float] | None:
