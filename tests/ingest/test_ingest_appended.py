@@ -52,15 +52,14 @@ def test_a_head_that_comes_again_while_the_time_goes_on_is_a_page(tmp_path: Path
 
 
 def test_each_head_has_its_own_units(tmp_path: Path) -> None:
-    names = "Time,Extension,Load\n"
-    text = (
-        f"A\n{names}s,mm,N\n" + "".join(lines(30, 1.0)) + f"\nB\n{names}s,um,mN\n" + "".join(lines(30, 1.0))
-    )
-    first, second, third = read_trials(
-        put(tmp_path / "a.csv", f"{text}\nC\n{names}" + "".join(lines(30, 1.0)))
-    )
+    names, rows = "Time,Extension,Load\n", "".join(lines(30, 1.0))
+    text = f"A\n{names}s,mm,N\n{rows}\nB\n{names}s,um,mN\n{rows}\nC\n{names}{rows}"
+    first, second, third = read_trials(put(tmp_path / "a.csv", text))
     assert (second.displacement_mm[2], second.force_N[2]) == pytest.approx((1e-4, 1.5e-3))
     assert first.force_N[2] == third.force_N[2] == 1.5
+    names = "Time (s),Extension (mm),Load\n"
+    text = f"Load unit: N\n{names}{rows}\nLoad unit: mN\n{names}{rows}"
+    assert [trial.force_N[2] for trial in read_trials(put(tmp_path / "b.csv", text))] == [1.5, 1.5e-3]
 
 
 @pytest.mark.parametrize(("second", "specimens"), [("A", ["A"]), ("B", ["A", "B"])])

@@ -13,8 +13,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from tissueid.ingest.header import header_entries, specimen_in
-from tissueid.ingest.layout import Layout, Row, is_units_row, split_line
+from tissueid.ingest.layout import Layout, Row, is_units_row, split_line, stated_units
 from tissueid.ingest.numbers import CellFault, parse_number
+from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import FEWEST_ROWS, Text
 from tissueid.ingest.vocabulary import is_specimen_name, plain_words
@@ -145,7 +146,8 @@ def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
             start, header, name = below + begun[0], own, _title(own)
             # the same machine may have been set to other units
             under = _rows(text, layout, data[below:start])
-            stated = next(filter(is_units_row, under), layout.units)
+            stated = next(filter(is_units_row, under), ())
+            stated = stated or stated_units(own, layout.names, ReadOptions()) or layout.units
             units = (*stated, *[""] * layout.n_columns)[: layout.n_columns]
     yield _Cut(start, len(data), name, header, units)
 

@@ -363,7 +363,7 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
     return None
 
 
-def _stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
+def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row:
     """Units that lines of the header state, each of one column by its name or kind: ``Force unit: mN``."""
     stated = {}
     for row in header:
@@ -423,7 +423,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     _refuse_rows_above(rows, found, place)
     names, units = found.head(rows)
     if found.names is not None and found.units is None:
-        units = _stated_units(rows[: found.names], names, options)
+        units = stated_units(rows[: found.names], names, options)
     below = rows[found.first :]
     results = None
     if not _ONLY_NUMBERS.fullmatch(b"".join(raw[found.first : len(rows)])):
