@@ -38,9 +38,12 @@ from tissueid.inference.search import starting_points
 from tissueid.inference.system import MACHINE, SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
 from tissueid.inference.yardstick_law import YardstickLaw, yardstick_law
+from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
 
+#: Share of the travel that frame and contact may take before less than the travel is claimed.
+TAKEN = 0.1
 #: Rounds in which the scatter between logs is estimated.
 SCATTER_ROUNDS = 4
 #: Standard deviation that the scatter counts as beforehand, worth one log.
@@ -96,6 +99,22 @@ class Identified:
     def quotable(self) -> bool:
         """False of the yardstick, which has no parameters to quote."""
         return not isinstance(self.law, YardstickLaw)
+
+    @property
+    def depth_mm(self) -> float:
+        """Depth that is claimed: the travel, or the tip's own where frame and contact took a tenth of it."""
+        system, point = self.system, self.optimum.point
+        bent = float(point.machine[0]) * float(np.abs(system.force).max())
+        offsets = system.offsets(point) * system.depth_mm
+        tip = max(float(log.depth_mm.max()) - by for log, by in zip(system.logs, offsets, strict=True)) - bent
+        material = self.quotable and 0.0 < tip < (1.0 - TAKEN) * system.depth_mm
+        return float(tip) if material else system.depth_mm
+
+    @property
+    def model(self) -> ChannelModel:
+        """The contact model to the depth that is claimed."""
+        model, depth = self.law.model(), self.depth_mm
+        return model if depth == self.system.depth_mm else replace(model, depth_mm=depth)
 
 
 class _Fitting:

@@ -324,7 +324,7 @@ def theta_covariance(identified: Identified) -> FloatArray:
 
 def estimate_tissue(identified: Identified) -> TissueEstimate:
     """Reported parameters of the chosen law at its optimum."""
-    model, point = identified.law.model(), identified.optimum.point
+    model, point = identified.model, identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)
     bounded = bool(identified.optimum.active[: len(identified.law.cone)].any())

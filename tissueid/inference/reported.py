@@ -88,7 +88,7 @@ def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
         return {}
     theta = np.array([_alone(identified, i) for i in range(logs)])
     out = {}
-    for name, values in reported_draws(identified.law.model(), theta).items():
+    for name, values in reported_draws(identified.model, theta).items():
         if (values > 0.0).all():
             ln = np.log(values)
             found = predicted(float(ln.mean()), float(ln.std(ddof=1)), logs)

@@ -40,8 +40,6 @@ from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
 from tissueid.result import ModelChoice, SpecimenFit
 
-#: Share of the travel that frame and contact may take before less than the travel is claimed.
-TAKEN = 0.1
 MAX_BRANCHES, MAX_DEGREE, MAX_STATIC = 3, 2, 3
 
 
@@ -241,20 +239,11 @@ class _Found:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
             flags = (*flags, *more, *self.moved)
         fit = replace(
-            self._told(here, told), depth_mm=self._reached_mm(adjustments, point), flags=_one_form(flags),
+            self._told(here, told), flags=_one_form(flags),
             unloading=unloading, quoted=quoted, unloading_predicted=missed,
         )  # fmt: skip
         moved = partial(self.at, looks=told.looks)
         return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, moved)
-
-    def _reached_mm(self, adjustments: Sequence[Adjustment], point: Point) -> float:
-        """Depth that is claimed: the travel, or the tip's own where frame and contact took a tenth of it."""
-        system = self.identified.system
-        bent = float(point.machine[0]) * float(np.abs(system.force).max())
-        own = zip(self.facts, adjustments, strict=True)
-        tip = max(log.depth_mm - one.contact_offset_mm for log, one in own) - bent
-        material = self.identified.quotable and 0.0 < tip < (1.0 - TAKEN) * system.depth_mm
-        return tip if material else system.depth_mm
 
     def _flags(self, here: TissueEstimate, told: Summaries, point: Point) -> tuple[Flag, ...]:
         """Everything that is to be said of the fit itself."""
@@ -300,7 +289,7 @@ class _Found:
             theta_names=here.model.parameter_names,
             theta=here.theta,
             covariance=here.covariance,
-            depth_mm=found.system.depth_mm,
+            depth_mm=found.depth_mm,
             speeds_mm_s=(min(speeds, default=0.0), max(speeds, default=0.0)),
             tip_radius_mm=None,
             sigma_N=self.noise.sigma_N,
