@@ -66,8 +66,9 @@ def _steps(path: Path, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     down = np.minimum(path.step_s / -tau_s[..., None], -SHORTEST)
     decay = np.expm1(down)
     right = decay / down
-    entering = np.minimum(down.reshape(len(tau_s), -1)[:, path.entered] * path.share, -SHORTEST)
-    right.reshape(len(tau_s), -1)[:, path.entered] = np.expm1(entering) / entering
+    flat = len(tau_s), path.depth_mm.size
+    entering = np.minimum(down.reshape(flat)[:, path.entered] * path.share, -SHORTEST)
+    right.reshape(flat)[:, path.entered] = np.expm1(entering) / entering
     decay += 1.0
     return right, decay
 

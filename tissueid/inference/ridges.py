@@ -6,11 +6,12 @@ what the curve leaves of the tangent reach the whole ridge; a shear has determin
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from tissueid.arrays import FloatArray
 from tissueid.inference.engine import refit
@@ -30,54 +31,42 @@ WIDEST, PROFILE_STEPS = 3.0, 8
 BEYOND = 3.0
 #: Loss of ln density to which a ridge is followed closely; distance from it, whitened, that is near enough,
 #: and times that an interval is halved until it is.
-LIKELY, NEAR, HALVINGS = 8.0, 0.3, 4
+LIKELY, NEAR, HALVINGS = 8.0, 0.8, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ridge:
-    """Coordinates along one of them, less what they do in proportion."""
+    """A quantity along one coordinate: a monotone cubic, which does not swing where two places are close."""
 
     place: int  # coordinate it runs along
-    values: FloatArray  # (g,), ascending
-    off: FloatArray  # (g, size)
-    slopes: FloatArray  # (g, size)
+    curve: PchipInterpolator
+
+    @classmethod
+    def of(cls, place: int, known: Mapping[float, FloatArray]) -> Ridge:
+        """Ridge through what is known at values of the coordinate."""
+        values = sorted(known)
+        return cls(place, PchipInterpolator(values, [known[value] for value in values]))
+
+    def within(self, value: FloatArray) -> FloatArray:
+        """The quantity at values of the coordinate, beyond the ends as there; (...,) -> (..., ...)."""
+        return np.asarray(self.curve(np.clip(value, self.curve.x[0], self.curve.x[-1])))
 
     def at(self, value: FloatArray) -> FloatArray:
-        """Rest beside the tangent at values of the coordinate, (...,) -> (..., size): cubic in between."""
-        i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
-        width = (self.values[i + 1] - self.values[i])[..., None]
-        share = np.clip((value - self.values[i])[..., None] / width, -BEYOND, 1.0 + BEYOND)
-        inside = np.clip(share, 0.0, 1.0)
-        rest = 1.0 - inside
-        out = self.off[i] * rest**2 * (1.0 + 2.0 * inside) + self.off[i + 1] * inside**2 * (1.0 + 2.0 * rest)
-        out += width * inside * rest * (self.slopes[i] * rest - self.slopes[i + 1] * inside)
-        ends = np.where(share < 0.0, self.slopes[i], self.slopes[i + 1])
-        return np.asarray(out + (share - inside) * width * ends)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Widths:
-    """Roots of the covariance of all but the machine along the frame's ridge."""
-
-    place: int
-    values: FloatArray  # (g,), ascending
-    roots: FloatArray  # (g, r, r), lower
-
-    def at(self, x: FloatArray) -> FloatArray:
-        """Roots at vectors, straight between those that are known, (..., size) -> (..., r, r)."""
-        value = x[..., self.place]
-        i = np.clip(np.searchsorted(self.values, value) - 1, 0, self.values.size - 2)
-        share = np.clip((value - self.values[i]) / (self.values[i + 1] - self.values[i]), 0.0, 1.0)
-        share = share[..., None, None]
-        return np.asarray(self.roots[i] * (1.0 - share) + self.roots[i + 1] * share)
+        """The same, continued straight beyond the ends for :data:`BEYOND` intervals."""
+        first, last = self.curve.x[[0, -1]]
+        room = BEYOND * np.diff(self.curve.x[[0, 1, -2, -1]])[::2]
+        inside = np.clip(value, first, last)
+        beyond = np.clip(value - inside, -room[0], room[1])
+        return self.within(value) + beyond[..., None] * self.curve(inside, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ridges:
     """Ridges of a single log, the frame's first, with widths along that; none of several logs."""
 
+    #: Of each the coordinates less what they do in proportion to its own, (size,).
     lines: tuple[Ridge, ...] = ()
-    widths: Widths | None = None
+    widths: Ridge | None = None  # root of the covariance of all but the machine, (r, r), lower
 
 
 def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArray]) -> Ridges:
@@ -95,8 +84,10 @@ def ridges_of(target: SpecimenTarget, frame_at: Callable[[FloatArray], FloatArra
         if values.size > 1:
             profile = _Profile(target, place, middle)
             out.append(profile.along(values))
-            widths = profile.widths() if place == times else widths
-    system.deflection = state
+            if place == times:
+                roots = {value: target.root_at(optimum) for value, optimum in profile.optima.items()}
+                widths = Ridge.of(place, roots)
+            system.deflection = state
     return Ridges(tuple(out), widths)
 
 
@@ -130,27 +121,11 @@ class _Profile:
         shared = point.shared
         shared[self.place] = value
         self.optima[value] = self._best(replace(point.moved(shared), own=point.own))
-        off = (
-            self.target.vector_of(self.optima[value].point)
-            - self.origin
-            - (value - self.middle) * self.tangent
-        )
+        off = self.target.vector_of(self.optima[value].point) - self.origin
+        off -= (value - self.middle) * self.tangent
         off[: self.target.law.times + 3] = 0.0
         off[self.target.n_shared + 1 :] = 0.0  # contact is the first coordinate behind the shared ones
         self.off[value] = off
-
-    def ridge(self) -> Ridge:
-        """Ridge through all that is known."""
-        values = np.array(sorted(self.off))
-        off = np.array([self.off[value] for value in values])
-        return Ridge(self.place, values, off, np.gradient(off, values, axis=0))
-
-    def widths(self) -> Widths:
-        """Roots of the covariance of all but the machine at all that is known."""
-        values = sorted(self.optima)
-        return Widths(
-            self.place, np.array(values), np.array([self.target.root_at(self.optima[one]) for one in values])
-        )
 
     def along(self, values: FloatArray) -> Ridge:
         """Ridge through values, and closer where it bends and the density is not small."""
@@ -158,7 +133,7 @@ class _Profile:
             self._add(value)
         doubtful = self._likely()
         for _ in range(HALVINGS):
-            known, bent = self.ridge(), []
+            known, bent = Ridge.of(self.place, self.off), []
             for low, high in doubtful:
                 middle = 0.5 * (low + high)
                 self._add(middle)
@@ -166,7 +141,7 @@ class _Profile:
                 if np.linalg.norm(np.linalg.solve(self.target.root, off)) > NEAR:
                     bent += [(low, middle), (middle, high)]
             doubtful = bent
-        return self.ridge()
+        return Ridge.of(self.place, self.off)
 
     def _likely(self) -> list[tuple[float, float]]:
         """Intervals of which one end is likely."""

@@ -203,7 +203,7 @@ class SpecimenTarget:
             return x
         at, times = self.machine_places, self.law.times
         if self.ridges.widths is not None:
-            wider = self.ridges.widths.at(x) - self.root[self.still, at.size :]
+            wider = self.ridges.widths.within(x[..., times]) - self.root[self.still, at.size :]
             x[..., np.flatnonzero(self.free)[self.still]] += (wider @ z[..., at.size :, None])[..., 0]
         if self.scale is not None:
             # a common scale is as uncertain as a mean of gains that scatter so much, and its logarithm normal
@@ -493,7 +493,7 @@ class SpecimenTarget:
             off = (x[:, self.law.times + k] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
         if not self.straight and self.ridges.widths is not None:
-            roots = self.ridges.widths.at(x)
+            roots = self.ridges.widths.within(x[:, self.law.times])
             out += np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
         if not self.straight and self.scale is not None:
             out += self.law.linear * np.log(x @ self.scale) + self._ln_wider(x)

@@ -49,7 +49,9 @@ class _Cut(NamedTuple):
     units: Row
 
 
-def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) -> list[Part]:
+def recordings(
+    text: Text, layout: Layout, wanted: Sequence[int], place: Place, options: ReadOptions
+) -> list[Part]:
     """Recordings of a table whose time, displacement and force are ``wanted``; empty where it is one."""
     time = wanted[0]
     names = {
@@ -60,7 +62,7 @@ def recordings(text: Text, layout: Layout, wanted: Sequence[int], place: Place) 
     labels = [i for i, name in names.items() if is_specimen_name(name)]
     runs = [i for i, name in names.items() if i not in labels and _RUNS.fullmatch(name)]
     cuts = _by_label(text, layout, time, labels, runs, place) if labels or runs else []
-    cuts = cuts or list(_by_head(text, layout, time))
+    cuts = cuts or list(_by_head(text, layout, time, options))
     if len(cuts) < 2:
         return []
     parts = []
@@ -122,7 +124,7 @@ def _by_label(
     ]
 
 
-def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
+def _by_head(text: Text, layout: Layout, time: int, options: ReadOptions) -> Iterator[_Cut]:
     """Rows under each head behind which the time starts again, or above which another specimen is named."""
     if layout.names_line is None:
         return
@@ -147,7 +149,7 @@ def _by_head(text: Text, layout: Layout, time: int) -> Iterator[_Cut]:
             # the same machine may have been set to other units
             under = _rows(text, layout, data[below:start])
             stated = next(filter(is_units_row, under), ())
-            stated = stated or stated_units(own, layout.names, ReadOptions()) or layout.units
+            stated = stated or stated_units(own, layout.names, options) or layout.units
             units = (*stated, *[""] * layout.n_columns)[: layout.n_columns]
     yield _Cut(start, len(data), name, header, units)
 

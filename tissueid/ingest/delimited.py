@@ -95,7 +95,7 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
     whole = header_entries(layout.header)
     choice = _choice(layout, file.options, place)
     wanted = [choice.index[channel] for channel in CHANNELS]
-    parts = recordings(text, layout, wanted, place)
+    parts = recordings(text, layout, wanted, place, file.options)
     for name, header, rows, own in parts or [Part(None, (), text, layout)]:
         try:
             metadata = whole | header_entries(header)
