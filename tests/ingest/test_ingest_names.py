@@ -250,7 +250,7 @@ def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Pa
     path.write_text(head + rows)
     first, second = read_each(path)
     assert (first.code, first.sheet) == ("no_columns", "A")
-    assert "add the time to the channels of the export" in first.message
+    assert "state the rate, as in --columns time=100Hz" in first.message
     assert second.force_N[7] == pytest.approx(7 / 6, abs=1e-4)
 
 

@@ -260,6 +260,7 @@ def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) ->
             " again"
         )
         place.refuse("no_rows", message, line=layout.first_line)
+    columns = choice.counted(columns)
     fractional = [column != np.floor(column) for column in columns]
     refuse_broken(
         columns, fractional, "file", place, lambda row, k: (reader.line_of_row(row), reader.wanted[k] + 1)

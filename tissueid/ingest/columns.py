@@ -11,9 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+
 from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
+from tissueid.ingest.clock import asked_interval
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, SIDEWAYS_RANK, SYMBOL_RANK, Channel, plain_words, rank_of
@@ -51,7 +54,7 @@ _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
 _STRAIN_WITHOUT_UNIT = re.compile(r"stretch|strain|lambda|dehnung|应变")
 _NO_SERIES = re.compile(r"\b(?:rate|max|maximum|min|minimum|peak|yield|mean|modulus|at|sd|error)\b")
 _ADD_TIME = (
-    "relaxation can't be timed without it: add the time to the channels of the export, and export again"
+    "relaxation can't be timed without it: export it as well, or state the rate, as in --columns time=100Hz"
 )
 _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
 
@@ -65,6 +68,13 @@ class ColumnChoice:
     factors: Mapping[Channel, float]  # channel -> what turns the printed value into s, mm or N
     flags: tuple[Flag, ...]
     axes: Mapping[str, str]  # channels that hold a strain or stress, as declared or as their columns say
+    interval_s: float | None = None  # of samples whose time is no column, but counted
+
+    def counted(self, columns: list[FloatArray]) -> list[FloatArray]:
+        """Printed columns with the time by the number of the row, where that is no column."""
+        if self.interval_s is None:
+            return columns
+        return [np.arange(columns[0].size, dtype=np.float64) * self.interval_s, *columns[1:]]
 
     def scaled(self, columns: Sequence[FloatArray]) -> Channels:
         """Printed columns of time, displacement and force as channels in s, mm and N."""
@@ -205,31 +215,46 @@ def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOption
     """True where time, displacement and force can all be found (their units may still be wrong)."""
     head = _Head.of(names, units, options)
     return all(
-        head.named(options.columns[channel]) if channel in options.columns
+        _asked(head, channel) or head.named(options.columns[channel]) if channel in options.columns
         else any(head.may_be(column, channel) for column in head.columns)
         for channel in CHANNELS
     )  # fmt: skip
 
 
-def channel_columns(names: Sequence[str], options: ReadOptions) -> tuple[int, ...]:
-    """The columns of time, displacement and force by their names alone; empty where one is missing."""
+def channel_names(
+    names: Sequence[str], units: Sequence[str], channel: Channel, options: ReadOptions
+) -> list[str]:
+    """Names that may be a channel's, best first."""
+    return [column.name for _, column in _Head.of(names, units, options).candidates(channel)]
+
+
+def channel_columns(names: Sequence[str], options: ReadOptions) -> dict[Channel, int]:
+    """Columns of the channels by their names alone, the time perhaps not; empty where another is missing."""
     head = _Head.of(names, (), options)
-    best = [
-        head.named(options.columns[channel]) if channel in options.columns
+    best = {
+        channel: head.named(options.columns[channel]) if channel in options.columns
         else [column for _, column in head.candidates(channel)]
         for channel in CHANNELS
-    ]  # fmt: skip
-    return tuple(columns[0].index for columns in best) if all(best) else ()
+    }  # fmt: skip
+    found = {channel: columns[0].index for channel, columns in best.items() if columns}
+    return found if found.keys() >= {"displacement", "force"} else {}
+
+
+def _asked(head: _Head, channel: Channel) -> float | None:
+    """Interval of the samples that the user states in place of a column of time."""
+    wanted = head.options.columns.get(channel, "") if channel == "time" else ""
+    return None if head.named(wanted) else asked_interval(wanted)
 
 
 def choose_columns(
     names: Sequence[str], units: Sequence[str], *, options: ReadOptions, place: Place, line: int | None
 ) -> ColumnChoice:
-    """Find the three channels among the printed names."""
+    """Find the three channels among the printed names; without a time, where the user states a rate."""
     head = _Head.of(names, units, options)
     taken: dict[Channel, _Column] = {}
     flags: list[Flag] = []
-    for channel in CHANNELS:
+    interval_s = _asked(head, "time")
+    for channel in CHANNELS if interval_s is None else CHANNELS[1:]:
         if channel in options.columns:
             taken[channel] = _user_column(head, channel, place, line)
             continue
@@ -243,13 +268,18 @@ def choose_columns(
             message = f"{channel} was taken from {name!r}, not from {others[0]!r}{more}"
             values = {"quantity": channel, "taken": name, "alternatives": others}
             flags.append(Flag("column_choice", message, values))
-    return ColumnChoice(
-        {channel: column.index for channel, column in taken.items()},
-        {channel: column.name for channel, column in taken.items()},
-        {channel: _factor(head, column, channel, place, line, flags) for channel, column in taken.items()},
-        tuple(flags),
-        head.options.axes,
-    )
+    indices = {channel: column.index for channel, column in taken.items()}
+    printed = {channel: column.name for channel, column in taken.items()}
+    factors = {
+        channel: _factor(head, column, channel, place, line, flags) for channel, column in taken.items()
+    }
+    if interval_s is not None:
+        # another column is read in its place, and replaced
+        indices, printed = {"time": indices["force"], **indices}, {"time": options.columns["time"], **printed}
+        factors["time"] = 1.0
+        message = f"no column is the time: it is counted, {interval_s:g} s a row"
+        flags.append(Flag("time_counted", message, {"interval_s": interval_s}))
+    return ColumnChoice(indices, printed, factors, tuple(flags), head.options.axes, interval_s)
 
 
 def _user_column(head: _Head, channel: Channel, place: Place, line: int | None) -> _Column:

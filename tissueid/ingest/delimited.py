@@ -12,7 +12,8 @@ from dataclasses import replace
 from tissueid.errors import InputError
 from tissueid.ingest.appended import Part, recordings
 from tissueid.ingest.body import read_body
-from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels, split_name
+from tissueid.ingest.clock import stated_interval
+from tissueid.ingest.columns import ColumnChoice, channel_names, choose_columns, has_channels, split_name
 from tissueid.ingest.header import header_entries, protocol_of, specimen_in
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.options import ReadOptions
@@ -93,16 +94,34 @@ def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
     if left_out:
         said = (*said, skipped_flag(left_out, "lines of numbers between names and rows"))
     whole = header_entries(layout.header)
-    choice = _choice(layout, file.options, place)
+    layout, options = _counted(text, layout, file.options, whole)
+    choice = _choice(layout, options, place)
     wanted = [choice.index[channel] for channel in CHANNELS]
-    parts = recordings(text, layout, wanted, place, file.options)
+    parts = [] if choice.interval_s is not None else recordings(text, layout, wanted, place, options)
     for name, header, rows, own in parts or [Part(None, (), text, layout)]:
         try:
             metadata = whole | header_entries(header)
-            table = read_table(rows, own, file.options, replace(place, sheet=name), metadata=metadata)
+            table = read_table(rows, own, options, replace(place, sheet=name), metadata=metadata)
             yield replace(table, flags=(*table.flags, *said))
         except InputError as error:
             yield error
+
+
+def _counted(
+    text: Text, layout: Layout, options: ReadOptions, metadata: Mapping[str, str]
+) -> tuple[Layout, ReadOptions]:
+    """Layout and options of a table without a time, or with an empty one, whose header states a rate."""
+    stated = None if "time" in options.columns else stated_interval(metadata, layout.decimal)
+    if stated is None:
+        return layout, options
+    first = split_line(text.decode(text.data[layout.offset :].split(b"\n", 1)[0]), layout.delimiter)
+    cells = zip(layout.names, (*first, *[""] * layout.n_columns), strict=False)
+    names = tuple(name if cell.strip() else "" for name, cell in cells)
+    if channel_names(names, layout.units, "time", options):
+        return layout, options
+    return replace(layout, names=names), replace(
+        options, columns={**options.columns, "time": f"{stated!r} s"}
+    )
 
 
 def _refuse_unnamed(layout: Layout, printed: int, place: Place) -> None:

@@ -78,7 +78,7 @@ def is_protocol_key(key: str) -> bool:
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
 #: Hours, minutes and seconds.
 _CLOCK = re.compile(r"(\d+):([0-5]?\d):([0-5]?\d(?:[.,]\d+)?)")
-_UNIT_OF_KEY = re.compile(r".*(?:[(\[]([^()\[\]]+)[)\]]|,\s*(\S+))", re.DOTALL)
+UNIT_OF_KEY = re.compile(r".*(?:[(\[]([^()\[\]]+)[)\]]|,\s*(\S+))", re.DOTALL)
 _FOLDER_KIND = re.compile(r"\.is_([a-z]+)(?:_RawData|_Exports)?(?:[/\\.]|$)", re.IGNORECASE)
 
 
@@ -165,7 +165,7 @@ def stated(
             return seconds if seconds > 0.0 else None
         number, _, unit = text.rpartition(" ")
         if not number:  # the unit stands at the end of the key: "Velocity, mm/s"
-            in_key = _UNIT_OF_KEY.fullmatch(key.rstrip(": "))
+            in_key = UNIT_OF_KEY.fullmatch(key.rstrip(": "))
             number, unit = text, "" if in_key is None else in_key[1] or in_key[2]
         value = parse_number(number, decimal)
         if isinstance(value, CellFault) or value <= 0.0:

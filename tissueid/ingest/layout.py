@@ -19,7 +19,7 @@ from tissueid.ingest.numbers import decimal_evidence, is_word, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, rank_of
+from tissueid.ingest.vocabulary import is_comment_name, plain_words, rank_of
 from tissueid.units import quantity_of
 
 Cells = Sequence[str]
@@ -37,6 +37,7 @@ _STATISTICS = re.compile(
     r"|srednia|odchylenie standardowe|wspolczynnik zmiennosci|rozstep"
     r"|平均值?|均值|标准偏差|标准差|標準偏差|中值|中位数|最大值?|最小值?|范围|变异系数"
 )
+_MOMENT = re.compile(r"\d+([:/.-])\d+\1\d")
 _TITLE = re.compile(
     r"(?:results?(?: table)?|statistics|ergebnis(?:se|tabelle)?|statistik|(?:tableau (?:de |des )?)?resultats"
     r"|(?:tabla |tabela )?(?:de |dos )?resultados|(?:tabella )?(?:dei )?risultati|(?:tabela )?wynik(?:i|ow)"
@@ -189,7 +190,8 @@ def _opens_results(rows: Sequence[Cells], index: int) -> bool:
         return False
     if is_title(row) or is_statistics(row):
         return True
-    named = _is_text(row) and len(_filled(row)) >= 2
+    # a date or clock is a value of the header, no name
+    named = _is_text(row) and len(_filled(row)) >= 2 and not any(map(_MOMENT.match, _filled(row)))
     return named and (_carries_units(row) or (index + 1 < len(rows) and is_units_row(rows[index + 1])))
 
 
@@ -309,7 +311,10 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     if not runs:
         return None
     first = max(runs, key=len).start
-    return _anchor_without_words(rows, first, _filled_above(rows, first))
+    found = _anchor_without_words(rows, first, _filled_above(rows, first))
+    if found.names is None or found.units is not None:
+        return found
+    return replace(found, units=_units_above(rows, found.names, options))
 
 
 def _filled_above(rows: Sequence[Row], first: int) -> list[int]:
@@ -343,7 +348,7 @@ def _stands_as_units(rows: Sequence[Row], names: int, at: int, options: ReadOpti
         and 0 < len(cells[index].strip()) <= _LONGEST_WORD
         and " " not in cells[index].strip()
         and is_word(cells[index])
-        for index in under
+        for index in under.values()
     )
 
 
@@ -354,9 +359,7 @@ def _units_above(rows: Sequence[Row], names: int, options: ReadOptions) -> int |
         if index < names - 1 and not _is_units_key(_opening(rows[index])):
             continue
         cells = _without_key(rows[index], len(rows[names]))
-        printed = [
-            (channel, cells[k]) for channel, k in zip(CHANNELS, columns, strict=True) if k < len(cells)
-        ]
+        printed = [(channel, cells[k]) for channel, k in columns.items() if k < len(cells)]
         stated = [(channel, quantity_of(cell)) for channel, cell in printed if cell.strip()]
         if len(stated) >= 2 and all(quantity == options.quantity(channel) for channel, quantity in stated):
             return index
@@ -371,7 +374,7 @@ def stated_units(header: Sequence[Row], names: Row, options: ReadOptions) -> Row
         if match is not None and isinstance(quantity_of(match[2]), str):
             stated[plain_words(match[1])] = match[2]
     units = [stated.get(plain_words(name), "") for name in names]
-    for channel, at in zip(CHANNELS, channel_columns(names, options) if stated else (), strict=False):
+    for channel, at in (channel_columns(names, options) if stated else {}).items():
         if not units[at] and split_name(names[at])[1] is None:
             kinds = (unit for key, unit in stated.items() if rank_of(key, channel, loose=False) is not None)
             units[at] = next(kinds, "")

@@ -282,6 +282,7 @@ def _read_columns(
         at, k = (int(index) for index in bad[0])
         message = f"{columns[k][at]} is not a finite number; correct or remove the row"
         place.refuse("not_finite", message, line=kept[at][0], column=wanted[k] + 1)
+    columns = choice.counted(columns)
     fractional = [column != np.floor(column) for column in columns]
     refuse_broken(columns, fractional, "sheet", place, lambda row, k: (kept[row][0], wanted[k] + 1))
     return choice.scaled(columns), flags
