@@ -14,7 +14,7 @@ ROWS = "".join(f"{0.02 * row:.2f},{0.5 * row:.1f}\n" for row in range(40))
 NAMES = "Displacement (mm),Force (N)\n"
 #: LabVIEW's, whose X column is empty, or not there; each channel states the interval and the unit.
 LABVIEW = (
-    "LabVIEW Measurement\t\nSeparator\tTab\nMulti_Headings\t{multi}\nX_Columns\tNo\n***End_of_Header***\t\n\t\n"
+    "LabVIEW Measurement\t\nMulti_Headings\t{multi}\nX_Columns\tNo\n***End_of_Header***\t\n\t\n"
     "Channels\t2\t\t\nSamples\t40\t40\t\nDate\t2021/03/04\t2021/03/04\t\nTime\t10:11:12.1\t10:11:12.1\t\n"
     "Y_Unit_Label\tum\tmN\t\nX_Dimension\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t\n"
     "Delta_X\t0.010000\t0.010000\t\n***End_of_Header***\t\t\t\n"
