@@ -33,8 +33,7 @@ from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageEr
 from tissueid.flags import Flag
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.posterior import PosteriorOptions
-from tissueid.inference.prediction import at_samples, half_width
-from tissueid.inference.reported import reported_draws
+from tissueid.inference.reported import at_samples, half_width, reported_draws
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel

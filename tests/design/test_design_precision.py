@@ -182,11 +182,7 @@ def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) ->
 
 @pytest.mark.parametrize(
     "setting",
-    [
-        Setting(200.0, 0.5),
-        Setting(200.0, 0.5, noise_correlation_s=0.02),
-        Setting(200.0, 0.5, filter_s=0.02),
-    ],
+    [Setting(200.0, 0.5), Setting(200.0, 0.5, noise_correlation_s=0.02), Setting(200.0, 0.5, filter_s=0.02)],
     ids=["white", "ar1", "filter"],
 )
 def test_information_is_that_of_the_whole_covariance_matrix(setting):

@@ -74,8 +74,7 @@ def test_an_upload_starts_the_firmware_once_a_hello_is_answered(told, wire):
 
 
 @pytest.mark.parametrize(
-    ("hellos", "tries", "reason"),
-    [(10_000, 0, "no answer to 100 calls"), (0, 1, "echo of bytes 186 to 247")],
+    ("hellos", "tries", "reason"), [(10_000, 0, "no answer to 100 calls"), (0, 1, "echo of bytes 186 to 247")]
 )
 def test_a_loader_that_never_answers_or_echoes_wrongly_is_given_up(told, hellos, tries, reason):
     with pytest.raises(UploadError, match=reason):

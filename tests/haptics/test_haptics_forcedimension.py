@@ -32,10 +32,7 @@ def test_sdk_is_looked_for_where_its_documentation_puts_it(monkeypatch, tmp_path
 
 @pytest.mark.parametrize(
     ("library_name", "reason"),
-    [
-        ("none.so", r"not installed.* FDSDK .*TISSUEID_FORCEDIM"),
-        ("libc.so.6", "has no dhdGetSDKVersion"),
-    ],
+    [("none.so", r"not installed.* FDSDK .*TISSUEID_FORCEDIM"), ("libc.so.6", "has no dhdGetSDKVersion")],
 )
 def test_without_sdk_nothing_is_detected_and_opening_says_why(monkeypatch, library_name, reason):
     monkeypatch.setenv(LIBRARY_VARIABLE, library_name)

@@ -10,12 +10,7 @@ from inference_cases import draw, handles_for, small_recipe
 from scipy.optimize import LinearConstraint, minimize
 
 from tissueid.inference.channel_law import kelvin_voigt_law
-from tissueid.inference.posterior import (
-    PosteriorOptions,
-    _at_mean_machine,
-    _passive,
-    with_posterior,
-)
+from tissueid.inference.posterior import PosteriorOptions, _at_mean_machine, _passive, with_posterior
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.base import scaled_theta

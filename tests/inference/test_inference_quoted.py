@@ -12,7 +12,7 @@ from tissueid.inference.holds import drainage_time, drained_share, hold_numbers,
 from tissueid.inference.quoted import depth_test
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.measured.geometry import Geometry, stated_geometry
-from tissueid.model.functionals import complex_stiffness, force_after_ramp, force_after_step
+from tissueid.model.functionals import complex_stiffness, force_after_ramp
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.moduli import Indenter, contact_of
 from tissueid.synth import Branch, Hold, Log, Move
@@ -46,7 +46,9 @@ def fit():
 
 
 def truths():
-    step = 1.0 - force_after_step(MODEL, THETA, 4.0, 1.0) / force_after_step(MODEL, THETA, 4.0, 0.0)
+    step = 1.0 - force_after_ramp(MODEL, THETA, 4.0, None, 1.0) / force_after_ramp(
+        MODEL, THETA, 4.0, None, 0.0
+    )
     ramp = 1.0 - force_after_ramp(MODEL, THETA, 4.0, 4.0, 0.1) / force_after_ramp(MODEL, THETA, 4.0, 4.0, 0.0)
     storage, loss = complex_stiffness(MODEL, THETA, 2.0, 1.0)
     return {

@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
+from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference import sampling
 from tissueid.inference.diagnostics import WORST_R_HAT, diagnose
 from tissueid.inference.proposal import CHAINS, WIDER, _truncated, cut_normal, learn_mixture
 from tissueid.inference.sampling import STEPS, WALKERS, Checkpoint, sample, smoothed
+from tissueid.inference.target import SpecimenTarget
 
 
 class Density:
@@ -455,3 +457,18 @@ def test_draws_that_say_nothing_are_refused_by_name() -> None:
         diagnose({"tau": draws})
     with pytest.raises(ValueError, match="tau: draws of shape"):
         diagnose({"tau": draws[:, :3]})
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gains_that_agree_to_the_noise_are_drawn_by_good_proposals(seed):
+    """Two holds alike to 1e-4, behind an unknown machine: the scatter may be anything below a half."""
+    alike = handles_for(draw(small_recipe(sigma_N=0.02, logs=small_recipe().logs[-2:]), 2), sd_mm=0.02)
+    target = SpecimenTarget(identified(alike, pooling="scaled", noise="white", machine=True))
+    drawn = sample(target, draws=2_000, seed=seed)
+    assert drawn.converged
+    assert drawn.detail["pareto_k"] < 0.7
+    assert drawn.detail["steps"] <= 200
+    scatter = target.vectors(drawn.chain.reshape(-1, target.size))[:, target.places["ln_gain_sd"]]
+    low, high = np.quantile(scatter, [0.025, 0.975])
+    assert low < -7.0
+    assert high > -1.5

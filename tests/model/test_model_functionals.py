@@ -17,7 +17,6 @@ from tissueid.model.functionals import (
     dissipated_per_cycle,
     equilibrium_stiffness,
     force_after_ramp,
-    force_after_step,
     instantaneous_stiffness,
 )
 from tissueid.model.grammar import parsed
@@ -46,7 +45,7 @@ def test_force_after_a_step_or_a_ramp_is_that_of_the_recursion(tissue, ramp_s):
     for k in (1, 2, 3):
         since = float(time[k] - ramp_s)
         ramp = (force_after_ramp, (model, theta, 3.0, 2.0, since))
-        function, at = ramp if ramp_s else (force_after_step, (model, theta, 3.0, since))
+        function, at = ramp if ramp_s else (force_after_ramp, (model, theta, 3.0, None, since))
         assert function(*at) == pytest.approx(force[k], rel=1e-13)
 
 
@@ -83,7 +82,7 @@ def test_stiffness_is_the_slope_of_slow_and_of_sudden_motion():
     assert secant == pytest.approx(5.0 + 0.4 * 3.0 + 0.1 * 9.0)
     assert tangent == pytest.approx(5.0 + 0.8 * 3.0 + 0.3 * 9.0)
     sudden_secant, sudden_tangent = instantaneous_stiffness(MODEL, THETA, 3.0)
-    assert sudden_secant == pytest.approx(force_after_step(MODEL, THETA, 3.0, 0.0) / 3.0)
+    assert sudden_secant == pytest.approx(force_after_ramp(MODEL, THETA, 3.0, None, 0.0) / 3.0)
     # the limit of high frequency
     assert sudden_tangent == pytest.approx(complex_stiffness(MODEL, THETA, 3.0, 1e5)[0], rel=1e-8)
 
@@ -95,7 +94,9 @@ def test_error_of_a_function_is_the_spread_over_draws():
     unknown = np.zeros(THETA.size, dtype=bool)
 
     def relaxed(theta):
-        return 1.0 - force_after_step(MODEL, theta, 3.0, 0.5) / force_after_step(MODEL, theta, 3.0, 0.0)
+        return 1.0 - force_after_ramp(MODEL, theta, 3.0, None, 0.5) / force_after_ramp(
+            MODEL, theta, 3.0, None, 0.0
+        )
 
     value, stderr = delta_method(relaxed, THETA, covariance, unknown)
     draws = [relaxed(theta) for theta in rng.multivariate_normal(THETA, covariance, size=4000)]

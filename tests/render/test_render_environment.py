@@ -6,13 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rendered_tissues import (
-    DEPTH_MM,
-    PAPER_A,
-    TWO_BRANCHES,
-    pressed,
-    walk,
-)
+from rendered_tissues import DEPTH_MM, PAPER_A, TWO_BRANCHES, pressed, walk
 from tissue_stepper import TissueStepper
 
 from tissueid.arrays import FloatArray

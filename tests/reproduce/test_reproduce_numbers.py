@@ -82,10 +82,9 @@ def reference(static: tuple[float, float, float], speed: float, criterion: str, 
             return static_force(x) + 1.5 * branch(x)
         return float(quad(static_force, 0.0, x)[0]) + 0.5 * branch(x) ** 2 / K
 
-    level = {
-        "depth": slow,
-        "weighted-force": static_force(slow),
-    }.get(criterion, quad(static_force, 0.0, slow)[0])
+    level = {"depth": slow, "weighted-force": static_force(slow)}.get(
+        criterion, quad(static_force, 0.0, slow)[0]
+    )
     at = brentq(lambda x: load(x) - level, 0.01, 2.0 * slow)
     return static_force(at) + branch(at)
 

@@ -9,13 +9,7 @@ import click
 
 from tissueid.cli.flags import FOLDER, PATH, REAL_FROM_0, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import EXIT_INCOMPLETE, echo, note, progress_bar, tell
-from tissueid.cli.reading import (
-    ReadingFlags,
-    read_all,
-    read_options,
-    refuse_same_folder,
-    segment_options,
-)
+from tissueid.cli.reading import ReadingFlags, read_all, read_options, refuse_same_folder, segment_options
 from tissueid.documents import typed
 from tissueid.documents.rupture import Rupture, Speed
 

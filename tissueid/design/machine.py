@@ -178,10 +178,7 @@ _BENCH = Machine(
     min_speed_mm_min=0.1,
     acceleration_mm_s2=200.0,
     max_force_N=500.0,
-    settings=(
-        Setting(1000.0, 0.2),
-        Setting(100.0, 0.1, noise_correlation_s=0.01, filter_s=0.01),
-    ),
+    settings=(Setting(1000.0, 0.2), Setting(100.0, 0.1, noise_correlation_s=0.01, filter_s=0.01)),
     frame_stiffness_N_per_mm=2000.0,
     notes="assumed: a small electromechanical machine that accelerates within 0.1 s",
 )

@@ -195,6 +195,16 @@ def normal_equations(
     return Normal(residual, shared, own, hessian, gradient, inverse, cross, own_gradient, objective, loose)
 
 
+def pinned(normal: Normal, point: Point, *, centred: bool) -> FloatArray:
+    """Hessian of the shared parameters with the logs' gains held where they are."""
+    inner = np.linalg.inv(normal.own_inverse)
+    inverse = np.zeros_like(inner)
+    inverse[:, 1:, 1:] = np.linalg.inv(inner[:, 1:, 1:])
+    cross, more = normal.loose.cross, normal.own_inverse - inverse
+    hessian = normal.loose.hessian + np.einsum("lqs,lqr,lrt->st", cross, more, cross)
+    return _bound(normal.loose._replace(hessian=hessian), inverse, point).hessian if centred else hessian
+
+
 def covariance_of(hessian: FloatArray) -> FloatArray:
     """Inverse of a Hessian; directions without curvature get the largest variance there is."""
     hessian = hessian + FLAT * np.eye(len(hessian))

@@ -109,11 +109,6 @@ def _onset(log: Blocks) -> float:
     return max(float(log.depth_mm[last] - log.depth_mm[begins]) / time, 0.0) if time > 0.0 else 0.0
 
 
-def _bend(u: FloatArray) -> FloatArray:
-    """Derivatives of :func:`_shape`, (2, ..., m)."""
-    return np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])
-
-
 class System:
     """Blocks of all logs, one behind the other; ``give``: deflection [mm] of a known frame under forces."""
 
@@ -344,7 +339,8 @@ class System:
         slopes, gain = self.law.slopes(point.log_times, path, point.linear), self.gain(point, u)
         direct = gain * slopes.direct
         if self.effects.shape:
-            direct = direct + self._by_shape(point, _bend(u)) * self.guess
+            bend = np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])  # derivatives of the shapes
+            direct = direct + self._by_shape(point, bend) * self.guess
         touching = u > 0.0
         return Slopes(np.where(touching, direct, 0.0), slopes.outer * (gain * touching), slopes.tau_s)
 

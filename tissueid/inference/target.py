@@ -21,7 +21,7 @@ from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import Optimum, covariance_of, nearest_inside, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
-from tissueid.inference.ridges import Ridges, ridges_of
+from tissueid.inference.ridges import Ridges, ridges_of, straight_beyond, with_quantiles
 from tissueid.inference.system import MACHINE, SHAPE, Point
 from tissueid.priors import CalibrationPrior
 
@@ -37,9 +37,8 @@ SLIGHT = 1e-3
 PART = 65_536
 #: Scale below which one is not undone.
 LEAST_SCALE = 1e-3
-#: Least variance of the common scale, of that at the optimum; ln of the scale beyond which the prior of gains
-#: lets none be.
-LEAST_WIDTH, MOST_SCALE = 0.1, 30.0
+#: Ln of the common scale beyond which the prior of gains lets none be.
+MOST_SCALE = 30.0
 #: Ln of the ratio of widths beyond which curvature along a ridge is not believed.
 MOST_WIDER = 3.5
 
@@ -77,7 +76,9 @@ class SpecimenTarget:
         path = self.system.path(self.system.travel)
         states = relaxation_states(path, path.depth_mm / self.system.depth_mm, np.exp(self._ln_tau))
         self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
-        self._machine_priors = [self.priors.calibration[name] for name in MACHINE]
+        priors = [self.priors.calibration[name] for name in MACHINE]
+        #: Numbers and priors of the machine that its bounds cut: no normal, and quantiles of these.
+        self._cut = {k: one for k, one in enumerate(priors) if math.isfinite(one.lower)}
         #: The machine is not bent by its priors, and the contact takes polynomials with it in proportion.
         self.straight = False
         parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
@@ -112,19 +113,27 @@ class SpecimenTarget:
         at = np.arange(self.law.times, self.law.times + len(MACHINE))
         self.free[at] = machine
         self.size, self.open = int(self.free.sum()), machine
+        #: Places of the machine, where it is open, and of what its bounds cut: in a vector and, as all before
+        #: it is free, among the free.
+        self.machine_places = at[self.free[at]]
+        self.cut_places = at[[k for k in self._cut if self.free[at[k]]]]
         #: Places among the free of all but the machine.
         self.still = np.flatnonzero(~np.isin(np.flatnonzero(self.free), at))
-        #: Places of the machine, where it is open: in a vector and, as all before it is free, among the free.
-        self.machine_places = at[self.free[at]]
+        self.still_places: list[int] = np.flatnonzero(self.free)[self.still].tolist()
         typical = np.concatenate(
             [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
         )
         self._slack = -ROUNDING * (np.abs(found.prior.cone) @ typical)
-        self.scale = self._scale() if "ln_gain_sd" in self.places else None
+        self.scale = self._scale() if "ln_gain_sd" in self.places else np.zeros(self.mode.size)
+
+    @property
+    def linear_places(self) -> slice:
+        """Places of the law's linear parameters."""
+        return slice(self.law.times + len(MACHINE), self.n_shared)
 
     def _scale(self) -> FloatArray:
         """Row that makes of a vector the common scale of its forces, 1 at the optimum, (size,)."""
-        linear = slice(self.law.times + len(MACHINE), self.n_shared)
+        linear = self.linear_places
         columns, out = self.optimum.normal.shared[:, linear], np.zeros(self.mode.size)
         force = columns @ self.mode[linear]
         out[linear] = columns.T @ force / max(float(force @ force), 1e-300)
@@ -201,14 +210,17 @@ class SpecimenTarget:
         x[..., self.free] += (z if self.straight else self._straight(z)) @ self.root.T
         if self.straight:
             return x
-        at, times = self.machine_places, self.law.times
+        at, times, rest = self.machine_places, self.law.times, self.still_places
+        for place, curve in self.ridges.quantiles.items():
+            x[..., place] = straight_beyond(curve, z[..., at.size + rest.index(place)])[0]
         if self.ridges.widths is not None:
-            wider = self.ridges.widths.within(x[..., times]) - self.root[self.still, at.size :]
-            x[..., np.flatnonzero(self.free)[self.still]] += (wider @ z[..., at.size :, None])[..., 0]
-        if self.scale is not None:
-            # a common scale is as uncertain as a mean of gains that scatter so much, and its logarithm normal
-            linear, found = slice(times + len(MACHINE), self.n_shared), (x - self.mode) @ self.scale
-            ln_scale = np.clip(np.exp(self._ln_wider(x)) * found, -MOST_SCALE, MOST_SCALE)
+            wider = self.ridges.widths.along(x) - self.root[self.still, at.size :]
+            wider[..., [rest.index(place) for place in self.ridges.quantiles], :] = 0.0
+            x[..., rest] += (wider @ z[..., at.size :, None])[..., 0]
+        if self.ridges.ln_scale is not None:
+            # the logarithm of a common scale is normal
+            linear, found = self.linear_places, (x - self.mode) @ self.scale
+            ln_scale = np.clip(found + self.ridges.ln_scale.along(x), -MOST_SCALE, MOST_SCALE)
             unscaled = x[..., linear] - found[..., None] * self.mode[linear]
             x[..., linear] = unscaled * np.exp(ln_scale)[..., None]
         if not self.ridges.lines:
@@ -221,20 +233,11 @@ class SpecimenTarget:
             x += one.at(along[..., one.place])
         return x
 
-    def _ln_wider(self, x: FloatArray) -> FloatArray:
-        """Ln of the width of the common scale at the scatter of vectors, over that at the optimum's."""
-        assert self.scale is not None  # noqa: S101 -- of several logs that scatter
-        scatter, row = self.places["ln_gain_sd"], self.scale[self.free] @ self.root
-        here = float(row @ row)
-        more = np.exp(2.0 * x[..., scatter]) - np.exp(2.0 * self.mode[scatter])
-        return np.asarray(0.5 * np.log(np.maximum(1.0 + more / len(self.system.logs) / here, LEAST_WIDTH)))
-
     @cached_property
     def ridges(self) -> Ridges:
-        """Ridges of a single log whose machine is open."""
-        if not (self.alone and self.open):
-            return Ridges()
-        return ridges_of(self, partial(_quantile, self._machine_priors[0]))
+        """Ridges of a single log whose machine is open, and coordinates that are far from normal."""
+        frame = partial(_quantile, self.priors.calibration[MACHINE[0]])
+        return with_quantiles(self, ridges_of(self, frame) if self.alone and self.open else Ridges())
 
     def vector_of(self, point: Point) -> FloatArray:
         """Coordinates of a point of a single log, (size,)."""
@@ -252,26 +255,26 @@ class SpecimenTarget:
         return x
 
     def _straight(self, z: FloatArray) -> FloatArray:
-        """Points with the machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
+        """Points with the cut machine by quantiles of its prior -> whitened points, (..., d) -> (..., d).
 
-        The machine comes first in whitened coordinates, and what follows it linearly goes with it.
+        It comes first in whitened coordinates, and what follows it linearly goes with it.
         """
-        at = self.machine_places
+        at = self.cut_places
         if at.size == 0:
             return z
         out = np.array(z)
-        values = [_quantile(one, z[..., k]) for k, one in enumerate(self._machine_priors)]
+        values = [_quantile(one, z[..., k]) for k, one in enumerate(self._cut.values())]
         off = np.stack(values, axis=-1) - self.mode[at]
         out[..., : at.size] = np.linalg.solve(self.root[at, : at.size], off[..., None])[..., 0]
         return out
 
     def bent(self, z: FloatArray) -> FloatArray:
-        """Whitened points -> points with the machine as quantiles of its prior, (n, d) -> (n, d)."""
-        at = self.machine_places
+        """Whitened points -> points with the cut machine as quantiles of its prior, (n, d) -> (n, d)."""
+        at = self.cut_places
         if at.size == 0:
             return z
         out, x = np.array(z), self.mode[self.free] + z @ self.root.T
-        for k, one in enumerate(self._machine_priors):
+        for k, one in enumerate(self._cut.values()):
             out[:, k] = _coordinate(one, x[:, at[k]])
         return out
 
@@ -287,15 +290,15 @@ class SpecimenTarget:
 
     def root_at(self, optimum: Optimum) -> FloatArray:
         """Root of the covariance of all but the machine at an optimum with some of it held."""
-        found, _ = self._curvature(optimum, self._bent(self.vector_of(optimum.point)))
-        rest, here = np.flatnonzero(self.free)[self.still], self.root[self.still, len(self.machine_places) :]
+        found, _ = self.curvature(optimum, self._bent(self.vector_of(optimum.point)))
+        rest, here = self.still_places, self.root[self.still, len(self.machine_places) :]
         if not np.isfinite(found).all():
             return here
         root = np.asarray(np.linalg.cholesky(covariance_of(found[np.ix_(rest, rest)])), dtype=np.float64)
         wider = np.abs(np.log(np.diag(root) / np.diag(here))).max()
         return root if wider < MOST_WIDER else here
 
-    def _curvature(self, optimum: Optimum, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def curvature(self, optimum: Optimum, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Hessian of the negative log density at an optimum, and the downhill gradient."""
         normal, prior, s, n = optimum.normal, optimum.prior, self.n_shared, len(self.mode)
         hessian, gradient = np.zeros((n, n)), np.zeros(n)
@@ -331,7 +334,7 @@ class SpecimenTarget:
     def _whiten(self) -> None:
         """Coordinates whitened about the optimum; walls and the centre of the normal in them."""
         self.slope = self._bent(self.mode)
-        hessian, gradient = self._curvature(self.optimum, self.slope)
+        hessian, gradient = self.curvature(self.optimum, self.slope)
         self.precision = hessian[np.ix_(self.free, self.free)]
         self.root = self.factor(covariance_of(self.precision))
         prior = self.optimum.prior
@@ -348,8 +351,8 @@ class SpecimenTarget:
         self.likely = self._likely(used)
 
     def factor(self, covariance: FloatArray) -> FloatArray:
-        """Root of a covariance of the free coordinates, the machine first."""
-        places = self.machine_places
+        """Root of a covariance of the free coordinates, the machine first, and of that what is cut."""
+        places = np.append(self.cut_places, np.setdiff1d(self.machine_places, self.cut_places))
         order = np.concatenate([places, np.setdiff1d(np.arange(len(covariance)), places)])
         inner = covariance[np.ix_(order, order)]
         out = np.empty_like(inner)
@@ -444,7 +447,7 @@ class SpecimenTarget:
     def _expected(self, x: FloatArray) -> FloatArray:
         """Own parameters about which the logs' are integrated: gains that undo the common scale."""
         own = self._own(x)
-        if self.scale is None:
+        if "ln_gain_sd" not in self.places:
             return own
         own = np.repeat(own[None], len(x), axis=0)
         own[:, :, 0] -= np.log(np.maximum(x @ self.scale, LEAST_SCALE))[:, None]
@@ -486,17 +489,24 @@ class SpecimenTarget:
         return found
 
     def densities(self, z: FloatArray) -> FloatArray:
-        """Log densities of points whose machine is given by quantiles, (n, d) -> (n,)."""
+        """Log densities of points whose cut machine is given by quantiles, (n, d) -> (n,)."""
         x = self.vectors(z)
         out = self.density(x)
-        for k, one in enumerate(self._machine_priors if self.open else ()):
-            off = (x[:, self.law.times + k] - one.mean) / one.sd
+        for k, (at, one) in enumerate(zip(self.cut_places, self._cut.values(), strict=False)):
+            off = (x[:, at] - one.mean) / one.sd
             out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
-        if not self.straight and self.ridges.widths is not None:
-            roots = self.ridges.widths.within(x[:, self.law.times])
-            out += np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-        if not self.straight and self.scale is not None:
-            out += self.law.linear * np.log(x @ self.scale) + self._ln_wider(x)
+        if self.straight:
+            return out
+        rest, machine = self.still_places, len(self.machine_places)
+        for place, curve in self.ridges.quantiles.items():
+            out += straight_beyond(curve, z[:, machine + rest.index(place)])[1]
+        if self.ridges.widths is not None:
+            roots = np.diagonal(self.ridges.widths.along(x), axis1=1, axis2=2)
+            out += np.log(np.delete(roots, [rest.index(k) for k in self.ridges.quantiles], axis=1)).sum(
+                axis=1
+            )
+        if self.ridges.ln_scale is not None:
+            out += self.law.linear * np.log(x @ self.scale)
         return out
 
 

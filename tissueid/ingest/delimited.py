@@ -175,11 +175,7 @@ def _choice(layout: Layout, options: ReadOptions, place: Place) -> ColumnChoice:
         )
         place.refuse("ragged_rows", message, line=layout.first_line, column=layout.n_columns + 1)
     return choose_columns(
-        layout.names,
-        layout.units,
-        options=options,
-        place=place,
-        line=layout.names_line or layout.first_line,
+        layout.names, layout.units, options=options, place=place, line=layout.names_line or layout.first_line
     )
 
 

@@ -31,10 +31,7 @@ UNKNOWN_SPREAD, KNOWN_FROM = 0.1, 3
 
 
 def verdict_of(
-    trial: Trial,
-    segmentation: Segmentation,
-    measured: Measured,
-    earlier: Sequence[MeasuredPush] = (),
+    trial: Trial, segmentation: Segmentation, measured: Measured, earlier: Sequence[MeasuredPush] = ()
 ) -> Verdict:
     """The verdict on one recording."""
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
@@ -48,10 +45,7 @@ def verdict_of(
 
 
 def _doubts(
-    trial: Trial,
-    measured: Measured,
-    earlier: Sequence[MeasuredPush],
-    flags: dict[str, Flag],
+    trial: Trial, measured: Measured, earlier: Sequence[MeasuredPush], flags: dict[str, Flag]
 ) -> Iterator[str]:
     """Doubts that ask for a look, the gravest first."""
     if "rupture" in flags:

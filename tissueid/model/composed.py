@@ -100,9 +100,7 @@ def relaxation_of(function: Callable[..., Any]) -> FunctionRelaxation:
 def static_of(function: Callable[..., Any]) -> FunctionStatic:
     """A static law from ``f(x, ...)``; ValueError where it falls, or is not 0 at the surface."""
     law = FunctionStatic(
-        function,
-        _about(function, "static"),
-        tuple(_shape(one, "static") for one in _parameters(function)),
+        function, _about(function, "static"), tuple(_shape(one, "static") for one in _parameters(function))
     )
     depth = np.linspace(0.0, 10.0, 101)
     values = law.basis(depth, *(one.starts[0] for one in law.shapes))[0]

@@ -28,11 +28,6 @@ def _static(model: ChannelModel, theta: FloatArray, depth_mm: float) -> tuple[fl
     return float(model.static_force(theta, at)[0]), float(model.static_slope(theta, at)[0])
 
 
-def force_after_step(model: ChannelModel, theta: FloatArray, depth_mm: float, time_s: float) -> float:
-    """Force a time after an ideal step from rest to a depth [N]."""
-    return force_after_ramp(model, theta, depth_mm, None, time_s)
-
-
 def force_after_ramp(
     model: ChannelModel, theta: FloatArray, depth_mm: float, speed_mm_s: float | None, time_s: float
 ) -> float:
@@ -70,7 +65,7 @@ def instantaneous_stiffness(model: ChannelModel, theta: FloatArray, depth_mm: fl
     """Secant of an ideal step from rest, and tangent of a small step at rest at a depth [N/mm]."""
     _, tangent = equilibrium_stiffness(model, theta, depth_mm)
     sudden = float(model.stiffness(theta, np.array([depth_mm])).sum())
-    return force_after_step(model, theta, depth_mm, 0.0) / depth_mm, tangent + sudden
+    return force_after_ramp(model, theta, depth_mm, None, 0.0) / depth_mm, tangent + sudden
 
 
 def delta_method(

@@ -485,9 +485,7 @@ class CohortFit:
 
 
 def cohort(
-    members: Sequence[Member],
-    options: CohortOptions | None = None,
-    tick: Callable[[str], None] | None = None,
+    members: Sequence[Member], options: CohortOptions | None = None, tick: Callable[[str], None] | None = None
 ) -> CohortFit:
     """The population behind specimens.
 

@@ -31,8 +31,7 @@ _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
 
 
 def members_of(
-    document: Identification,
-    results: Iterable[tuple[Specimen, Sequence[TrialCurve], StoredPosterior | None]],
+    document: Identification, results: Iterable[tuple[Specimen, Sequence[TrialCurve], StoredPosterior | None]]
 ) -> tuple[Member, ...]:
     """The specimens of a finished fit, with as many draws as a cohort of that size can use."""
     study = document.study

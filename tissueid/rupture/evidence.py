@@ -193,9 +193,7 @@ def _grid(tests: Outcomes) -> _Grid:
 
 
 def _most_likely(
-    tests: Outcomes,
-    start: tuple[float, float, float],
-    covariate: FloatArray | None = None,
+    tests: Outcomes, start: tuple[float, float, float], covariate: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
     """Maximum likelihood of (mu, ln s, ln b[, slope by a covariate]), and ln likelihood there."""
 

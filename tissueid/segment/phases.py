@@ -151,11 +151,7 @@ def _long_enough(path: Path, stand: Piece, before: Piece, options: SegmentOption
 
 
 def name_phases(
-    path: Path,
-    found: list[Piece],
-    surface: Surface,
-    *,
-    again: Contact | None = None,
+    path: Path, found: list[Piece], surface: Surface, *, again: Contact | None = None
 ) -> tuple[Phase, ...]:
     """Name each settled piece; neighbours share their corner sample, together they cover the recording.
 

@@ -102,12 +102,7 @@ def in_air_first(
 
 
 def of_program(
-    logs: Sequence[Log],
-    *,
-    rate_Hz: float,
-    contact_sd_mm: float,
-    rounding_s: float = 0.0,
-    words: str,
+    logs: Sequence[Log], *, rate_Hz: float, contact_sd_mm: float, rounding_s: float = 0.0, words: str
 ) -> Protocol:
     """The protocol of moves and holds that start at contact."""
     found: list[ProtocolLog] = []

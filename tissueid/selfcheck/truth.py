@@ -211,9 +211,7 @@ def force_points(depth_mm: float, speeds_mm_s: tuple[float, float]) -> tuple[tup
 
 
 def numbers_of(
-    model: ChannelModel,
-    theta: FloatArray,
-    points: tuple[tuple[float, float], ...],
+    model: ChannelModel, theta: FloatArray, points: tuple[tuple[float, float], ...]
 ) -> dict[str, FloatArray]:
     """Everything that is checked of a tissue, for many at once; ``theta`` (n, p)."""
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}

@@ -21,13 +21,7 @@ from msgspec import ValidationError
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
-from tissueid.store.bundle import (
-    BUNDLE_SCHEMA_VERSION,
-    Bundle,
-    bundle_of_document,
-    load_bundle,
-    write_bundle,
-)
+from tissueid.store.bundle import BUNDLE_SCHEMA_VERSION, Bundle, bundle_of_document, load_bundle, write_bundle
 from tissueid.store.files import TEMPORARY_PREFIX, replace_file, replacing
 from tissueid.store.hdf5 import check_format, get_text, open_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION

@@ -21,14 +21,7 @@ from tissueid.documents.twin import Twin
 from tissueid.errors import BundleError
 from tissueid.store.bundle import load_bundle
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import (
-    CURVES,
-    IDENTIFICATION,
-    ONLY_BUNDLE,
-    POSTERIORS,
-    bundle_names,
-    sha256_of,
-)
+from tissueid.store.files import CURVES, IDENTIFICATION, ONLY_BUNDLE, POSTERIORS, bundle_names, sha256_of
 from tissueid.store.merged import LISTED, SPECIMENS, load_specimen, read_listed
 from tissueid.store.outputs import CommittedRun, complete_refresh, current_run
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -82,9 +75,7 @@ def read_results(
     return document, tuple(curves), tuple(posteriors)
 
 
-def each_result(
-    out: Path | str,
-) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
+def each_result(out: Path | str) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
     """Read specimen, curves and draws of an output folder one at a time, however large the cohort is.
 
     Raises BundleError: if there is no committed set or it is damaged.
@@ -244,9 +235,7 @@ def _bundle_problems(out: Path, run: CommittedRun, document: Mapping[str, Any]) 
 
 
 def _name_problems(
-    document: IdentificationDocument,
-    curves: tuple[TrialCurve, ...],
-    posteriors: tuple[StoredPosterior, ...],
+    document: IdentificationDocument, curves: tuple[TrialCurve, ...], posteriors: tuple[StoredPosterior, ...]
 ) -> Iterable[str]:
     fitted = [(s.specimen, t.path, t.sheet) for s in document.specimens for t in s.trials]
     if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:

@@ -181,10 +181,7 @@ def _frame_without_sources(path: str) -> bytes:
 
 
 def _anonymous_manifest(
-    study: Study,
-    trials: Sequence[Trial],
-    names: Mapping[tuple[str, str | None], str],
-    anonymiser: Anonymiser,
+    study: Study, trials: Sequence[Trial], names: Mapping[tuple[str, str | None], str], anonymiser: Anonymiser
 ) -> str:
     """The study file of the renamed recordings; globs are written out, one table a recording."""
     document = tomlkit.document()

@@ -77,10 +77,7 @@ def rendering_of(specimen: Specimen, stored: StoredPosterior | None) -> Renderin
     model, theta = tissue.model, tissue.theta
     slow, fast = (float(value) for value in specimen.validity.speeds_mm_s)
     rendered = RenderedTissue(
-        model=model,
-        theta=theta,
-        speeds_mm_s=(slow, fast),
-        tip_radius_mm=specimen.validity.tip_radius_mm,
+        model=model, theta=theta, speeds_mm_s=(slow, fast), tip_radius_mm=specimen.validity.tip_radius_mm
     )
     rows: list[RenderedDevice | RefusedDevice] = []
     for name, demands in _devices().items():

@@ -182,10 +182,7 @@ _DESCRIBED: dict[str, tuple[str, Dialect]] = {
     "load-first": ("Load before Extension", Dialect(order=(0, 2, 1))),
     "long-header": ("48 header lines", Dialect(header_lines=48)),
     "ungrouped": ("header keys without their group", Dialect(header_lines=12, groups=False)),
-    "swiss": (
-        "apostrophes between thousands",
-        Dialect(delimiter=";", thousands="'", quoted=True),
-    ),
+    "swiss": ("apostrophes between thousands", Dialect(delimiter=";", thousands="'", quoted=True)),
     "german": ("German throughout", _spoken("de", replace(_LATIN, results="after"))),
     "french": ("French throughout", _spoken("fr", replace(_LATIN, results="after"))),
     "spanish": ("Spanish throughout", _spoken("es", replace(_COMMA, encoding="utf-8", results="after"))),
@@ -193,10 +190,7 @@ _DESCRIBED: dict[str, tuple[str, Dialect]] = {
     "italian": ("Italian throughout", _spoken("it", replace(_LATIN, results="after"))),
     "polish": ("Polish throughout", _spoken("pl", replace(_COMMA, encoding="cp1250", results="before"))),
     "chinese-gbk": ("Chinese throughout, GBK", _spoken("zh", Dialect(encoding="gbk", results="after"))),
-    "japanese": (
-        "Japanese throughout, Shift-JIS",
-        _spoken("ja", Dialect(encoding="cp932", results="after")),
-    ),
+    "japanese": ("Japanese throughout, Shift-JIS", _spoken("ja", Dialect(encoding="cp932", results="after"))),
     "chinese": (
         "Chinese throughout, UTF-8 with a byte order mark",
         _spoken("zh", Dialect(encoding="utf-8-sig", results="before")),

@@ -71,14 +71,7 @@ def _gain(cv: float, rng: np.random.Generator) -> float:
 
 
 def _one_log(
-    recipe: Recipe,
-    log: Log,
-    name: str,
-    specimen: str,
-    *,
-    gain: float,
-    tough: float,
-    rng: np.random.Generator,
+    recipe: Recipe, log: Log, name: str, specimen: str, *, gain: float, tough: float, rng: np.random.Generator
 ) -> SyntheticLog:
     both = gain * _gain(recipe.cv_both, rng)
     truth = {

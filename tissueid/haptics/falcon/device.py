@@ -26,11 +26,7 @@ from tissueid.haptics.falcon.calibration import Calibration, load_calibration, s
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
 from tissueid.haptics.falcon.kinematics import GUESS_M, angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command, leds_of_state
-from tissueid.haptics.falcon.transport import (
-    FileTransport,
-    LibUsb,
-    Transport,
-)
+from tissueid.haptics.falcon.transport import FileTransport, LibUsb, Transport
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import UNSEEN_TICKS
 from tissueid.haptics.states import State

@@ -261,9 +261,6 @@ DESCRIPTOR = register(
 )
 USB = register(
     Access(
-        UsbIO,
-        lambda given: UsbIO._make((*given.handles.tolist(), _parts(given))),
-        _sense_usb,
-        _command_usb,
+        UsbIO, lambda given: UsbIO._make((*given.handles.tolist(), _parts(given))), _sense_usb, _command_usb
     )
 )

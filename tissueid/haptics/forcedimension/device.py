@@ -183,10 +183,7 @@ class ForceDimensionDevice(HapticDevice):
     name = "forcedimension"
 
     def __init__(
-        self,
-        limits: GuardLimits | None = None,
-        *,
-        homing_timeout_s: float = HOMING_TIMEOUT_S,
+        self, limits: GuardLimits | None = None, *, homing_timeout_s: float = HOMING_TIMEOUT_S
     ) -> None:
         super().__init__(GuardLimits() if limits is None else limits)
         self._homing_timeout_s = homing_timeout_s
