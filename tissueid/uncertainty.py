@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from tissueid.documents.identification import (
 )
 from tissueid.errors import UsageError
 from tissueid.notebook import Shown
+
+if TYPE_CHECKING:
+    from tissueid.store.posteriors import StoredPosterior
 
 
 def _finite(value: Any) -> Any:
@@ -146,19 +149,9 @@ class Posterior(Shown):
     def to_arviz(self) -> Any:
         """The draws as arviz knows them, with the groups of :mod:`tissueid.uncertainty`.
 
-        Raises
-        ------
-        UsageError
-            arviz, of the extra ``tissueid[arviz]``, is not installed.
+        Raises UsageError: arviz, of the extra ``tissueid[arviz]``, is not installed.
         """
-        return arviz_data(
-            theta_names=self.theta_names,
-            draws=self.draws,
-            draws_total=self.draws_total,
-            chain_names=self.chain_names,
-            chain=self.chain,
-            log_density=self.log_density,
-        )
+        return arviz_data(self)
 
     def as_json(self) -> dict[str, Any]:
         """The keys that a specimen gains."""
@@ -176,35 +169,24 @@ class Posterior(Shown):
 _QUARTERS = 4
 
 
-def arviz_data(
-    *,
-    theta_names: Sequence[str],
-    draws: FloatArray,
-    draws_total: FloatArray | None,
-    chain_names: Sequence[str],
-    chain: FloatArray,
-    log_density: FloatArray | None = None,
-    attributes: Mapping[str, Any] | None = None,
-) -> Any:
+def arviz_data(found: Posterior | StoredPosterior, **attributes: Any) -> Any:
     """Put draws into the data structure of the arviz that is installed.
 
-    ``theta_names``: with their units, as ``static_1_N_per_mm``; ``draws`` (n, p); ``draws_total`` (n, p);
-    ``chain`` (chains, draws, d); ``log_density`` (chains, draws); ``attributes``: text or numbers that are
-    kept with each group, as the specimen.  Returns both have ``to_netcdf``.  Raises UsageError: arviz is not
-    installed.
+    ``attributes``: text or numbers that are kept with each group, as the specimen.  Structures of all
+    versions have ``to_netcdf``.  Raises UsageError: arviz is not installed.
     """
     arviz, xarray = _libraries()
-    theta = dict(zip(theta_names, _quarters(draws), strict=True))
-    if draws_total is not None:
-        totals = [f"{name}_total" for name in theta_names]
-        theta |= dict(zip(totals, _quarters(draws_total), strict=True))
-    sampled = dict(zip(chain_names, chain.transpose(2, 0, 1), strict=True))
+    theta = dict(zip(found.theta_names, _quarters(found.draws), strict=True))
+    if found.draws_total is not None:
+        totals = [f"{name}_total" for name in found.theta_names]
+        theta |= dict(zip(totals, _quarters(found.draws_total), strict=True))
+    sampled = dict(zip(found.chain_names, found.chain.transpose(2, 0, 1), strict=True))
     groups = {
         "posterior": _data_set(xarray, theta, attributes),
         "unconstrained_posterior": _data_set(xarray, sampled, attributes),
     }
-    if log_density is not None:
-        groups["sample_stats"] = _data_set(xarray, {"lp": log_density}, attributes)
+    if found.log_density is not None:
+        groups["sample_stats"] = _data_set(xarray, {"lp": found.log_density}, attributes)
     if int(arviz.__version__.split(".")[0]) < 1:
         return arviz.InferenceData(**groups)
     return xarray.DataTree.from_dict(groups)
@@ -242,11 +224,11 @@ def _libraries() -> tuple[Any, Any]:
     return arviz, xarray
 
 
-def _data_set(xarray: Any, variables: Mapping[str, FloatArray], attributes: Mapping[str, Any] | None) -> Any:
+def _data_set(xarray: Any, variables: Mapping[str, FloatArray], attributes: Mapping[str, Any]) -> Any:
     """Variables of shape (chains, draws) side by side, as arviz names their dimensions."""
     chains, draws = next(iter(variables.values())).shape
     return xarray.Dataset(
         {name: (("chain", "draw"), values) for name, values in variables.items()},
         coords={"chain": np.arange(chains), "draw": np.arange(draws)},
-        attrs={"inference_library": "tissueid", **(attributes or {})},
+        attrs={"inference_library": "tissueid", **attributes},
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents.identification import Specimen, Trial
 from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import trial_label, unit_words
@@ -138,10 +138,6 @@ _BRANCHES = 3
 _REFERENCE_DEPTH = 0.5
 
 
-def _evenly(size: int, most: int) -> NDArray[np.intp]:
-    return np.linspace(0, size - 1, min(size, most)).astype(np.intp)
-
-
 def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) -> dict[str, FloatArray]:
     """Columns by name; viscosity is K at the reference depth times the relaxation time."""
     columns = dict(zip(names, draws.T, strict=True))
@@ -163,12 +159,12 @@ def _of_one(specimen: Specimen, stored: StoredPosterior, most: int, steps: int) 
     depth_mm = specimen.validity.depth_mm
 
     def table(draws: FloatArray) -> dict[str, Any]:
-        columns = _with_viscosity(stored.theta_names, draws[_evenly(len(draws), most)], depth_mm)
+        columns = _with_viscosity(stored.theta_names, draws[evenly(len(draws), most)], depth_mm)
         kept = [columns[entry.name] for entry in entries if entry.name in columns]
         return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
 
-    chain = stored.chain[_evenly(stored.chain.shape[0], _CHAINS)]
-    chain = chain[:, _evenly(chain.shape[1], steps)]
+    chain = stored.chain[evenly(stored.chain.shape[0], _CHAINS)]
+    chain = chain[:, evenly(chain.shape[1], steps)]
     available = {*stored.theta_names, *(e.name for e in entries if e.name.startswith("viscosity"))}
     return {
         "names": [entry.name for entry in entries if entry.name in available],

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.digits import number
 from tissueid.documents.identification import Specimen, Trial
 from tissueid.documents.inspect import Units
@@ -67,9 +67,8 @@ def tissue_of(specimen: Specimen, stored: StoredPosterior | None) -> Tissue | No
     draws = None
     if stored is not None and set(model.parameter_names) <= set(stored.theta_names):
         table = stored.draws if stored.draws_total is None else stored.draws_total
-        kept = np.linspace(0, len(table) - 1, min(len(table), BAND_DRAWS)).astype(int)
         order = [stored.theta_names.index(name) for name in model.parameter_names]
-        draws = table[kept][:, order]
+        draws = table[evenly(len(table), BAND_DRAWS)][:, order]
     return Tissue(model, np.array(values, dtype=np.float64), draws)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.arrays import evenly
 from tissueid.documents import plain
 from tissueid.documents.population import CohortSize, HeldOut, Population, Populations, Specimen
 from tissueid.model.channels import loading_force
@@ -62,8 +63,7 @@ def _shown(specimens: Sequence[Specimen]) -> Sequence[Specimen]:
         return specimens
     outliers = [row for row in specimens if row.outlier is not None][:MOST_DRAWN]
     rest = [row for row in specimens if row.outlier is None]
-    take = MOST_DRAWN - len(outliers)
-    return outliers + [rest[k] for k in np.linspace(0, len(rest) - 1, take).astype(int)] if take else outliers
+    return outliers + [rest[k] for k in evenly(len(rest), MOST_DRAWN - len(outliers))]
 
 
 def population_payload(document: Population, bundle: Bundle | None) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.documents import members, plain, typed
 from tissueid.documents.folder import Bundle as Document
 from tissueid.documents.identification import TipGeometry, Validity
@@ -135,10 +135,7 @@ class Bundle(Shown):
     def require_renderable(self) -> None:
         """Check that a device could render this tissue.
 
-        Raises
-        ------
-        BundleError
-            The recording was normalised: a device moves millimetres and pushes newtons.
+        Raises BundleError: the recording was normalised: a device moves millimetres and pushes newtons.
         """
         if dict(self.units) != UNITS:
             units = ", ".join(f"{key} in {unit}" for key, unit in self.units.items())
@@ -243,17 +240,9 @@ def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundl
         sigma_N=float(fit.sigma_N),
         flags=fit.flags,
         provenance={**provenance, "inputs": inputs},
-        draws=None if posterior is None else _thinned(posterior.draws),
+        draws=None if posterior is None else posterior.draws[evenly(len(posterior.draws), MOST_DRAWS)],
         units=fit.axes.as_json(),
     )
-
-
-def _thinned(draws: FloatArray) -> FloatArray:
-    """At most :data:`MOST_DRAWS` rows, evenly over all of them."""
-    if len(draws) <= MOST_DRAWS:
-        return draws
-    kept: FloatArray = draws[np.linspace(0, len(draws) - 1, MOST_DRAWS).astype(int)]
-    return kept
 
 
 def write_bundle(bundle: Bundle, path: Path | str) -> None:

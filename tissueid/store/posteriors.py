@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.arrays import FloatArray
+from tissueid.arrays import FloatArray, evenly
 from tissueid.result import SpecimenFit
 from tissueid.store import hdf5
 from tissueid.store.files import json_bytes
@@ -57,9 +57,7 @@ class StoredPosterior:
         """The draws as arviz knows them; see :func:`tissueid.uncertainty.arviz_data`."""
         from tissueid.uncertainty import arviz_data
 
-        names = ("theta_names", "draws", "draws_total", "chain_names", "chain", "log_density")
-        known = {name: getattr(self, name) for name in names}
-        return arviz_data(**known, attributes={"specimen": self.specimen})
+        return arviz_data(self, specimen=self.specimen)
 
 
 def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ...]:
@@ -80,9 +78,7 @@ def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ..
 def _thinned(chain: FloatArray) -> FloatArray:
     """At most :data:`MOST_POINTS` points, every chain thinned evenly."""
     chains, draws = chain.shape[:2]
-    steps = min(draws, max(MOST_POINTS // max(chains, 1), 1))
-    kept: FloatArray = chain[:, np.linspace(0, draws - 1, steps).astype(int)]
-    return kept
+    return chain[:, evenly(draws, max(MOST_POINTS // max(chains, 1), 1))]
 
 
 def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
