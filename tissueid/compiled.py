@@ -70,12 +70,9 @@ def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
     return cast("Function", _Compiled(function, options)) if installed("numba") else function
 
 
-def kernel(
-    *, error_model: str = "numpy", fastmath: set[str] | bool = False
-) -> Callable[[Function], Function]:
+def kernel(*, error_model: str = "numpy") -> Callable[[Function], Function]:
     """Compile a function of arrays and numbers, without the interpreter's lock."""
-    options = {"error_model": error_model, "fastmath": fastmath}
-    return lambda function: _for_the_disk(function, options)
+    return lambda function: _for_the_disk(function, {"error_model": error_model})
 
 
 def tick_kernel(function: Function) -> Function:

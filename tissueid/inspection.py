@@ -28,12 +28,6 @@ from tissueid.trial import Phase, Segmentation, Trial
 _READ = ("recipe", "recipe_reason", "recipe_confidence", "encoding", "delimiter", "decimal")
 
 
-def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
-    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed."""
-    segmentation = segmented(trial, options=options)
-    return segmentation if isinstance(segmentation, Refusal) else describe_segmented(trial, segmentation)
-
-
 def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation | Refusal:
     """The trial divided into phases, or the refusal of one whose numbers defeat the arithmetic."""
     try:

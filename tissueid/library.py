@@ -38,14 +38,14 @@ from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_sta
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
-from tissueid.notebook import MEASURED, MODEL, Shown, drawing, html_of, svg_file
+from tissueid.notebook import MEASURED, MODEL, drawing, html_of, svg_file
 from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
-from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.files import write_file
 from tissueid.trial import Trial
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
@@ -58,13 +58,7 @@ FIXED = 1e-6
 
 
 class Trials(list[Trial]):
-    """Recordings that were read, in the order of their files.
-
-    Attributes
-    ----------
-    refused : tuple of InputError
-        Recordings that were not, with the reason.
-    """
+    """Recordings that were read, in the order of their files; ``refused``: errors of those that were not."""
 
     def __init__(self, trials: Iterable[Trial], refused: Iterable[InputError] = ()) -> None:
         super().__init__(trials)
@@ -205,10 +199,7 @@ class _Reported:
     def parameter(self, name: str) -> Estimate:
         """A reported parameter, by name (``relaxation_time_s``) or symbol (``tau``).
 
-        Raises
-        ------
-        KeyError
-            There is none; the message lists those that there are.
+        Raises KeyError: there is none; the message lists those that there are.
         """
         for one in self.result.parameters:
             if name in {one.name, one.symbol}:
@@ -262,15 +253,8 @@ class Fit(_Reported):
     def fix(self, **values: float) -> Fit:
         """Fit again with parameters held at values.
 
-        Parameters
-        ----------
-        **values : float
-            By name or symbol, in the unit of the parameter: ``fit.fix(tau=0.02)``.
-
-        Raises
-        ------
-        UsageError
-            A value is none that the parameter can have, or follows from others, as a viscosity does.
+        ``values``: by name or symbol, in the unit of the parameter: ``fit.fix(tau=0.02)``.  Raises
+        UsageError: a value is none that the parameter can have, or follows from others, as a viscosity does.
         """
         priors = self.setting.priors
         linear, shapes = dict(priors.linear), dict(priors.shapes)
@@ -306,12 +290,8 @@ class Fit(_Reported):
 
         Signs and zero are the recording's.  A recording of the fit has its own gain and contact; of another
         the tissue is predicted as it is, with nothing free.  Before contact it is the reading in air, and
-        after the part that can be predicted (the tool turned back) NaN.
-
-        Raises
-        ------
-        InputError
-            There is no contact in the recording.
+        after the part that can be predicted (the tool turned back) NaN.  Raises InputError: there is no
+        contact in the recording.
         """
         for place, one in enumerate(self.trials):
             if one is trial:
@@ -337,18 +317,8 @@ class Fit(_Reported):
     def sample(self, draws: int = 2_000, seed: int = 0) -> Sampled:
         """Draw from the posterior, from this optimum on.
 
-        Parameters
-        ----------
-        draws : int
-            Effective draws to go on for.
-        seed : int
-
-        Raises
-        ------
-        NotIdentifiedError
-            Nothing could be drawn, with the reason.
-        UsageError
-            There is no such number of draws, or no such seed.
+        ``draws``: effective draws to go on for.  Raises NotIdentifiedError: nothing could be drawn, with the
+        reason; UsageError: there is no such number of draws, or no such seed.
         """
         if draws < 1 or seed < 0:
             msg = f"draws = {draws}, seed = {seed}: give 1 draw or more, and a seed of 0 or more"
@@ -387,20 +357,12 @@ def _handle_of(trial: Trial, setting: _Setting) -> LogHandle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginal:
-    """Posterior of one parameter.
-
-    Attributes
-    ----------
-    name, unit : str
-    values : ndarray, shape (n,)
-        Draws with the machine open (statistical ones of normalised recordings).
-    uncertainty : ParameterUncertainty
-        Printed numbers: ``ci95`` of the specimen, ``ci95_total`` with the machine, ``prediction95``.
-    """
+    """Posterior of one parameter."""
 
     name: str
     unit: str
-    values: FloatArray
+    values: FloatArray  # (n,), draws with the machine open (statistical ones of normalised recordings)
+    #: Printed numbers: ``ci95`` of the specimen, ``ci95_total`` with the machine, ``prediction95``.
     uncertainty: ParameterUncertainty
 
     @property
@@ -411,10 +373,7 @@ class Marginal:
     def interval(self, level: float = 0.95) -> tuple[float, float]:
         """Interval that holds this share of the draws; at 0.95 the printed total interval.
 
-        Raises
-        ------
-        ValueError
-            The level is no share.
+        Raises ValueError: the level is no share.
         """
         if not 0.0 < level < 1.0:
             msg = f"an interval holds a share between 0 and 1 of the draws, got {level:g}"
@@ -464,12 +423,7 @@ class Sampled(_Reported):
 
         The push is along the recording's path, at whatever speed, in its signs and its zero; NaN where
         nothing is predicted.  How much sites differ is told by the logs of the fit; with one log it is
-        unknown, and left out.
-
-        Raises
-        ------
-        InputError
-            There is no contact in the recording.
+        unknown, and left out.  Raises InputError: there is no contact in the recording.
         """
         handle = _handle_of(trial, self.fit.setting)
         _, log = handle.fitted()
@@ -480,22 +434,14 @@ class Sampled(_Reported):
     def to_arviz(self) -> Any:
         """The draws as arviz knows them.
 
-        Raises
-        ------
-        UsageError
-            arviz, of the extra ``tissueid[arviz]``, is not installed.
+        Raises UsageError: arviz, of the extra ``tissueid[arviz]``, is not installed.
         """
         return self._posterior.to_arviz()
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A drawing that a notebook shows, and that can be saved.
-
-    Attributes
-    ----------
-    svg : str
-    """
+    """A drawing that a notebook shows, and that can be saved."""
 
     svg: str
 
@@ -504,14 +450,11 @@ class Plot:
 
     def save(self, path: str | Path) -> Path:
         """Write it as an SVG file."""
-        path = Path(path)
-        temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-        temporary.write_bytes(svg_file(self.svg))
-        replace_file(temporary, path)
-        return path
+        write_file(Path(path), svg_file(self.svg))
+        return Path(path)
 
 
-class Bundle(Shown):
+class Bundle:
     """A fit as a file that a device renders and a colleague reads.
 
     Parameters
@@ -532,10 +475,7 @@ class Bundle(Shown):
     def save(self, path: str | Path) -> Path:
         """Write the bundle, whole or not at all.
 
-        Raises
-        ------
-        BundleError
-            It could not be loaded again.
+        Raises BundleError: it could not be loaded again.
         """
         write_bundle(self.content, path)
         return Path(path)

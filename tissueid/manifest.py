@@ -176,10 +176,7 @@ class Study(Shown):
     def of_sheets(self, picked: Mapping[str, AbstractSet[str]]) -> Study:
         """Drop tables that speak of other sheets than those picked.
 
-        Parameters
-        ----------
-        picked : mapping
-            Real path of a file -> names of the sheets that are read of it.
+        ``picked``: real path of a file -> names of the sheets that are read of it.
         """
 
         def asked(entry: Entry) -> bool:
@@ -198,11 +195,7 @@ class Study(Shown):
     def decision(self, path: str, sheet: str | None) -> Decision:
         """Decision of the study on one recording.
 
-        Parameters
-        ----------
-        path : str
-            As in :class:`tissueid.trial.Source`; links are followed before paths are compared.
-        sheet : str or None
+        ``path``: as in :class:`tissueid.trial.Source`; links are followed before paths are compared.
         """
         real = self.real_path(path)
         trials = [entry for entry in self.trials if entry.names(real, sheet)]

@@ -16,7 +16,8 @@ import pytest
 from tissueid.cli.main import main
 from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, read_each
-from tissueid.inspection import describe_trial
+from tissueid.inspection import describe_segmented, segmented
+from tissueid.trial import Segmentation
 
 KINDS = ("right", "near", "wrong", "absent")
 
@@ -85,9 +86,9 @@ def described(path: Path) -> dict[str, dict[str, Any]]:
     options = MUSCLE if "muscle" in path.parent.name else ReadOptions()
     found = {}
     for trial in read_each(path, options):
-        document = None if isinstance(trial, InputError) else describe_trial(trial)
-        if isinstance(document, dict):
-            found[document["sheet"] or ""] = document
+        divided = None if isinstance(trial, InputError) else segmented(trial)
+        if isinstance(divided, Segmentation):
+            found[trial.source.sheet or ""] = describe_segmented(trial, divided)
     return found
 
 

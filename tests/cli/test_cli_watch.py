@@ -21,7 +21,8 @@ from msgspec import structs
 from tissueid.documents import plain
 from tissueid.documents.inspect import Fit, Watch
 from tissueid.ingest import find_inputs, read_each
-from tissueid.inspection import describe_trial
+from tissueid.inspection import describe_segmented
+from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Source, Trial
 from tissueid.watch import FolderWatch, judge
@@ -220,8 +221,7 @@ def test_a_verdict_is_what_inspect_says():
     trial = ramp_hold()
     assert valid(judge(trial))
     found = plain(judge(trial))
-    said = describe_trial(trial)
-    assert isinstance(said, dict)
+    said = describe_segmented(trial, segment(trial))
     for name in ("measured", "verdict", "flags"):
         assert found[name] == said[name]
     assert found["verdict"] == {"level": "good", "reason": None}

@@ -14,11 +14,11 @@ from tissueid import collection, read_trials
 from tissueid.documents import plain
 from tissueid.documents.identification import TipGeometry
 from tissueid.inference.specimen import FitOptions
-from tissueid.inspection import describe_trial
+from tissueid.inspection import describe_segmented
 from tissueid.measured.geometry import stated_geometry
 from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, identify
 from tissueid.result import Refusal, SpecimenFit
-from tissueid.segment import SegmentOptions
+from tissueid.segment import SegmentOptions, segment
 from tissueid.store.files import json_bytes
 from tissueid.store.schema import first_problem
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, recipe, simulate
@@ -129,10 +129,11 @@ def test_more_parameters_than_residuals_are_no_bug() -> None:
 def test_a_force_that_rises_at_the_very_end_is_no_bug() -> None:
     time = np.arange(400) * 0.05
     force = np.where(time > 19.7, 50.0 * (time - 19.7), 0.0) + np.random.default_rng(7).normal(0.0, 0.1, 400)
-    found = identify([Trial("late", time, time, force)], options=QUICK)
+    late = Trial("late", time, time, force)
+    found = identify([late], options=QUICK)
     assert found.exit.code in (3, 4, 0)
     # the tool travels 19.7 mm in air: contact is found there, within its last samples, or not at all
-    contact = describe_trial(Trial("late", time, time, force))["contact"]
+    contact = describe_segmented(late, segment(late))["contact"]
     assert contact is None or contact["displacement_mm"] == pytest.approx(19.7, abs=0.5)
 
 

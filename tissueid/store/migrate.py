@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -21,8 +22,8 @@ from msgspec import ValidationError
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
-from tissueid.store.bundle import BUNDLE_SCHEMA_VERSION, Bundle, bundle_of_document, load_bundle, write_bundle
-from tissueid.store.files import TEMPORARY_PREFIX, replace_file, replacing
+from tissueid.store.bundle import BUNDLE_SCHEMA_VERSION, bundle_of_document, load_bundle, write_bundle
+from tissueid.store.files import replacing
 from tissueid.store.hdf5 import check_format, get_text, open_file
 from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
 from tissueid.store.outputs import FolderLock, OutputSet, current_run
@@ -83,7 +84,7 @@ def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> M
         document, arrays = step(document, arrays)
         version += 1
     try:
-        bundle: Bundle = bundle_of_document(document, arrays)
+        bundle = bundle_of_document(document, arrays)
         with replacing(path) as temporary:
             write_bundle(bundle, temporary)
             load_bundle(temporary)
@@ -95,30 +96,29 @@ def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> M
 
 def _migrate_index(path: Path, steps: Mapping[int, str]) -> Migrated | None:
     """Bring an index to this version: on a copy, which then takes its place."""
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
     try:
-        with sqlite3.connect(path) as old:
+        with closing(sqlite3.connect(path)) as old:
             was = int(old.execute("PRAGMA user_version").fetchone()[0])
-            if was == INDEX_SCHEMA_VERSION:
-                return None
-            with sqlite3.connect(temporary) as new:
-                old.backup(new)
-                for version in range(was, INDEX_SCHEMA_VERSION):
-                    new.executescript(_step_from(path, version, steps, INDEX_SCHEMA_VERSION))
-                new.execute(f"PRAGMA user_version={INDEX_SCHEMA_VERSION}")
-                if new.execute("PRAGMA integrity_check").fetchone()[0] != "ok":
-                    msg = "the new file is not whole"
-                    raise sqlite3.DatabaseError(msg)
-            new.close()
-        old.close()
+        if was == INDEX_SCHEMA_VERSION:
+            return None
         if was > INDEX_SCHEMA_VERSION:
             _step_from(path, was, steps, INDEX_SCHEMA_VERSION)
-        replace_file(temporary, path)
+        # both are closed before the new one takes the place of the old
+        with (
+            replacing(path) as temporary,
+            closing(sqlite3.connect(path)) as old,
+            closing(sqlite3.connect(temporary)) as new,
+        ):
+            old.backup(new)
+            for version in range(was, INDEX_SCHEMA_VERSION):
+                new.executescript(_step_from(path, version, steps, INDEX_SCHEMA_VERSION))
+            new.execute(f"PRAGMA user_version={INDEX_SCHEMA_VERSION}")
+            if new.execute("PRAGMA integrity_check").fetchone()[0] != "ok":
+                msg = "the new file is not whole"
+                raise sqlite3.DatabaseError(msg)
     except sqlite3.Error as error:
         msg = f"{path}: can't be migrated ({error}); delete it, and the next `tissueid fit` computes again"
         raise BundleError(msg) from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return Migrated(path, was)
 
 
