@@ -17,33 +17,37 @@ from tissueid.model.kernels import OWN_SIZE
 from tissueid.model.servo_law import OWN, STATIC, ServoLaw
 from tissueid.store.bundle import Bundle
 
-_HEAD = """\
+_HEADER = """\
 /* One identified soft tissue, for real-time use.  Not a medical device.
  *
- * specimen   {specimen}
- * claimed    depth 0 to {depth:g} mm, speed {slow:g} to {fast:g} mm/s{tip}
+ * specimen   @SPECIMEN@
+ * claimed    @CLAIMED@
  * beyond     F_s goes on with its end slope, K with its own, neither falls below what it is there
- * law        {law}
- * written    by tissueid {version}
+ * law        @LAW@
+ * written    by tissueid @VERSION@
  *
- *   {name}_tissue t = {{0}};                       at rest, surface at 0 mm
- *   double force_N = {name}_step(&t, depth_mm, dt_s);
+ *   @NAME@_tissue t = {0};                       at rest, surface at 0 mm
+ *   double force_N = @NAME@_step(&t, depth_mm, dt_s);
  *
  * depth_mm is the tool below the resting surface at the end of the step, negative in air; dt_s the measured
  * step.  The force is never negative: without adhesion a tool is not pulled.  Exact for motion that is linear
  * within a step, whatever its length.
  */
-#ifndef {guard}
-#define {guard}
+#ifndef @UPPER@_H
+#define @UPPER@_H
 
 #include <math.h>
 
-#define {upper}_BRANCHES {branches}
-#define {upper}_DEPTH_MM {depth_hex}
-"""
+#define @UPPER@_BRANCHES @BRANCHES@
+#define @UPPER@_DEPTH_MM @DEPTH@
+#define @UPPER@_STATES @STATES@
+#define @UPPER@_PIECES @PIECES@
 
-_BODY = """\
-
+/* F_s by powers of x from x^0 [N/mm^k]; K_j likewise, @UNIT@; relaxation times [s] */
+static const double @NAME@_static[@UPPER@_PIECES][4] = @STATIC@;
+static const double @NAME@_stiffness[@UPPER@_STATES][3] = @STIFFNESS@;
+static const double @NAME@_tau_s[@UPPER@_STATES] = @TAU@;
+@OWN@
 /* state and followed: of every exponential, in mm where it follows the depth, else in N */
 typedef struct {
     double surface_mm;
@@ -68,8 +72,8 @@ static inline double @NAME@_continued(const double *c, int size, double x, doubl
     return value;
 }
 
-@STATIC@
-@FOLLOWED@
+@STATIC_FORCE@
+@FOLLOWS@
 /* force on a surface that moves linearly to y in this step, and its slope by y */
 static inline double @NAME@_following(const double *decayed, const double *gain, const double *from, double y,
                                       double *slope)
@@ -184,6 +188,7 @@ static inline double @NAME@_follows(int j, double y, double at_rest, double rise
 }
 """
 _UNUSED = "    (void)j; (void)y; (void)at_rest; (void)rise;\n"
+_OWN = "static const double @NAME@_own[@UPPER@_STATES][@OWN_SIZE@] = @OWN_CURVES@;\n"
 _OWN_CURVE = """\
     (void)at_rest; (void)rise;
     return @NAME@_continued(@NAME@_own[j], 5, y, @UPPER@_DEPTH_MM, rate);"""
@@ -206,55 +211,49 @@ def c_header(bundle: Bundle) -> bytes:
     from tissueid.model.states import FLUSH_MM
 
     law = carried_law(bundle)
-    name, count = _identifier(bundle.specimen), law.tau_s.size
-    upper = name.upper()
+    name, (slow, fast) = _identifier(bundle.specimen), bundle.speeds_mm_s
     tip = "" if bundle.tip_radius_mm is None else f", tip radius {bundle.tip_radius_mm:g} mm"
-    head = _HEAD.format(
-        specimen=_plain(bundle.specimen),
-        depth=bundle.depth_mm,
-        slow=bundle.speeds_mm_s[0],
-        fast=bundle.speeds_mm_s[1],
-        tip=tip,
-        version=__version__,
-        name=name,
-        upper=upper,
-        guard=f"{upper}_H",
-        branches=count,
-        law=_law_words(bundle, law),
-        depth_hex=float(bundle.depth_mm).hex(),
-    )
-    body = _BODY.replace("@STATIC@", _ONE if len(law.static) == 1 else _PIECES)
-    words, follows = _KINDS[law.followed]
-    body = body.replace("@FOLLOWED@", _FOLLOWS.replace("@WORDS@", words).replace("@BODY@", follows))
-    for mark, text in (
-        ("@NAME@", name),
-        ("@UPPER@", upper),
-        ("@ITERATIONS@", str(MAX_DETACHED_ITERATIONS)),
-        ("@FLUSH@", repr(FLUSH_MM)),
-    ):
-        body = body.replace(mark, text)
-    return (head + "\n".join(_constants(law, name)) + "\n" + body).encode("ascii")
+    words, body = _KINDS[law.followed]
+    # parts that hold marks come first, and what others have written last
+    marks = {
+        "STATIC_FORCE": _ONE if len(law.static) == 1 else _PIECES,
+        "FOLLOWS": _FOLLOWS,
+        "BODY": body,
+        "WORDS": words,
+        **_numbers(law),
+        "NAME": name,
+        "UPPER": name.upper(),
+        "DEPTH": float(bundle.depth_mm).hex(),
+        "ITERATIONS": str(MAX_DETACHED_ITERATIONS),
+        "FLUSH": repr(FLUSH_MM),
+        "CLAIMED": f"depth 0 to {bundle.depth_mm:g} mm, speed {slow:g} to {fast:g} mm/s{tip}",
+        "VERSION": __version__,
+        "LAW": _law_words(bundle, law),
+        "SPECIMEN": _plain(bundle.specimen),
+    }
+    header = _HEADER
+    for mark, text in marks.items():
+        header = header.replace(f"@{mark}@", text)
+    return header.encode("ascii")
 
 
-def _constants(law: ServoLaw, name: str) -> list[str]:
-    """Declarations of the numbers."""
-    upper, count = name.upper(), law.tau_s.size
+def _numbers(law: ServoLaw) -> dict[str, str]:
+    """Numbers of a law by their marks; without an exponential the tables have one row."""
+    count = law.tau_s.size
     stiffness = np.zeros((max(count, 1), 3))
     if count:
         stiffness[:, : law.stiffness.shape[1]] = law.stiffness
-    unit = "ratio to F_s" if law.followed == STATIC else "[N/mm^(k+1)]"
-    lines = [
-        f"#define {upper}_STATES {max(count, 1)}",
-        f"#define {upper}_PIECES {len(law.static)}",
-        "",
-        f"/* F_s by powers of x from x^0 [N/mm^k]; K_j likewise, {unit}; relaxation times [s] */",
-        f"static const double {name}_static[{upper}_PIECES][4] = {_table(law.static)};",
-        f"static const double {name}_stiffness[{upper}_STATES][3] = {_table(stiffness)};",
-        f"static const double {name}_tau_s[{upper}_STATES] = {_listed(law.tau_s if count else [1.0])};",
-    ]
-    if law.followed == OWN:
-        lines.append(f"static const double {name}_own[{upper}_STATES][{OWN_SIZE}] = {_table(law.own)};")
-    return lines
+    own = {"OWN": _OWN, "OWN_SIZE": str(OWN_SIZE), "OWN_CURVES": _table(law.own)}
+    return {
+        "BRANCHES": str(count),
+        "STATES": str(max(count, 1)),
+        "PIECES": str(len(law.static)),
+        "UNIT": "ratio to F_s" if law.followed == STATIC else "[N/mm^(k+1)]",
+        "STATIC": _table(law.static),
+        "STIFFNESS": _table(stiffness),
+        "TAU": _listed(law.tau_s if count else [1.0]),
+        **(own if law.followed == OWN else {"OWN": ""}),
+    }
 
 
 def _law_words(bundle: Bundle, law: ServoLaw) -> str:

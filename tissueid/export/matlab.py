@@ -51,12 +51,8 @@ def _of(bundle: Bundle) -> dict[str, Any]:
 
 
 def _parameter(told: dict[str, Any]) -> dict[str, Any]:
-    unknown = {
-        "value": np.nan,
-        "stderr": np.nan,
-        "ci95": np.full(2, np.nan),
-        "ci95_total": np.full(2, np.nan),
-    }
+    ends = np.full(2, np.nan)
+    unknown: dict[str, Any] = {"value": np.nan, "stderr": np.nan, "ci95": ends, "ci95_total": ends}
     known = {key: np.asarray(told[key], dtype=float) for key in unknown if told.get(key) is not None}
     return {"name": told["name"], **unknown, **known, "identified": bool(told["identified"])}
 
