@@ -34,11 +34,8 @@ STATIC = (4.0, 0.8, 0.05)
 STIFFNESS, TAU_S = 6.0, 1.5
 THETA = np.array([*STATIC, STIFFNESS, TAU_S])
 THETA_NAMES = (
-    "static_1_N_per_mm",
-    "static_2_N_per_mm2",
-    "static_3_N_per_mm3",
-    "stiffness_0_N_per_mm",
-    "relaxation_time_s",
+    *("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3"),
+    *("stiffness_0_N_per_mm", "relaxation_time_s"),
 )
 
 
@@ -116,27 +113,15 @@ def specimen_fit(
         fits.append(trial_fit(f"lab data/{specimen}/run_{i + 1}.csv", curve, sheet=sheet, speed=speed))
     sd = np.array([0.05, 0.02, 0.003, 0.08, 0.03])
     units = ("N/mm", "N/mm^2", "N/mm^3", "N/mm", "s")
+    rows = zip(THETA_NAMES, ("a1", "a2", "a3", "b0", "tau"), units, THETA.tolist(), sd.tolist(), strict=True)
     parameters = [
-        Estimate(
-            name, symbol, unit, float(value), float(error), identified=True, detail={"estimate": float(value)}
-        )
-        for name, symbol, unit, value, error in zip(
-            THETA_NAMES, ("a1", "a2", "a3", "b0", "tau"), units, THETA, sd, strict=True
-        )
+        Estimate(name, symbol, unit, value, error, identified=True, detail={"estimate": value})
+        for name, symbol, unit, value, error in rows
     ]
     if not identified:
-        parameters[-1] = Estimate(
-            "relaxation_time_s",
-            "tau",
-            "s",
-            None,
-            None,
-            identified=False,
-            detail={"estimate": 1.5, "width_ln": 4.0},
-        )
-    parameters.append(
-        Estimate("viscosity_N_s_per_mm", "eta", "N s/mm", 9.0, 0.11, identified=True, detail={})
-    )
+        open_end = {"estimate": 1.5, "width_ln": 4.0}
+        parameters[-1] = replace(parameters[-1], value=None, stderr=None, identified=False, detail=open_end)
+    parameters.append(Estimate("viscosity_N_s_per_mm", "eta", "N s/mm", 9.0, 0.11, identified=True))
     row = Relaxation(
         path=fits[0].path,
         sheet=sheet,
@@ -148,11 +133,7 @@ def specimen_fit(
         tau_triple_s=(),
         flags=(Flag("one_tau_inadequate", "one relaxation time leaves 3 times the noise", {"ratio": 3.0}),),
     )
-    flags = [Flag("compliance_unknown", "frame compliance is taken as none")]
-    if not identified:
-        flags.insert(
-            0, Flag("not_identified", "the relaxation time is known to a factor of 50 only", {"factor": 50.0})
-        )
+    unknown = Flag("not_identified", "the relaxation time is known to a factor of 50 only", {"factor": 50.0})
     return SpecimenFit(
         specimen=specimen,
         model=ModelChoice("kelvin-voigt", 1, 3, 0, "partial"),
@@ -173,7 +154,10 @@ def specimen_fit(
             {"branches": 1, "stiffness_degree": 0, "score": -0.4, "stderr": 0.9, "chosen": True},
             {"branches": 2, "stiffness_degree": 0, "score": 0.0, "stderr": 0.0, "chosen": False},
         ),
-        flags=tuple(flags),
+        flags=(
+            *[unknown] * (not identified),
+            Flag("compliance_unknown", "frame compliance is taken as none"),
+        ),
     )
 
 
@@ -192,17 +176,12 @@ def identification(fits: Sequence[SpecimenFit], *, refused: bool = False) -> Ide
         for fit in fits
         for i, trial in enumerate(fit.trials)
     ]
-    reasons = ("1 input was refused",) if refused else ()
+    prose = "the file is prose; export raw data"
+    notes = Refusal("lab data/<b>notes</b>.csv", None, "not_an_export", prose, 3, 1)
     return Identification(
         specimens=tuple(fits),
-        refused=(
-            Refusal(
-                "lab data/<b>notes</b>.csv", None, "not_an_export", "the file is prose; export raw data", 3, 1
-            ),
-        )
-        if refused
-        else (),
-        exit=Exit(7 if refused else 0, reasons),
+        refused=(notes,) * refused,
+        exit=Exit(7, ("1 input was refused",)) if refused else Exit(0, ()),
         provenance={
             "tissueid": "0.1.0",
             "options": {"branches": "auto", "seed": 0, "required": ["static"]},
@@ -217,10 +196,8 @@ def write_results(run: OutputSet, found: Identification) -> None:
     files, inputs = {}, {}
     for number, fit in enumerate(found.specimens):
         result = result_of(replace(found, specimens=(fit,)), shown=fit.specimen, options=IdentifyOptions())
-        files[fit.specimen], inputs[fit.specimen] = (
-            run.path(f"{number}.h5"),
-            result.bundle.provenance["inputs"],
-        )
+        files[fit.specimen] = run.path(f"{number}.h5")
+        inputs[fit.specimen] = result.bundle.provenance["inputs"]
         files[fit.specimen].write_bytes(specimen_bytes(result))
     merge_files(run, files, inputs, found.provenance)
     for path in files.values():

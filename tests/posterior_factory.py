@@ -76,6 +76,16 @@ def posterior(*, draws: int = 4_000, seed: int = 0, misfit: bool = False, total:
     ]
     budget += [BudgetRow(name, "total", WIDER * one.sd, None) for name, one in known.items()]
     budget += [BudgetRow(name, "cluster bootstrap", 1.1 * one.sd, None) for name, one in known.items()]
+    place = "2.1 N above the model" if misfit else "where the model puts it"
+    checks = (
+        MisfitCheck(
+            "early hold",
+            *((6.2, 1e-4) if misfit else (0.4, 0.6)),
+            f"the force just after the peak lies {place}",
+            misfit,
+        ),
+        MisfitCheck("residual structure", 0.9, 0.4, "what is left looks like the noise of the model", False),
+    )
     return Posterior(
         sampler=SamplerReport("emcee", True, draws, 0.34, {"steps": 2_000, "walkers": 32, "seed": seed}),
         noise=NoiseFit("ar1", 0.3, 0.6, 0.01),
@@ -98,23 +108,7 @@ def posterior(*, draws: int = 4_000, seed: int = 0, misfit: bool = False, total:
             ComparisonRow("static only", -412.0, 0.1, -380.0, 21.0, -350.0, 30.0, "worse"),
             ComparisonRow("power law", None, None, -35.0, 9.0, None, None, "beside"),
         ),
-        misfit=MisfitAlarm(
-            misfit,
-            (
-                MisfitCheck(
-                    "early hold",
-                    6.2 if misfit else 0.4,
-                    1e-4 if misfit else 0.6,
-                    "the force just after the peak lies 2.1 N above the model"
-                    if misfit
-                    else "the force just after the peak lies where the model puts it",
-                    misfit,
-                ),
-                MisfitCheck(
-                    "residual structure", 0.9, 0.4, "what is left looks like the noise of the model", False
-                ),
-            ),
-        ),
+        misfit=MisfitAlarm(misfit, checks),
     )
 
 

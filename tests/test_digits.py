@@ -40,12 +40,41 @@ def test_a_power_of_ten_can_be_read_back(exponent: int) -> None:
     assert plain_exponents(f"1.5{power_of_ten(exponent)}") == f"1.5x10^{exponent}"
 
 
-def test_values_keep_their_power_and_errors_their_two_digits() -> None:
-    assert with_error(5.174e-6, 1.12e-7) == "(5.17 ± 0.11)×10⁻⁶"
-    assert with_error(-0.001, 0.1) == "0.00 ± 0.10"
-    assert number(-0.0) == "0"
-    assert with_error(None, 1.0) == "not identified"
-    assert number(float("inf")) == "inf"
+@pytest.mark.parametrize(
+    ("value", "digits", "expected"),
+    [
+        (63.6249, 4, "63.62"),
+        (0.021, 3, "0.0210"),
+        (-5.5, 2, "−5.5"),
+        (0.0, 4, "0"),
+        (-0.0, 4, "0"),
+        (571614.0, 3, "571614"),
+        (1.25e-7, 3, "1.25×10⁻⁷"),
+        (float("inf"), 4, "inf"),
+        (None, 4, "–"),
+    ],
+)
+def test_numbers_are_written_as_people_write_them(value: float | None, digits: int, expected: str) -> None:
+    assert number(value, digits) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "expected"),
+    [
+        (63.6212, 0.891, "63.62 ± 0.89"),
+        (0.0210041, 0.000312, "0.02100 ± 0.00031"),
+        (1234.0, 56.0, "1234 ± 56"),
+        (12340.0, 560.0, "12340 ± 560"),
+        (5.0, None, "5.000"),
+        (None, 0.1, "not identified"),
+        (5.174e-6, 1.12e-7, "(5.17 ± 0.11)×10⁻⁶"),
+        (-5.174e-6, 1.12e-7, "(−5.17 ± 0.11)×10⁻⁶"),
+        (0.1461059, 5.1e-6, "0.1461059 ± 0.0000051"),
+        (-0.001, 0.1, "0.00 ± 0.10"),
+    ],
+)
+def test_a_value_ends_where_its_error_ends(value: float | None, stderr: float | None, expected: str) -> None:
+    assert with_error(value, stderr) == expected
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
 from report_pages import specimen_of
 from typed_call import typed_call
 
-from tissueid.digits import number, with_error
 from tissueid.documents.inspect import Units
 from tissueid.flags import FLAGS
 from tissueid.report.wording import (
@@ -33,39 +31,6 @@ verdict = typed_call(verdict)
 
 def document(**options: Any) -> dict[str, Any]:
     return specimen_of(specimen_fit(**options))
-
-
-@pytest.mark.parametrize(
-    ("value", "digits", "expected"),
-    [
-        (63.6249, 4, "63.62"),
-        (0.021, 3, "0.0210"),
-        (-5.5, 2, "−5.5"),
-        (0.0, 4, "0"),
-        (571614.0, 3, "571614"),
-        (1.25e-7, 3, "1.25×10⁻⁷"),
-        (None, 4, "–"),
-    ],
-)
-def test_numbers_are_written_as_people_write_them(value, digits, expected):
-    assert number(value, digits) == expected
-
-
-@pytest.mark.parametrize(
-    ("value", "stderr", "expected"),
-    [
-        (63.6212, 0.891, "63.62 ± 0.89"),
-        (0.0210041, 0.000312, "0.02100 ± 0.00031"),
-        (1234.0, 56.0, "1234 ± 56"),
-        (12340.0, 560.0, "12340 ± 560"),
-        (5.0, None, "5.000"),
-        (None, 0.1, "not identified"),
-        (-5.174e-6, 1.12e-7, "(−5.17 ± 0.11)×10⁻⁶"),
-        (0.1461059, 5.1e-6, "0.1461059 ± 0.0000051"),
-    ],
-)
-def test_a_value_ends_where_its_error_ends(value, stderr, expected):
-    assert with_error(value, stderr) == expected
 
 
 def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity():

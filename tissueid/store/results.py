@@ -32,6 +32,9 @@ TWIN = Path("twin") / "twin.json"
 _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 
+#: Specimen of a run, its curves and its draws.
+Result = tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]
+
 
 def read_identification(out: Path | str) -> IdentificationDocument:
     """Read the identification document of an output folder alone."""
@@ -75,7 +78,7 @@ def read_results(
     return document, tuple(curves), tuple(posteriors)
 
 
-def each_result(out: Path | str) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
+def each_result(out: Path | str) -> Iterator[Result]:
     """Read specimen, curves and draws of an output folder one at a time, however large the cohort is.
 
     Raises BundleError: if there is no committed set or it is damaged.
@@ -90,9 +93,7 @@ def each_result(out: Path | str) -> Iterator[tuple[Specimen, tuple[TrialCurve, .
             yield typed(record.fitted, Specimen), curves, posterior
 
 
-def _of_merged(
-    run: CommittedRun,
-) -> Iterator[tuple[Specimen, tuple[TrialCurve, ...], StoredPosterior | None]]:
+def _of_merged(run: CommittedRun) -> Iterator[Result]:
     """The specimens of a set whose files are merged."""
     curves = load_curves(run.folder / CURVES)
     posteriors = {one.specimen: one for one in _posteriors(run)}
