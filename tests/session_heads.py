@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from rendered_tissues import PAPER_A, pressed, walk
 
+from tissueid.documents import plain
+from tissueid.documents.session import Device, Scale, Servo, Tissue
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
 from tissueid.rendering import environment as env
@@ -25,32 +27,13 @@ def head_of(**changes: Any) -> dict[str, Any]:
         "started": "2026-01-01T00:00:00Z",
         "pseudonym": None,
         "blind": False,
-        "tissues": [
-            {
-                "label": 0,
-                "name": "paper-a",
-                "content_sha256": None,
-                "draw": None,
-                "depth_mm": 8.0,
-                "fastest_mm_s": 500.0 / 60.0,
-                "tip_radius_mm": 2.0,
-                "block": [],
-            }
-        ],
+        "tissues": plain([Tissue(0, "paper-a", None, None, 8.0, 500.0 / 60.0, 2.0, ())]),
         "environment": "tissue",
         "surface": Plane().numbers(0.0).tolist(),
-        "device": {
-            "name": "sim",
-            "why": "asked for by name",
-            "hardware": False,
-            "calibrated": True,
-            "clamp_N": 5.0,
-            "damping_N_s_per_m": 0.5,
-            "delay_ticks": 1.5,
-        },
-        "scale": {"force_scale": FORCE_SCALE, "motion_scale": MOTION_SCALE},
+        "device": plain(Device("sim", "asked for by name", False, True, 5.0, 0.5, 1.5)),
+        "scale": plain(Scale(FORCE_SCALE, MOTION_SCALE)),
         "script": None,
-        "servo": {"period_s": PERIOD_S, "virtual_time": True},
+        "servo": plain(Servo(PERIOD_S, virtual_time=True)),
     }
     return {**head, **changes}
 

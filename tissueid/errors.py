@@ -137,7 +137,4 @@ def was_interrupted(error: BaseException | None) -> bool:
 
 def exit_code(codes: set[int]) -> int:
     """The first of the codes by :data:`EXIT_PRECEDENCE`, or 0."""
-    for code in EXIT_PRECEDENCE:
-        if code in codes:
-            return code
-    return EXIT_OK
+    return next((code for code in EXIT_PRECEDENCE if code in codes), EXIT_OK)

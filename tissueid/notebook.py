@@ -233,19 +233,17 @@ def _bundle(held: Bundle) -> str:
 
 
 def _trial(trial: Trial) -> str:
-    source = trial.source
-    where = source.path if source.sheet is None else f"{source.path} [{source.sheet}]"
     x, force = trial.displacement_mm, trial.force_N
     rows = [
-        ["file", where],
-        ["read as", source.recipe],
+        ["file", trial.name],
+        ["read as", trial.source.recipe],
         ["samples", f"{trial.time_s.size:,}"],
         ["time", f"{trial.time_s[0]:.4g} to {trial.time_s[-1]:.4g} s"],
         ["displacement", f"{x.min():.4g} to {x.max():.4g} {trial.axes.unit('mm')}"],
         ["force", f"{force.min():.4g} to {force.max():.4g} {trial.axes.force}"],
     ]
     curves = [("force", trial.time_s, trial.force_N, MEASURED)]
-    drawn = drawing(curves, up=f"[{trial.axes.force}]", words=f"Force of {where} against time")
+    drawn = drawing(curves, up=f"[{trial.axes.force}]", words=f"Force of {trial.name} against time")
     return table(trial.specimen, ("", ""), rows) + drawn + _flags(trial.flags)
 
 

@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -203,18 +204,9 @@ def test_another_kind_of_file_and_none_are_refused(tmp_path):
 def test_a_law_that_makes_no_sense_never_reaches_a_file(wrong, tmp_path):
     with pytest.raises(ValueError, match=r"threshold must be above 0|no criterion of rupture"):
         replace(LAW, **wrong)
+    forged = SimpleNamespace(as_json=lambda: {**LAW.as_json(), **wrong})
     with pytest.raises(BundleError, match="rupture"):
-        write_bundle(replace(a_bundle(), rupture=Forged({**LAW.as_json(), **wrong})), tmp_path / "bundle.h5")
-
-
-class Forged:
-    """A law that says what it is told."""
-
-    def __init__(self, document: dict[str, object]) -> None:
-        self._document = document
-
-    def as_json(self) -> dict[str, object]:
-        return self._document
+        write_bundle(replace(a_bundle(), rupture=forged), tmp_path / "bundle.h5")
 
 
 RELEASED = Path(__file__).parent / "released"
