@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from fit_factory import STIFFNESS, TAU_S, THETA, THETA_NAMES
+from fit_factory import TAU_S, THETA, THETA_NAMES
 from msgspec import structs
 
 from tissueid.documents.identification import (
@@ -128,6 +128,3 @@ def sampled(
     }
     parameters = tuple(replace(one, uncertainty=found.parameters.get(one.name)) for one in fit.parameters)
     return replace(fit, parameters=parameters, posterior=replace(found, bands=bands))
-
-
-__all__ = ["STIFFNESS", "WIDER", "draws_of_theta", "posterior", "sampled"]

@@ -12,15 +12,8 @@ from numpy.typing import NDArray
 
 from tissueid.arrays import FloatArray
 from tissueid.documents import members, plain
-from tissueid.documents.identification import (
-    Exit,
-    Model,
-    Nrmsd,
-    Relaxation,
-    RelaxationWindow,
-    TipGeometry,
-    Validity,
-)
+from tissueid.documents.identification import Exit, Model, Relaxation, RelaxationWindow, TipGeometry, Validity
+from tissueid.documents.identification import Nrmsd as Nrmsd
 from tissueid.documents.measured import Measured, Spread
 from tissueid.documents.quantities import Cycle, Quoted, UnloadingMiss
 from tissueid.errors import InputError
@@ -46,17 +39,6 @@ class ResidualSummary:
     hold_mean_N: FloatArray  # (m,)
     hold_count: NDArray[np.int64]  # (m,), samples of each
 
-
-__all__ = [
-    "Curve",
-    "Estimate",
-    "Identification",
-    "ModelChoice",
-    "Nrmsd",
-    "Refusal",
-    "SpecimenFit",
-    "TrialFit",
-]
 
 #: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
 _NOT_SAMPLED = dict.fromkeys(UNCERTAINTY)
