@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.decided import arithmetic_refusal, as_decided, decided_trial
 from tissueid.documents import members, plain
 from tissueid.documents.identification import Calibration, Frame, StatedSpecimen, StatedTrial
 from tissueid.documents.quantities import Cycle
@@ -245,25 +245,20 @@ def collect(
     progress("reading recording 1", 0, 0)  # said before: a network folder may take its time
     for count, raw in enumerate(trials, 1):
         progress(f"read {raw.name}, reading recording {count + 1}", count, 0)
-        trial, own, decision = raw, options, None
-        source = raw.source
+        source, decision = raw.source, None
         if study is not None:
             decision = study.decision(source.path, source.sheet)
             if study.only_listed and not decision.listed and decision.excluded is None:
                 continue
-            trial, own = decided_trial(raw, decision, study), decided_options(options, decision)
             collected.decisions[source.path, source.sheet] = decision
-        pattern = options.excludes(trial)
-        why = why_excluded(raw, decision, study)
-        if why is None and pattern is not None:
-            why = f"--exclude {pattern}"
+        trial, own, why = as_decided(raw, options, study, decision)
         if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
             collected.left_out.append(_mixed_axes(trial))
             continue
         key = (source.path, source.sheet) if cache.reloads else (str(count), None)
         handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)
         if why is not None:
-            itself = pattern is None and (decision is None or decision.excluded is None)
+            itself = options.excludes(trial) is None and (decision is None or decision.excluded is None)
             collected.excluded.append(
                 Excluded(source.path, source.sheet, trial.specimen, why, handle, no_specimen=itself)
             )

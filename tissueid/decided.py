@@ -28,7 +28,7 @@ def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception
     return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
 
 
-def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
+def _decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
     """The run's options with what the study decides for this trial.
 
     Raises UsageError: both together leave no window of time.
@@ -81,7 +81,25 @@ def _words(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
-def why_excluded(trial: Trial, decision: Decision | None, study: Study | None) -> str | None:
+def as_decided(
+    trial: Trial, options: SegmentOptions | None, study: Study | None, decision: Decision | None = None
+) -> tuple[Trial, SegmentOptions, str | None]:
+    """The trial, its options, and why it is excluded, after what a study says of it.
+
+    ``decision``: of the study, where it was asked before.
+    """
+    own = asked = options or SegmentOptions()
+    decided = trial
+    if study is not None:
+        decision = decision or study.decision(trial.source.path, trial.source.sheet)
+        decided, own = decided_trial(trial, decision, study), _decided_options(asked, decision)
+    # by the name that the study gives
+    pattern = asked.excludes(decided)
+    by_hand = None if pattern is None else f"--exclude {pattern}"
+    return decided, own, _why_excluded(trial, decision, study) or by_hand
+
+
+def _why_excluded(trial: Trial, decision: Decision | None, study: Study | None) -> str | None:
     """The user's reason, or that the recording calibrated the frame, or is no specimen and not listed."""
     if decision is not None and decision.excluded is not None:
         return decision.excluded

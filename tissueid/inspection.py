@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.decided import arithmetic_refusal
 from tissueid.documents import members, plain
 from tissueid.documents.inspect import Contact, Corner, Event
 from tissueid.documents.measured import Measured, MeasuredPush
@@ -34,20 +34,6 @@ def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segment
         return segment(trial, options=options)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
-
-
-def as_decided(
-    trial: Trial, options: SegmentOptions | None, study: Study | None
-) -> tuple[Trial, SegmentOptions, str | None]:
-    """The trial, its options, and why it is excluded, after what a study says of it."""
-    own, decision, decided = options or SegmentOptions(), None, trial
-    if study is not None:
-        decision = study.decision(trial.source.path, trial.source.sheet)
-        decided, own = decided_trial(trial, decision, study), decided_options(own, decision)
-    # by the name that the study gives, as a fit does
-    pattern = (options or SegmentOptions()).excludes(decided)
-    by_hand = None if pattern is None else f"--exclude {pattern}"
-    return decided, own, why_excluded(trial, decision, study) or by_hand
 
 
 def measured_of(trial: Trial, segmentation: Segmentation, study: Study | None = None) -> Measured:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tissueid.decided import as_decided
 from tissueid.documents.rupture import LeftOut
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
-from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model

@@ -17,11 +17,11 @@ from scipy.ndimage import uniform_filter1d
 from tissueid import IdentifyOptions, PosteriorOptions, identify
 from tissueid.arrays import FloatArray
 from tissueid.collection import display_names
+from tissueid.decided import as_decided
 from tissueid.documents.identification import NoiseFit
 from tissueid.errors import BundleError, InputError, UsageError
 from tissueid.inference.specimen import FitOptions
 from tissueid.inference.window import GUARD_SD
-from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
 from tissueid.model.channels import ChannelModel

@@ -8,12 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.documents.measured import Measured, MeasuredPush
 from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST
-from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
+from tissueid.inspection import describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions

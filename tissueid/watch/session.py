@@ -14,11 +14,12 @@ import numpy as np
 from msgspec import MsgspecError, structs
 from msgspec.json import decode
 
+from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Error, Fit, Judged, Parameter, Watch
 from tissueid.errors import InputError, was_interrupted
 from tissueid.inference.specimen import FitOptions
-from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
+from tissueid.inspection import describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal
