@@ -6,38 +6,17 @@ import threading
 import time
 from typing import Any
 
-import numpy as np
 import pytest
+from corrected_lab import corrected
 
-from tissueid.ingest import ReadOptions, read_trials
 from tissueid.ingest.manifest import read_study
-from tissueid.segment import SegmentOptions
-from tissueid.study.corrections import CorrectedInspection
-from tissueid.study.inspected import Inspection
 from tissueid.viewer.page_server import PageServer
 
 
 @pytest.fixture
 def page(tmp_path):
-    """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s, served."""
-    seconds = np.arange(0.0, 14.0, 0.02)
-    x = np.minimum(seconds, 4.0)
-    depth = np.maximum(x - 1.0, 0.0)
-    force = 2.0 * depth * (1.0 + np.where(seconds < 4.0, 1.0, np.exp(-(seconds - 4.0) / 2.0)))
-    force += np.random.default_rng(2).normal(0.0, 0.002, seconds.size)
-    rows = [f"{t:.3f},{place:.5f},{f:.5f}" for t, place, f in zip(seconds, x, force, strict=True)]
-    text = "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *rows, ""])
-    (tmp_path / "run <b>1.csv").write_text(text, encoding="ascii")
-    manifest = tmp_path / "study.toml"
-
-    def inspect() -> Inspection:
-        study = read_study(manifest) if manifest.exists() else None
-        found = Inspection(SegmentOptions(), study, tmp_path, drawn=True)
-        for trial in read_trials(tmp_path / "run <b>1.csv"):
-            found.add(trial)
-        return found
-
-    with PageServer(CorrectedInspection(manifest, inspect, ReadOptions()), None) as server:
+    """One recording, served."""
+    with PageServer(corrected(tmp_path, "run <b>1.csv"), None) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         deadline = time.monotonic() + 20.0

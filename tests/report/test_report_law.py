@@ -13,7 +13,7 @@ from posterior_factory import sampled
 from report_pages import document_of, drawn, open_all, page, render_report, specimen_of
 from typed_call import typed_call
 
-from tissueid.report.law_payload import _summary, curve_groups, law_payload, loading_force, speed_groups
+from tissueid.report.law_payload import _summary, binned_loading, curve_groups, law_payload, speed_groups
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.posteriors import posteriors_of_fits
@@ -207,7 +207,7 @@ def test_means_of_bins_are_those_of_the_straight_lines_between_samples():
     x = np.array([0.0, 0.3, 2.0, 4.0])
     curve = Curve(x, 3.0 * x, 2.0 + 5.0 * x, x, fitted=x >= 0)
     edges = np.array([0.0, 0.5, 0.7, 3.0, 9.0, 12.0, 15.0])
-    found = loading_force(curve, edges)
+    found = binned_loading(curve, edges)
     middle = 0.5 * (edges[1:] + edges[:-1])
     # force against depth is 2 + 5/3 depth; the tool stops before the last bin
     assert found[:4] == pytest.approx(2.0 + 5.0 / 3.0 * middle[:4])

@@ -6,19 +6,17 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from corrected_lab import corrected
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.documents.inspect import Phase
 from tissueid.errors import InputError, UsageError
-from tissueid.ingest import ReadOptions, read_trials
 from tissueid.ingest.manifest import read_study
-from tissueid.segment import SegmentOptions
 from tissueid.study.corrections import MARK, CorrectedInspection, Correction, corrected_text
-from tissueid.study.inspected import Inspection
 
+FILES = ("a.csv", "b.csv")
 BY_HAND = '''# our study
 schema = "tissueid/study/1"
 
@@ -97,36 +95,6 @@ def test_any_reason_and_number_come_back_as_they_were(because, value):
 # --- the recordings -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def lab(tmp_path):
-    """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s."""
-    time = np.arange(0.0, 14.0, 0.02)
-    x = np.minimum(time, 4.0)
-    depth = np.maximum(x - 1.0, 0.0)
-    force = 2.0 * depth * (1.0 + np.where(time < 4.0, 1.0, np.exp(-(time - 4.0) / 2.0)))
-    force += np.random.default_rng(2).normal(0.0, 0.002, time.size)
-    rows = [f"{t:.3f},{place:.5f},{f:.5f}" for t, place, f in zip(time, x, force, strict=True)]
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_text(
-            "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *rows, ""]), encoding="ascii"
-        )
-    return tmp_path
-
-
-def corrected(lab: Path) -> CorrectedInspection:
-    manifest = lab / "study.toml"
-
-    def inspect() -> Inspection:
-        study = read_study(manifest) if manifest.exists() else None
-        found = Inspection(SegmentOptions(), study, lab, drawn=True)
-        for name in ("a.csv", "b.csv"):
-            for trial in read_trials(lab / name):
-                found.add(trial)
-        return found
-
-    return CorrectedInspection(manifest, inspect, ReadOptions())
-
-
 def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because="seen", file="a.csv") -> str:
     words = {"path": str(lab / file), "sheet": None, "key": key, "value": value, "because": because}
     return shown.decide(words)
@@ -137,27 +105,27 @@ def hold_of(shown: CorrectedInspection) -> Phase:
     return next(phase for phase in document.phases if phase.kind == "hold")
 
 
-def test_a_decision_is_written_and_the_recording_segmented_anew(lab):
-    shown = corrected(lab)
+def test_a_decision_is_written_and_the_recording_segmented_anew(tmp_path):
+    shown = corrected(tmp_path, *FILES)
     shown.page()
-    decide(shown, lab, "contact_mm", 1.25, "the film")
-    decide(shown, lab, "hold_from_s", 4.5)
-    decide(shown, lab, "end_s", 12.0)
+    decide(shown, tmp_path, "contact_mm", 1.25, "the film")
+    decide(shown, tmp_path, "hold_from_s", 4.5)
+    decide(shown, tmp_path, "end_s", 12.0)
     assert hold_of(shown).start_s == pytest.approx(4.5)
     assert hold_of(shown).end_s == pytest.approx(12.0)
-    study = read_study(lab)
-    said = study.decision(str(lab / "a.csv"), None).override
+    study = read_study(tmp_path)
+    said = study.decision(str(tmp_path / "a.csv"), None).override
     assert (said["contact_mm"], said["hold_from_s"], said["end_s"]) == (1.25, 4.5, 12.0)
     assert "the film" in said["because"]
-    assert study.decision(str(lab / "b.csv"), None).override == {}
+    assert study.decision(str(tmp_path / "b.csv"), None).override == {}
     page = shown.page()
     assert 'name="value" value="1.25"' in page
     assert "the film" in page
 
 
-def test_what_makes_no_sense_is_refused_and_writes_nothing(lab):
-    (lab / "c.csv").write_text("x", encoding="ascii")
-    shown = corrected(lab)
+def test_what_makes_no_sense_is_refused_and_writes_nothing(tmp_path):
+    (tmp_path / "c.csv").write_text("x", encoding="ascii")
+    shown = corrected(tmp_path, *FILES)
     for file, key, value, because, words in (
         ("a.csv", "contact_mm", 500.0, "x", "-4 to 8 mm"),
         ("a.csv", "contact_mm", "1.0", "x", "must be a number"),
@@ -171,49 +139,49 @@ def test_what_makes_no_sense_is_refused_and_writes_nothing(lab):
         ("c.csv", "exclude", True, "x", "no such recording"),
     ):
         with pytest.raises(UsageError, match=words):
-            decide(shown, lab, key, value, because, file)
-    assert not (lab / "study.toml").exists()
+            decide(shown, tmp_path, key, value, because, file)
+    assert not (tmp_path / "study.toml").exists()
 
 
-def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab):
-    shown = corrected(lab)
-    decide(shown, lab, "hold_from_s", 6.0)
-    before = (lab / "study.toml").read_bytes()
+def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(tmp_path):
+    shown = corrected(tmp_path, *FILES)
+    decide(shown, tmp_path, "hold_from_s", 6.0)
+    before = (tmp_path / "study.toml").read_bytes()
     with pytest.raises(InputError, match="hold_from_s = 6 is not before end_s = 5"):
-        decide(shown, lab, "end_s", 5.0)
-    assert (lab / "study.toml").read_bytes() == before
+        decide(shown, tmp_path, "end_s", 5.0)
+    assert (tmp_path / "study.toml").read_bytes() == before
 
 
-def test_what_was_decided_by_hand_is_taken_back_by_hand(lab):
-    (lab / "study.toml").write_text(BY_HAND, encoding="utf-8")
-    shown = corrected(lab)
-    decide(shown, lab, "contact_mm", 1.25)
+def test_what_was_decided_by_hand_is_taken_back_by_hand(tmp_path):
+    (tmp_path / "study.toml").write_text(BY_HAND, encoding="utf-8")
+    shown = corrected(tmp_path, *FILES)
+    decide(shown, tmp_path, "contact_mm", 1.25)
     with pytest.raises(UsageError, match=r"line 4 of study\.toml"):
-        decide(shown, lab, "contact_mm", None)
-    assert read_study(lab).decision(str(lab / "a.csv"), None).override["contact_mm"] == 1.25
-    decide(shown, lab, "rupture", True)
-    decide(shown, lab, "rupture", None)
-    assert "rupture" not in read_study(lab).decision(str(lab / "a.csv"), None).override
+        decide(shown, tmp_path, "contact_mm", None)
+    assert read_study(tmp_path).decision(str(tmp_path / "a.csv"), None).override["contact_mm"] == 1.25
+    decide(shown, tmp_path, "rupture", True)
+    decide(shown, tmp_path, "rupture", None)
+    assert "rupture" not in read_study(tmp_path).decision(str(tmp_path / "a.csv"), None).override
 
 
-def test_the_page_follows_what_somebody_else_writes_meanwhile(lab):
-    shown = corrected(lab)
-    decide(shown, lab, "exclude", True, "slipped")
-    text = (lab / "study.toml").read_text(encoding="utf-8")
-    (lab / "study.toml").write_text(text.replace("slipped", "the tip was bent"), encoding="utf-8")
+def test_the_page_follows_what_somebody_else_writes_meanwhile(tmp_path):
+    shown = corrected(tmp_path, *FILES)
+    decide(shown, tmp_path, "exclude", True, "slipped")
+    text = (tmp_path / "study.toml").read_text(encoding="utf-8")
+    (tmp_path / "study.toml").write_text(text.replace("slipped", "the tip was bent"), encoding="utf-8")
     assert "the tip was bent" in shown.page()
-    (lab / "study.toml").write_text("nonsense", encoding="utf-8")
+    (tmp_path / "study.toml").write_text("nonsense", encoding="utf-8")
     with pytest.raises(InputError, match="not TOML"):
         shown.page()
 
 
-def test_a_folder_that_takes_no_file_is_said(lab, monkeypatch):
+def test_a_folder_that_takes_no_file_is_said(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    shown = corrected(lab)
+    shown = corrected(tmp_path, *FILES)
     monkeypatch.setattr("tissueid.study.corrections.write_file", full)
     with pytest.raises(UsageError, match="No space left"):
-        decide(shown, lab, "exclude", True)
+        decide(shown, tmp_path, "exclude", True)
     assert hold_of(shown).kind == "hold"
     assert shown._inspection.shown[0].document.excluded is None

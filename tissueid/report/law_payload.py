@@ -14,7 +14,7 @@ from tissueid.digits import number
 from tissueid.documents.identification import Specimen, Trial
 from tissueid.documents.inspect import Units
 from tissueid.measured.spread import SAME_SPEED, Pushed, clusters, programs
-from tissueid.model.channels import ChannelModel
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.grammar import rebuilt
 from tissueid.report.figures import curves_by_trial
 from tissueid.report.wording import program_words, speed_unit, trial_label
@@ -100,14 +100,14 @@ def _bin_means(x: FloatArray, y: FloatArray, edges: FloatArray) -> FloatArray:
     return np.where(within, means, np.nan)
 
 
-def loading_force(curve: Curve, edges_mm: FloatArray) -> FloatArray:
+def binned_loading(curve: Curve, edges_mm: FloatArray) -> FloatArray:
     """Mean force [N] of a curve's loading in ascending bins of depth; NaN where it does not cover a bin."""
     stop = _stop(curve) + 1
     depth = np.maximum.accumulate(curve.depth_mm[:stop])
     return _bin_means(depth, curve.force_N[:stop], edges_mm)
 
 
-def hold_force(curve: Curve, edges_s: FloatArray) -> FloatArray:
+def binned_hold(curve: Curve, edges_s: FloatArray) -> FloatArray:
     """Mean force [N] of a curve in bins of time since the tool stopped; NaN where it did not stay."""
     stop = _stop(curve)
     deep = curve.depth_mm[stop]
@@ -146,8 +146,8 @@ def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: s
     return {
         "label": label,
         "members": [list(place) for place in members],
-        "loading": _summary(middle[0], np.stack([loading_force(curve, depths) for curve in curves])),
-        "hold": _summary(middle[1], np.stack([hold_force(curve, times) for curve in curves])),
+        "loading": _summary(middle[0], np.stack([binned_loading(curve, depths) for curve in curves])),
+        "hold": _summary(middle[1], np.stack([binned_hold(curve, times) for curve in curves])),
     }
 
 
@@ -253,8 +253,7 @@ def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
     x = np.array([min(depth, model.depth_mm)])
 
     def at(theta: FloatArray) -> FloatArray:
-        rest = model.static_force(theta, x)
-        return np.array([(rest + model.loading(theta, x, float(speed)))[0] for speed in speeds])
+        return np.array([loading_force(model, theta, x, speed_mm_s=float(speed))[0] for speed in speeds])
 
     band = tissue.banded(at)
     return {"speed": brief(speeds), "force": band.pop("value"), **band}
