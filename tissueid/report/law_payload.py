@@ -17,7 +17,7 @@ from tissueid.measured.spread import SAME_SPEED, Pushed, clusters, programs
 from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.grammar import rebuilt
 from tissueid.report.figures import curves_by_trial
-from tissueid.report.wording import program_words, speed_unit, trial_label
+from tissueid.report.wording import S_PER_MIN, program_words, speed_unit, trial_label
 from tissueid.result import Curve, ModelChoice, ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
@@ -196,7 +196,6 @@ SAME_DEPTH = 1.04
 MOST_GROUPS = 12
 #: Speeds at which a law is drawn.
 LINE_POINTS = 24
-S_PER_MIN = 60.0
 
 
 class SpeedGroup(NamedTuple):

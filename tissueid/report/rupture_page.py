@@ -9,9 +9,8 @@ from tissueid.digits import number
 from tissueid.documents.rupture import Rupture
 from tissueid.report.page import render_page
 from tissueid.report.parts import LOG_BOTH, LOG_X, Figure, trace
-from tissueid.report.wording import Verdict, flag_remarks
+from tissueid.report.wording import S_PER_MIN, Verdict, flag_remarks
 
-S_PER_MIN = 60.0
 CRITERION_WORDS: Mapping[str, str] = {
     "work": "Total work",
     "weighted-force": "Weighted force",

@@ -238,7 +238,7 @@ def took(duration_s: float) -> str:
     return "too short to see" if duration_s == 0.0 else f"took {number(duration_s, 2)} s"
 
 
-_S_PER_MIN = 60.0
+S_PER_MIN = 60.0
 #: Parameters that stand for a specimen where there is room for few.
 FEW = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 _WIDEST = (("ci95_total", "95 % total intervals"), ("ci95", "95 % statistical intervals"))
@@ -297,7 +297,7 @@ def _valid_words(validity: Validity, *, normalised: bool) -> str:
     tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
     return (
         f"found with {tool}, valid to {deep} mm deep and for loading at {speeds} mm/s "
-        f"({reach(_S_PER_MIN * speed for speed in validity.speeds_mm_s)} mm/min)"
+        f"({reach(S_PER_MIN * speed for speed in validity.speeds_mm_s)} mm/min)"
     )
 
 
