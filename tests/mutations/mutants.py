@@ -213,7 +213,7 @@ INTERPRETED = (
         },
     ),
     *faults(
-        "rendering/control/law.py",
+        "rendering/control/simulation.py",
         ("tests/render/test_render_control_law.py",),
         {
             "the controller without a bound": ("    if length > block.saturation_N:", "    if False:"),

@@ -10,9 +10,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tissueid.rendering.control.law import damping_form, generalised_force, saturated, solved
 from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, Signal
-from tissueid.rendering.control.simulation import ControlRun, loop_block, simulate
+from tissueid.rendering.control.simulation import (
+    ControlRun,
+    damping_form,
+    generalised_force,
+    loop_block,
+    saturated,
+    simulate,
+    solved,
+)
 from tissueid.rendering.options import preset_tissue
 
 PAPER_A = preset_tissue("paper-a")

@@ -14,9 +14,8 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import choose_device, device_class
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice, carried
 from tissueid.haptics.states import FAULT_WORDS, State
-from tissueid.rendering.control.law import adapt, command, new_controller
 from tissueid.rendering.control.settings import ControlSettings, Gains, Mechanics, VirtualTool
-from tissueid.rendering.control.simulation import loop_block, tissue_law
+from tissueid.rendering.control.simulation import adapt, command, loop_block, new_controller, tissue_law
 from tissueid.rendering.options import ASSUMED_DEVICE
 from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.tissue_block import Tissue

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike
 
 from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-from tissueid.rendering.control.law import MOST_AXES
 from tissueid.rendering.tissue_block import Tissue
+
+#: Axes that a loop may have.
+MOST_AXES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
