@@ -32,8 +32,7 @@ from tissueid.reproduce.document import PAPER_WORDS, PLACES
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Ledger, Readings, rounded
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
-from tissueid.rupture.document import as_document
-from tissueid.rupture.run import RuptureRun
+from tissueid.rupture.run import RuptureRun, as_document
 from tissueid.rupture.study import rupture_study
 from tissueid.selfcheck.protocol import of_recipe
 from tissueid.selfcheck.records import Record

@@ -10,9 +10,9 @@ from rupture_cohorts import known_cohort, typical_threshold
 
 from tissueid.errors import NotIdentifiedError
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rupture.document import sentences
 from tissueid.rupture.evidence import Threshold
 from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of, loaded_test
+from tissueid.rupture.run import sentences
 from tissueid.rupture.study import change_with_speed, decide, direction, hardening_of, rupture_study
 from tissueid.rupture_law import CRITERIA
 from tissueid.segment import SegmentOptions, segment

@@ -51,7 +51,7 @@ def command(flags: _RuptureFlags) -> int:
     Writes rupture.json, rupture.html and a bundle a specimen; tissueid render breaks a tissue whose bundle
     holds a criterion. Exit code 4 where too few tests ruptured, 7 where something was left out.
     """
-    from tissueid.rupture.document import write_rupture
+    from tissueid.rupture.run import write_rupture
 
     refuse_same_folder(flags.paths, flags.out)
     with progress_bar(show=not flags.quiet) as progress:

@@ -131,12 +131,9 @@ class SpecimenLaw:
     model: ChannelModel
     theta: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
-    draws: FloatArray | None = None  # (n, p), posterior draws, where there are any
 
     def some_draws(self) -> FloatArray:
-        """Passive draws of the law, shape (at most LAW_DRAWS, p); of its normal where nothing was sampled."""
-        if self.draws is not None:
-            return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, LAW_DRAWS).astype(int)])
+        """Passive draws of the law's normal, shape (at most LAW_DRAWS, p)."""
         if not self.covariance.any():
             return np.empty((0, self.theta.size))
         # the same draws each time: a result must not depend on the order of specimens
