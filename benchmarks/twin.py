@@ -29,9 +29,7 @@ import tissueid as ti
 from tissueid.documents.twin import Device
 from tissueid.errors import TissueidError
 from tissueid.store.bundle import bundle_from_fit, write_bundle
-from tissueid.twin.program import program_of_recording
-from tissueid.twin.sessions import Setup
-from tissueid.twin.twin import run_twin
+from tissueid.twin import Setup, program_of_recording, run_twin
 
 #: Every static law, stiffness and relaxation once, and the whole names.
 LAWS = (

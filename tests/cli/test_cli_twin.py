@@ -14,7 +14,7 @@ import tissueid as ti
 from tissueid.errors import UsageError
 from tissueid.haptics.shared_hand import MAX_KNOTS
 from tissueid.rendering.session_plan import read_script
-from tissueid.twin.program import program_of_recording, program_of_script
+from tissueid.twin import program_of_recording, program_of_script
 
 
 def fitted(name: str, folder: Path) -> Path:

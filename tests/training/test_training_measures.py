@@ -10,7 +10,7 @@ import pytest
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
 from tissueid.rendering.guidance_block import Guidance, guidance_block
-from tissueid.training.measures import learning_curve, measured
+from tissueid.training import learning_curve, measured
 
 ENTRY = np.array([0.004, -0.002, 0.120])
 AXIS = np.array([0.0, 0.6, 0.8])

@@ -56,7 +56,7 @@ def command(flags: _TrainingFlags) -> int:
 def _measured(flags: _TrainingFlags) -> tuple[Training, dict[str, Any]]:
     """The document, and the ways of attempts where a page is wanted."""
     from tissueid.store.session_log import read_session_log
-    from tissueid.training.measures import measured, track
+    from tissueid.training import measured, track
 
     rows: list[Attempt] = []
     refused: list[Refused] = []
@@ -87,7 +87,7 @@ def _files(given: Sequence[str]) -> Iterator[Path]:
 
 def _learning(rows: Sequence[Attempt]) -> Iterator[Learning]:
     """A curve for each person and measure, where there are attempts enough."""
-    from tissueid.training.measures import learning_curve
+    from tissueid.training import learning_curve
 
     for who in dict.fromkeys(row.pseudonym for row in rows):
         own = [row for row in rows if row.pseudonym == who]

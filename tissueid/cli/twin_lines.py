@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags
     from tissueid.documents.twin import Row, Twin
     from tissueid.store.bundle import Bundle
-    from tissueid.twin.program import Program
+    from tissueid.twin import Program
 
 #: Options that a twin has no use for.
 _FOREIGN = (
@@ -29,8 +29,7 @@ def twin(flags: RenderFlags) -> int:
     from tissueid.report.twin_page import render_twin
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
-    from tissueid.twin.sessions import Setup
-    from tissueid.twin.twin import run_twin, twin_drawing
+    from tissueid.twin import Setup, run_twin, twin_drawing
 
     said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if getattr(flags, key) is not None]
     if said or flags.bundle is None:
@@ -60,7 +59,7 @@ def _program(flags: RenderFlags, bundle: Bundle) -> Program:
     """A recording's travel, a script, or pushes over the identified speeds."""
     from tissueid.ingest import read_trials
     from tissueid.rendering.session_plan import read_script
-    from tissueid.twin.program import program_of_recording, program_of_script
+    from tissueid.twin import program_of_recording, program_of_script
 
     if flags.against is not None:
         return program_of_recording(read_trials(flags.against)[0], bundle.depth_mm)
@@ -77,7 +76,7 @@ def _program(flags: RenderFlags, bundle: Bundle) -> Program:
 
 def twin_lines(found: Twin) -> list[str]:
     """Numbers that went in and came out, a device after another."""
-    from tissueid.twin.sessions import MACHINE
+    from tissueid.twin import MACHINE
 
     lines = [
         f"{found.specimen}  {found.model}, {found.program}",

@@ -14,7 +14,7 @@ from tissueid.report.parts import Figure, Section, Table, trace
 from tissueid.report.wording import percent, span
 
 if TYPE_CHECKING:
-    from tissueid.twin.twin import Twin
+    from tissueid.twin import Twin
 
 #: Points of a curve at the most.
 POINTS = 1_500

@@ -1,1 +1,0 @@
-"""Measures of a hand in a guided session: nearness, straightness, speed, smoothness."""

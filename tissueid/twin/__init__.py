@@ -1,1 +1,0 @@
-"""The mechanical twin: the program that pushed a tissue pushes the device that renders its bundle."""
