@@ -373,7 +373,6 @@ def _against_law(bundle: Bundle, felt: Felt) -> Curve:
 def _device(
     bundle: Bundle, program: Program, felt: Felt, curve: Curve, folder: Path, force_scale: float
 ) -> document.Device:
-    """Findings at one grip."""
     touching = curve.touching
     recorded = None
     if program.recorded is not None:
@@ -440,7 +439,6 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
 
 
 def _rows(bundle: Bundle, fit: SpecimenFit) -> list[document.Row]:
-    """Rows of what went in beside what came out."""
     found, rows = {one.name: one for one in fit.parameters}, []
     for one in bundle.parameters:
         out = found.get(one.name)

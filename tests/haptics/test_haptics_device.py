@@ -138,7 +138,7 @@ TRANSPORT_CALLS = {
     # the base class: after the guard, and with zeros on the way out (the recorder's is its file)
     r"\._write\(": {"haptics/device.py": 2, "rendering/recorder.py": 2},
     # the servo: after the guard, then by the type of the device
-    r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 1, "rendering/servo_io.py": 1},
+    r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 2},
     # what `_write` of a device and the servo's command make of a force
     r"(?<!def )simulated_command\(": {"haptics/sim.py": 2},
     r"_set_force\(io|\"dhdSetForce\"[,)]": {

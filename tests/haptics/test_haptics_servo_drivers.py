@@ -17,8 +17,7 @@ from tissueid.haptics.falcon.transport import FileTransport
 from tissueid.haptics.forcedimension.device import ForceDimensionDevice
 from tissueid.haptics.guard import REPLY_APART, REPLY_LOST, REPLY_VALID, new_guard
 from tissueid.haptics.limits import GuardLimits
-from tissueid.rendering.servo_io import command, sense
-from tissueid.rendering.servo_tick import send
+from tissueid.rendering.servo_tick import command, send, sense
 
 LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
 

@@ -101,7 +101,7 @@ INTERPRETED = (
     ),
     *faults(
         "haptics/guard.py",
-        ("tests/render/test_render_tick_memory.py", "tests/render/test_render_servo_tick.py"),
+        ("tests/render/test_render_servo_tick.py",),
         {
             "a late wire lowers nothing": (
                 "(limits[bar.DELAY_TICKS] + memory[DELAYED_TICKS])",
@@ -128,7 +128,7 @@ INTERPRETED = (
     ),
     *faults(
         "rendering/servo_tick.py",
-        ("tests/render/test_render_tick_memory.py", "tests/render/test_render_servo_tick.py"),
+        ("tests/render/test_render_servo_tick.py",),
         {
             "tissue remembers another": ("    put_at_rest(environment_memory)\n", ""),
             "a gap is one tick": ("        servo.since_valid[0] = 0.0\n", ""),

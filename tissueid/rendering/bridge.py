@@ -53,8 +53,6 @@ class _Plane(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _Datagram(msgspec.Struct, forbid_unknown_fields=True):
-    """Members that a datagram may have."""
-
     v: float  # 1; programs write numbers as they like
     token: str | int
     tissue: Annotated[int, msgspec.Meta(ge=0, lt=65536)] | None = None

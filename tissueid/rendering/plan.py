@@ -54,6 +54,7 @@ from tissueid.rendering.tissue_block import (
     travel_behind,
 )
 from tissueid.store.bundle import Bundle, load_bundle
+from tissueid.store.files import sha256_of
 from tissueid.store.session_log import read_session_log
 
 #: Share of the identified depth that a simulated grip shows where no script was given.
@@ -115,7 +116,6 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     return _planned(
         asked,
         (surface.numbers(radius_m), hashes),
-        device_options=given,
         blocks=blocks,
         picked=picked,
         check=check,
@@ -130,9 +130,9 @@ def plan_session(options: RenderOptions) -> SessionPlan:
 
 def _planned(asked: _Asked, of_log: tuple[FloatArray, tuple[str | None, ...]], **decided: Any) -> SessionPlan:
     """A plan of what was decided, with the head of its log, which has the surface and hashes of bundles."""
-    options, choice, device, _given = asked
+    options, choice, device, given = asked
     scene = None if options.scene is None else options.scene.name
-    plan = SessionPlan(choice.name, choice.why, device.capabilities, scene=scene, **decided)
+    plan = SessionPlan(choice.name, choice.why, device.capabilities, given, scene=scene, **decided)
     return replace(plan, head=session_head(plan, *of_log))
 
 
@@ -192,8 +192,6 @@ def _pick(
 
 
 def _digest(path: Path | None) -> str | None:
-    from tissueid.store.files import sha256_of
-
     return None if path is None else sha256_of(path)
 
 
@@ -436,6 +434,5 @@ def _without_tissue(asked: _Asked, block: FloatArray, lines: tuple[str, ...], **
         lines=(asked.choice.why, *lines),
         led=options.led,
         pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
-        device_options=asked.given,
         **decided,
     )

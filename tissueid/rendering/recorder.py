@@ -16,6 +16,7 @@ from tissueid.arrays import FloatArray, RecordArray
 from tissueid.errors import UsageError
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
+from tissueid.rendering.servo import DEGRADED_SHARE
 from tissueid.store.session_log import convert_session_log, raw_head
 
 #: Added to the log's name while the session runs.
@@ -86,24 +87,15 @@ class Recorder:
             self.stopped = self.stopped or f"{self.part}: {error.strerror or error}"
 
 
-#: A tick off by more than this share of the period is off ...
+#: A tick off by more than this share of the period is off.
 OFF_SHARE = 0.10
-#: ... and with more than this share of such ticks the timing is called degraded.
-DEGRADED_SHARE = 0.01
 S_TO_US = 1e6
 
 
 def period_statistics(error_s: FloatArray) -> dict[str, float]:
     """Median, p99, p99.9 and largest of absolute period errors [us]; zeros where there are none."""
-    if not error_s.size:
-        return {"median": 0.0, "p99": 0.0, "p99_9": 0.0, "max": 0.0}
-    median, p99, p999 = np.quantile(error_s, [0.5, 0.99, 0.999]) * S_TO_US
-    return {
-        "median": float(median),
-        "p99": float(p99),
-        "p99_9": float(p999),
-        "max": float(error_s.max()) * S_TO_US,
-    }
+    found = np.quantile(error_s, [0.5, 0.99, 0.999, 1.0]) * S_TO_US if error_s.size else np.zeros(4)
+    return dict(zip(("median", "p99", "p99_9", "max"), found.tolist(), strict=True))
 
 
 class SessionSummary:
@@ -113,7 +105,9 @@ class SessionSummary:
         self._period_s = period_s
         self._errors: list[NDArray[np.float32]] = []
         self._lit = {lamp: 0 for lamp in Lamp if lamp}
-        self._ticks = self._touched = self._lost = self._switches = self._missed = 0
+        #: Records counted.
+        self.ticks = 0
+        self._touched = self._lost = self._switches = self._missed = 0
         self._first_s = self._last_s = 0.0
         self._label: int | None = None
         self._peak_N = self._peak_tissue_N = self._energy_J = 0.0
@@ -121,11 +115,6 @@ class SessionSummary:
         #: State and fault of the newest record.
         self.state = State.CLOSED
         self.fault = Fault.NONE
-
-    @property
-    def ticks(self) -> int:
-        """Records counted."""
-        return self._ticks
 
     @property
     def seconds(self) -> float:
@@ -137,9 +126,9 @@ class SessionSummary:
         self._lost += lost
         if not records.size:
             return
-        if not self._ticks:
+        if not self.ticks:
             self._first_s = float(records["time_s"][0])
-        self._ticks += records.size
+        self.ticks += records.size
         self._last_s = float(records["time_s"][-1])
         self._errors.append(np.abs(records["dt_s"] - self._period_s).astype(np.float32))
         for lamp in self._lit:
@@ -161,9 +150,9 @@ class SessionSummary:
         """The summary of ``schemas/session.schema.json``, ``recording_stopped`` left open."""
         errors = np.concatenate(self._errors).astype(np.float64) if self._errors else np.zeros(0)
         off = float(np.mean(errors > OFF_SHARE * self._period_s)) if errors.size else 0.0
-        ticks = max(self._ticks, 1)
+        ticks = max(self.ticks, 1)
         return {
-            "ticks": self._ticks,
+            "ticks": self.ticks,
             "seconds": self.seconds,
             "skipped_ticks": self._missed,
             "lost_records": self._lost,

@@ -161,7 +161,6 @@ def _guidance(document: Mapping[str, Any], given: str, folder: Path) -> Guidance
 
 
 def _in_metres(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with fields in metres and metres a second."""
     out = {}
     for key, value in table.items():
         if key.endswith(_PER_S):

@@ -125,7 +125,6 @@ def _tissue_at(height_m: float) -> FloatArray:
 
 @tick_kernel
 def _time_each(io: SimulatedIO, servo: Servo, took: IntArray, room: IntArray) -> None:
-    """Time of every tick [ns]."""
     for k in range(took.size):
         begun = monotonic_ns(room)
         compiled_tick(io, servo, k * PERIOD_S, PERIOD_S, 0.0, 0)
@@ -133,7 +132,6 @@ def _time_each(io: SimulatedIO, servo: Servo, took: IntArray, room: IntArray) ->
 
 
 def _force_step_ns(servo: Servo) -> float:
-    """Time of one force step [ns]."""
     room = np.zeros(CLOCK_SIZE, np.int64)
     memory, info = np.zeros(MEMORY_SIZE), np.zeros(INFO_SIZE)
     _force_steps(servo, memory, info, 1)

@@ -228,7 +228,6 @@ class ServoProcess:
         return self.ready
 
     def _started(self) -> ServoReady:
-        """Send the plan, wait for the first line."""
         if self._spawned is None:
             self._spawned = spawn_servo()
         self._spawned.planned = True
@@ -329,7 +328,6 @@ class ServoProcess:
         return words
 
     def _ended(self, words: dict[str, Any] | None) -> None:
-        """Take in the last line of the report."""
         if words is None:
             raise self._failure(None, "died without a word")
         if words.pop("event") == "ended":

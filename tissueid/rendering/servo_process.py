@@ -29,10 +29,9 @@ from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo import REASONS, ServoEnd, ServoPlan, period_statistics, receive_plan, send_line
-from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_schedule import make_punctual, settled
-from tissueid.rendering.servo_tick import MISSED, new_servo
+from tissueid.rendering.servo_tick import MISSED, PythonIO, new_servo
 
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
 

@@ -86,7 +86,6 @@ def _lock(libc: ctypes.CDLL) -> bool:
 
 
 def _user() -> str:
-    """Name for a limits line."""
     return os.environ.get("USER") or str(os.getuid())
 
 

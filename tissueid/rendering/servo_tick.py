@@ -7,7 +7,7 @@ nothing.  The law sees the measured time since the last tick: a late tick is no 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE, HapticDevice, compiled_io
+from tissueid.haptics.device import (
+    HOMED,
+    PRESSED,
+    REPLY,
+    UNANSWERED,
+    WORDS_SIZE,
+    HapticDevice,
+    access_of,
+    compiled_io,
+)
 from tissueid.haptics.foreign import store_release
 from tissueid.haptics.guard import (
     DISENGAGE,
@@ -25,6 +34,9 @@ from tissueid.haptics.guard import (
     FAULT,
     HOMING,
     LAMPS,
+    REPLY_DAMAGED,
+    REPLY_LOST,
+    REPLY_NONE,
     REPLY_VALID,
     STATE,
     SWAP,
@@ -49,7 +61,6 @@ from tissueid.rendering.passivity_control import (
     note_sent,
     passivity_step,
 )
-from tissueid.rendering.servo_io import PythonIO, command, sense
 
 #: Parameters of one version: the environment's, then the passivity controller's.
 BLOCK_SIZE = env.ENVIRONMENT_SIZE + CONTROL_SIZE
@@ -135,6 +146,13 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     )
 
 
+class PythonIO(NamedTuple):
+    """A device with methods in Python, and a force law in Python where there is one."""
+
+    device: HapticDevice
+    law: Callable[..., Any] | None = None
+
+
 class ServoHere(NamedTuple):
     """A servo in this process, and what it shares with its owner."""
 
@@ -158,7 +176,52 @@ def servo_here(device: HapticDevice) -> Iterator[ServoHere]:
         block.close()
 
 
-# Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
+# -- a device: one reading and one command a tick, compiled for those the servo knows --------------
+
+
+def _sense_python(io: PythonIO, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+    """One reading of a plug-in."""
+    try:
+        sample = io.device.sample()
+    except DeviceError:
+        words[REPLY] = REPLY_LOST
+        return
+    words[REPLY] = REPLY_VALID if sample.valid else (REPLY_DAMAGED if sample.damaged else REPLY_NONE)
+    words[HOMED] = int(sample.homed)
+    words[PRESSED] = sample.buttons
+    if sample.valid:
+        position[:] = sample.position_m
+        counts[:] = sample.counts
+
+
+def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+    """Read a device once, without waiting: ``position`` [m] and ``counts`` of a valid reply, ``words``."""
+    if isinstance(io, PythonIO):
+        _sense_python(io, position, counts, words)
+    else:
+        access_of(type(io)).sense(io, dt, position, counts, words)
+
+
+def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
+    """Send a force [N] that passed the guard; called by :func:`send` alone."""
+    access_of(type(io)).command(io, guard_memory, limits, force)
+
+
+@overload(sense)
+def _compiled_sense(io, dt, position, counts, words):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """The reading of this kind of device, built into the loop."""
+    kernel = access_of(io.instance_class).sense
+    return lambda io, dt, position, counts, words: kernel(io, dt, position, counts, words)
+
+
+@overload(command)
+def _compiled_command(io, guard_memory, limits, force):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """The command of this kind of device, built into the loop."""
+    kernel = access_of(io.instance_class).command
+    return lambda io, guard_memory, limits, force: kernel(io, guard_memory, limits, force)
+
+
+# -- the tick: kernels take the few arrays they work on, for passing the servo costs more than most of them
 
 
 @tick_part

@@ -186,7 +186,6 @@ class Session:
             self._wanted = 0
 
     def _obey(self, request: BridgeRequest) -> None:
-        """Obey another program's request."""
         self._stop = self._stop or request.stop
         if request.engage is not None:
             self._engage = request.engage
