@@ -39,8 +39,7 @@ from tissueid.model.frame import linear_frame
 from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
-from tissueid.rendering.choice import as_tissue
-from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions
+from tissueid.rendering.options import ASSUMED_DEVICE, RenderOptions, as_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.recorder import Recorder
@@ -194,16 +193,11 @@ class Felt:
         return self.time_s[kept], self.depth_mm[kept], force[kept]
 
 
-def _block(tissue: Tissue, surface: FloatArray, force_scale: float, motion: float) -> FloatArray:
-    plane = Plane(point_m=(float(surface[0]), float(surface[1]), float(surface[2])))
-    environment = tissue_block(tissue, plane, force_scale=force_scale, motion_scale=motion)
-    return np.concatenate([environment, PassivityLimits(on=False).block()])
-
-
 def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
     """The program on an emulated Falcon: counts, wire, kinematics, motors, delay; DeviceError on a fault."""
     surface = np.array(SURFACE_M)
     hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
+    felt = tissue_block(tissue, Plane(SURFACE_M), force_scale=force_scale, motion_scale=motion)
     link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
     falcon, now, rows = link.falcon, 0.0, []
     # a machine holds still: encoders that do not move are then in good health
@@ -211,7 +205,7 @@ def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, mot
     with link, servo_here(device) as (io, servo, _ring, block):
         link.step()
         falcon.advance(HOMED_S - falcon.time_s)
-        block.write(_block(tissue, surface, force_scale, motion))
+        block.write(np.concatenate([felt, PassivityLimits(on=False).block()]))
         block.order(COMMAND_ENGAGE)
         start = falcon.time_s
         while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
@@ -237,19 +231,6 @@ class Setup:
     felt: Trial | None = None
 
 
-def planned(bundle: Path, asked: Setup) -> SessionPlan:
-    """The session of the simulated device; its scale is that of all."""
-    options = RenderOptions(
-        bundle=bundle,
-        device="sim",
-        virtual=True,
-        program=asked.program,
-        force_scale=asked.force_scale,
-        motion_scale=asked.motion_scale,
-    )
-    return plan_session(options)
-
-
 def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Felt:
     """A recording at a real Falcon's grip, scales undone; UsageError where there is no contact in it."""
     segmentation = segment(trial, options=SegmentOptions(rupture=False))
@@ -261,7 +242,7 @@ def felt_by_a_machine(trial: Trial, *, force_scale: float, motion: float) -> Fel
 
 
 def simulated(plan: SessionPlan, folder: Path) -> Felt:
-    """A plan of :func:`planned` on the simulated device, as ``render`` runs it; its log is ``felt.h5``."""
+    """A session of the simulated device, as ``render`` runs it; its log is ``felt.h5``."""
     with TemporaryDirectory(dir=folder) as made:
         log = Path(made) / "felt.h5"
         Session(plan, recorder=Recorder(log, plan.head)).run()
@@ -320,7 +301,13 @@ def run_twin(
     total)``.  Raises BundleError, UsageError, DeviceError: the bundle can't be rendered, or a session ended
     in a fault.
     """
-    program, plan = asked.program, planned(path, asked)
+    program = asked.program
+    options = RenderOptions(
+        bundle=path, device="sim", virtual=True, program=program, force_scale=asked.force_scale,
+        motion_scale=asked.motion_scale,
+    )  # fmt: skip
+    # the scale of the simulated device's session is that of all
+    plan = plan_session(options)
     assert plan.check is not None  # noqa: S101 -- a tissue is always checked
     tissue, scale = as_tissue(bundle), plan.check.scaling
     steps = 5 if asked.felt is None else 6

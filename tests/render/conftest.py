@@ -56,6 +56,6 @@ def pipes() -> Iterator[Pipes]:
 def same_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """The test's own process keeps its priority, processor and unlocked memory."""
     monkeypatch.setattr(
-        servo_process, "make_punctual", lambda **_: Schedule("SCHED_OTHER", -1, locked=False, remedies=())
+        servo_process, "make_punctual", lambda **_: Schedule("SCHED_OTHER", locked=False, remedies=())
     )
     monkeypatch.setattr(servo_process, "settled", lambda **_: False)

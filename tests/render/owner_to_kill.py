@@ -6,14 +6,14 @@ import sys
 import time
 from dataclasses import replace
 
+from emulated_session import LIMITS as QUICK
 from felt_block import parameters
 
 from tissueid.haptics.falcon.calibration import Calibration
-from tissueid.haptics.limits import GuardLimits
 from tissueid.rendering.servo import ServoPlan, ServoProcess
 
 #: A loaded machine starves an emulator for longer than a device would be silent.
-LIMITS = replace(GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5), no_reply_s=1.0)
+LIMITS = replace(QUICK, no_reply_s=1.0)
 
 
 def plan(port: str) -> ServoPlan:

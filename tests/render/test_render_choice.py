@@ -13,7 +13,7 @@ from tissueid.documents.identification import TipGeometry
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering import surface as srf
-from tissueid.rendering.choice import (
+from tissueid.rendering.options import (
     Functional,
     as_tissue,
     noticeable_ratio,

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from emulated_session import LIMITS
 
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.hand import Hand
-from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
@@ -28,7 +28,6 @@ OFFSET_M, TILT_RAD = 0.005, math.radians(3.0)
 START_M, SPEED_M_S = 0.06, 0.02
 #: Rest before it goes down, longer than the start-up ramp, and a session's length [s].
 REST_S, SECONDS = 0.7, 20.0
-LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)
 #: Height at which the cone of the hole begins [m].
 CONE_ENTRY_M = 0.04
 #: Largest part of both errors that guidance may leave.

@@ -20,11 +20,16 @@ FALCON_LIKE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=1.5)
 STRONG = replace(FALCON_LIKE, damping_N_s_per_m=20.0)
 
 
+def forces(depth: np.ndarray | float) -> np.ndarray:
+    """The tissue's force at depths that are reached at its fastest speed: closed form [N]."""
+    a1, a2, a3, k, tau = PAPER_A.theta
+    lag_mm = PAPER_A.speeds_mm_s[1] * tau
+    return np.asarray(a1 * depth + a2 * depth**2 + a3 * depth**3 - k * lag_mm * np.expm1(-depth / lag_mm))
+
+
 def test_with_damping_to_spare_the_deepest_force_takes_nine_tenths_of_the_clamp() -> None:
     check = check_before_force(PAPER_A, STRONG)
-    v, depth = PAPER_A.speeds_mm_s[1], 8.0
-    a1, a2, a3, k, tau = PAPER_A.theta
-    peak = a1 * depth + a2 * depth**2 + a3 * depth**3 - k * v * tau * np.expm1(-depth / (v * tau))
+    peak = float(forces(8.0))
     assert check.scaling.force == pytest.approx(0.9 * 5.0 / peak, rel=1e-12)
     assert check.scaling.peak_force_N == pytest.approx(4.5, rel=1e-12)
     assert not check.lowered
@@ -70,11 +75,8 @@ def test_what_the_clamp_takes_is_told_before() -> None:
     scale = scaling_at(PAPER_A, force=0.02, motion=5.0)
     check = check_before_force(PAPER_A, replace(STRONG, clamp_N=2.0), force_scale=0.02)
     assert check.scaling == scale
-    depth = np.linspace(0.0, 8.0, 100_001)
-    v = PAPER_A.speeds_mm_s[1]
-    a1, a2, a3, k, tau = PAPER_A.theta
-    force = a1 * depth + a2 * depth**2 + a3 * depth**3 - k * v * tau * np.expm1(-depth / (v * tau))
-    assert check.clipped_share == pytest.approx(np.mean(0.02 * force > 2.0), abs=0.003)
+    clipped = 0.02 * forces(np.linspace(0.0, 8.0, 100_001)) > 2.0
+    assert check.clipped_share == pytest.approx(clipped.mean(), abs=0.003)
 
 
 def test_travel_the_device_does_not_have_is_remarked() -> None:

@@ -28,6 +28,15 @@ from tissueid.rendering.servo_spawn import spawn_servo
 #: A hand that presses 10 mm deep within half a second of the end of the start-up ramp.
 PRESS = Hand((0.0, 1.2, 1.5, 60.0), (CENTRE_M, CENTRE_M, DEEP_M, DEEP_M), (1.0,) * 4)
 PLAN = ServoPlan("sim", {"real_time": True, "hand": PRESS})
+#: Ctrl-Z would stop the process, Ctrl-\ kill it, with the last force commanded; the others take their time.
+SIGNALS = [
+    signal.SIGTSTP,
+    signal.SIGQUIT,
+    *(
+        pytest.param(one, marks=pytest.mark.slow)
+        for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+    ),
+]
 #: Long enough for a loaded machine.
 PATIENCE_S = 20.0
 
@@ -91,18 +100,7 @@ class TestProcess:
         assert np.all(size[-20:] == 0.0)
         assert "stopped giving signs of life" in end.message
 
-    @pytest.mark.parametrize(
-        "number",
-        [
-            pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
-            pytest.param(signal.SIGINT, marks=pytest.mark.slow),
-            pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
-            # Ctrl-Z would stop it, Ctrl-\ kill it, with the last force commanded
-            signal.SIGTSTP,
-            signal.SIGQUIT,
-            pytest.param(signal.SIGUSR1, marks=pytest.mark.slow),
-        ],
-    )
+    @pytest.mark.parametrize("number", SIGNALS)
     def test_a_signal_ends_it_with_the_device_closed(self, number):
         with ServoProcess(PLAN) as servo:
             servo.engage()

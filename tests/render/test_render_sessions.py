@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 import pytest
+from emulated_session import LIMITS
 from felt_block import parameters
 
 from tissueid.haptics.arm import DAMPING_LOSS, FRICTION_LOSS, MOTOR_WORK, Arm
 from tissueid.haptics.hand import PRESETS as HANDS
 from tissueid.haptics.hand import preset
-from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE
 from tissueid.haptics.shared_hand import QUANTUM
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
@@ -36,7 +36,6 @@ pytestmark = pytest.mark.needs_jit
 
 INWARD = np.array([0.0, 0.0, -1.0])
 PERIOD_S = 1e-3
-CLAMP_N = 5.0
 #: Damping that a device is assumed to have [N s/m].
 PRESET_DAMPING = 0.5
 MOTION_SCALE = 5.0
@@ -187,7 +186,9 @@ def drawn_session(seed: int, *, pool_size: int, controller: bool = False) -> Fig
     name = list(PRESETS)[int(rng.integers(len(PRESETS)))]
     tissue, needs = pool(name, pool_size)[int(rng.integers(pool_size))]
     delay = float(rng.choice(DELAYS))
-    full = scaling_for(tissue.model, tissue.theta, clamp_N=CLAMP_N, fastest_mm_s=tissue.speeds_mm_s[1]).force
+    full = scaling_for(
+        tissue.model, tissue.theta, clamp_N=LIMITS.clamp_N, fastest_mm_s=tissue.speeds_mm_s[1]
+    ).force
     if near:
         scale = full * rng.uniform(0.3, 1.0)
         damping = needs[delay] * scale / rng.uniform(0.9, 1.0)
@@ -201,7 +202,7 @@ def drawn_session(seed: int, *, pool_size: int, controller: bool = False) -> Fig
     # a slow press would take minutes to the bottom, and 40 mm in 30 ms is no hand but an overspeed
     depth = min(depth, {"slow press": 2e-3, "step": 0.02}.get(hand, depth))
     device = SimulatedDevice(
-        GuardLimits(clamp_N=CLAMP_N, rms_limit_N=CLAMP_N, dead_man=False, ramp_s=0.5),
+        LIMITS,
         arm=Arm(mass_kg=rng.uniform(0.15, 0.4), damping_N_s_per_m=damping, friction_N=rng.uniform(0.05, 0.1)),
         hand=preset(
             hand,
@@ -268,7 +269,7 @@ def wall(*, controller: bool) -> Figures:
         damping_N_s_per_m=0.1, rest_s=0.6,
     )  # fmt: skip
     device = SimulatedDevice(
-        GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5),
+        LIMITS,
         arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0),
         hand=hand,
         delay_ticks=2.0,

@@ -123,8 +123,7 @@ def command(flags: _ControlFlags) -> int:
 
 
 def _tissue(flags: _ControlFlags) -> tuple[Tissue, str]:
-    from tissueid.rendering.choice import as_tissue
-    from tissueid.rendering.options import preset_tissue
+    from tissueid.rendering.options import as_tissue, preset_tissue
     from tissueid.store.bundle import load_bundle
 
     if (flags.bundle is None) == (flags.preset is None):

@@ -1,7 +1,12 @@
-"""Options of a session, as frozen data, and tissues that can be felt without a recording."""
+"""Options of a session, as frozen data, and the tissue that they name: a preset, or one of a posterior.
+
+A quantile is that of a force at a depth and a speed, and the nearest draw is rendered.  Just noticeable: 7 %
+of a force from 2.5 to 10 N (Pang, Tan & Durlach, Percept Psychophys 49:531, 1991), of 0.5 N at least.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,16 +14,22 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.hand import Hand
+from tissueid.haptics.hand import NUMBER, S_PER_MIN, SPEED, Hand
+from tissueid.model.channels import ChannelModel, loading_force
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.model.passivity import DEFAULT_DELAY_TICKS
-from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
 from tissueid.rendering.precheck import Demands
 from tissueid.rendering.scene import Scene
 from tissueid.rendering.tissue_block import Tissue
+from tissueid.store.bundle import Bundle
+
+#: The force that ``--quantile`` is of where nothing was said.
+DEFAULT_FUNCTIONAL = "force at 6 mm, 250 mm/min"
+#: What ``--draw-specimen`` means without a number.
+NEW_SPECIMEN = "new"
 
 
 class Carried(Protocol):
@@ -29,9 +40,7 @@ class Carried(Protocol):
         """Time of its end [s]."""
         ...
 
-    def hand(
-        self, *, motion_scale: float, surface_m: NDArray[np.float64], inward: NDArray[np.float64]
-    ) -> Hand:
+    def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """The machine that carries the grip along it."""
         ...
 
@@ -101,3 +110,128 @@ def preset_tissue(name: str) -> Tissue:
         msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
         raise UsageError(msg)
     return PRESETS[name]()
+
+
+#: Just-noticeable difference of force, as a share of it.
+WEBER_SHARE = 0.07
+#: Force below which the difference that is noticed no longer shrinks [N].
+WEBER_FROM_N = 0.5
+
+_FUNCTIONAL = re.compile(rf"force\s+at\s+{NUMBER}\s*mm\s*,\s*{SPEED}")
+
+
+@dataclass(frozen=True, slots=True)
+class Functional:
+    """The force at a depth that was reached at one speed from rest."""
+
+    depth_mm: float
+    speed_mm_s: float
+
+    def __str__(self) -> str:
+        return f"force at {self.depth_mm:g} mm, {self.speed_mm_s * S_PER_MIN:g} mm/min"
+
+    def of(self, model: ChannelModel, theta: FloatArray) -> float:
+        """Its value for one tissue [N]."""
+        depth = np.array([self.depth_mm])
+        return float(loading_force(model, theta, depth, speed_mm_s=self.speed_mm_s)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picked:
+    """A tissue, and how it was chosen."""
+
+    tissue: Tissue
+    draw: int | None  # row of the posterior; None for the fitted values
+    why: str  # one sentence
+
+
+def parse_functional(text: str) -> Functional:
+    """Read what ``--of`` says; UsageError for anything else, or no depth or speed."""
+    found = _FUNCTIONAL.fullmatch(" ".join(text.split()))
+    if found is None:
+        msg = f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}"
+        raise UsageError(msg)
+    depth, speed = float(found[1]), float(found[2])
+    if not (depth > 0.0 and speed > 0.0):
+        msg = f"--of {printable(text)!r}: depth and speed must be above 0"
+        raise UsageError(msg)
+    return Functional(depth, speed / (S_PER_MIN if found[3] == "min" else 1.0))
+
+
+def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
+    """Tissue of a bundle, fitted or a draw; BundleError where it is normalised, or has no such model."""
+    bundle.require_renderable()
+    model = bundle.contact_model()
+    return Tissue(
+        model=model,
+        theta=bundle.theta if theta is None else theta,
+        speeds_mm_s=bundle.speeds_mm_s,
+        tip_radius_mm=bundle.tip_radius_mm,
+        tip=bundle.tip,
+        name=bundle.specimen,
+        rupture=bundle.rupture,
+    )
+
+
+def pick_draw(bundle: Bundle, number: int) -> Picked:
+    """Posterior draw by its number, counted from 0; UsageError where there is none."""
+    draws = _draws(bundle, "--draw")
+    if not 0 <= number < len(draws):
+        msg = f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}"
+        raise UsageError(msg)
+    return Picked(as_tissue(bundle, draws[number]), number, f"posterior draw {number} of {len(draws)}")
+
+
+def pick_specimen(bundle: Bundle, seed: str) -> Picked:
+    """One specimen drawn from a population's bundle, by a seed or :data:`NEW_SPECIMEN`; else UsageError."""
+    if not bundle.is_population:
+        msg = (
+            f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` "
+            "writes population.h5, and --draw chooses among what is known of one"
+        )
+        raise UsageError(msg)
+    draws = _draws(bundle, "--draw-specimen")
+    if seed != NEW_SPECIMEN and not (seed.isascii() and seed.isdigit()):
+        msg = f"--draw-specimen {printable(seed)!r}: the seed is a whole number, or nothing for a new one"
+        raise UsageError(msg)
+    known = int(np.random.SeedSequence().generate_state(1)[0]) if seed == NEW_SPECIMEN else int(seed)
+    number = int(np.random.default_rng(known).integers(len(draws)))
+    why = f"specimen {number} of {len(draws)} drawn from the {bundle.specimen} (--draw-specimen {known})"
+    return Picked(as_tissue(bundle, draws[number]), number, why)
+
+
+def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
+    """The draw whose functional is nearest to its quantile; UsageError beyond the identified depth."""
+    if not 0.0 <= quantile <= 1.0:
+        msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
+        raise UsageError(msg)
+    if functional.depth_mm > bundle.depth_mm:
+        msg = f"--of {str(functional)!r} is deeper than the {bundle.depth_mm:.3g} mm that were identified"
+        raise UsageError(msg)
+    draws = _draws(bundle, "--quantile")
+    fitted = as_tissue(bundle)
+    values = np.array([functional.of(fitted.model, draw) for draw in draws])
+    wanted = float(np.quantile(values, quantile))
+    nearest = int(np.abs(values - wanted).argmin())
+    why = (
+        f"posterior draw {nearest}: {functional} is {values[nearest]:.4g} N, the {quantile:g} quantile "
+        f"{wanted:.4g} N (median {np.median(values):.4g} N)"
+    )
+    return Picked(as_tissue(bundle, draws[nearest]), nearest, why)
+
+
+def noticeable_ratio(
+    one: Tissue, other: Tissue, functional: Functional, *, force_scale: float
+) -> tuple[float, float, float]:
+    """Forces of two tissues at the device [N], and their difference over the just-noticeable one."""
+    a = functional.of(one.model, one.theta) * force_scale
+    b = functional.of(other.model, other.theta) * force_scale
+    noticeable = WEBER_SHARE * max(0.5 * (a + b), WEBER_FROM_N)
+    return a, b, abs(a - b) / noticeable
+
+
+def _draws(bundle: Bundle, option: str) -> FloatArray:
+    if bundle.draws is None or not len(bundle.draws):
+        msg = f"{option}: the bundle of {bundle.specimen} holds no posterior draws; fit it with a sampler"
+        raise UsageError(msg)
+    return bundle.draws

@@ -17,18 +17,19 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure import MIDDLE_M
 from tissueid.haptics.registry import Choice, check_present, choose_device, device_class, environment_law
 from tissueid.haptics.sim import DEFAULT_QUANTUM_M, carried
-from tissueid.rendering.choice import (
+from tissueid.rendering.guidance_block import Guidance, check_guidance, guidance_block
+from tissueid.rendering.options import (
     Functional,
     Picked,
+    RenderOptions,
     as_tissue,
     noticeable_ratio,
     parse_functional,
     pick_draw,
     pick_quantile,
     pick_specimen,
+    preset_tissue,
 )
-from tissueid.rendering.guidance_block import Guidance, check_guidance, guidance_block
-from tissueid.rendering.options import RenderOptions, preset_tissue
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force, demands_of
 from tissueid.rendering.session_plan import (

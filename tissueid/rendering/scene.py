@@ -29,7 +29,6 @@ class Scene:
     """Contents of a file."""
 
     name: str
-    about: str
     assumed: tuple[str, ...]  # keys whose numbers no source states
     device: str | None
     #: Of :class:`tissueid.rendering.options.RenderOptions`: bundle, preset, surface, scales, tip.
@@ -79,7 +78,6 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
         raise UsageError(msg)
     return Scene(
         name=document["name"],
-        about=" ".join(document.get("about", "").split()),
         assumed=tuple(document.get("assumed", ())),
         device=document.get("device"),
         tissue=_tissue(document.get("tissue", {}), folder),

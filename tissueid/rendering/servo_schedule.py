@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import json
@@ -24,7 +25,6 @@ class Schedule:
     """Schedule that the servo got."""
 
     name: str  # scheduling class: "SCHED_FIFO 80" or "SCHED_OTHER"
-    cpu: int  # processor it is bound to; -1 where it may move
     locked: bool  # whether its memory is locked
     remedies: tuple[str, ...]  # for each refusal one sentence with what to type
 
@@ -41,7 +41,7 @@ def make_punctual(*, locked: bool) -> Schedule:
     """Ask for SCHED_FIFO, one processor and exact timers for this process; refusals are no errors."""
     remedies = []
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
-    cpu = _bind()
+    _bind()
     if not locked:
         remedies.append(
             "memory is not locked, a page fault may delay a tick: add the line "
@@ -57,19 +57,15 @@ def make_punctual(*, locked: bool) -> Schedule:
             f"'{_user()} - rtprio {PRIORITY}' to /etc/security/limits.d/tissueid.conf and log in again, or "
             f"run: sudo setcap cap_sys_nice,cap_ipc_lock+ep {os.path.realpath(sys.executable)}"
         )
-    return Schedule(name, cpu, locked, tuple(remedies))
+    return Schedule(name, locked, tuple(remedies))
 
 
-def _bind() -> int:
+def _bind() -> None:
     """Stay on the last processor allowed: the first ones get most interrupts."""
     allowed = sorted(os.sched_getaffinity(0))
-    if len(allowed) == 1:
-        return allowed[0]
-    try:
-        os.sched_setaffinity(0, {allowed[-1]})
-    except OSError:
-        return -1
-    return allowed[-1]
+    if len(allowed) > 1:
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, {allowed[-1]})
 
 
 def _lock(libc: ctypes.CDLL) -> bool:

@@ -20,7 +20,7 @@ from tissueid.documents import plain
 from tissueid.errors import UsageError, printable
 from tissueid.haptics.device import Capabilities
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
-from tissueid.rendering.choice import Picked
+from tissueid.rendering.options import Picked
 from tissueid.rendering.precheck import MOST_DAMPING, Precheck
 
 #: Read and agreed to before a motor moves.

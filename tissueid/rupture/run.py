@@ -6,8 +6,9 @@ that law does not know comes from its covariance.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -47,30 +48,19 @@ class RuptureRun:
     left_out: tuple[LeftOut, ...]  # fitted recordings that no measure could be taken of
 
 
-@dataclass(slots=True)
-class _Ends:
-    """Tests up to their end, picked up while the recordings pass by."""
-
-    study: Study | None
-    options: SegmentOptions
-    found: dict[_Key, LoadedTest] = field(default_factory=dict)
-
-    def watch(self, trials: Iterable[Trial]) -> Iterator[Trial]:
-        """The same trials; what each did to the tissue is kept."""
-        for raw in trials:
-            self._add(raw)
-            yield raw
-
-    def _add(self, raw: Trial) -> None:
-        trial, options, excluded = as_decided(raw, self.options, self.study)
-        if excluded is not None:
-            return
-        try:
-            test = loaded_test(trial, segment(trial, options=options))
-        except (ArithmeticError, np.linalg.LinAlgError):
-            return  # the fit refuses the same recording, and says why
-        if test is not None:
-            self.found[raw.source.path, raw.source.sheet] = test
+def _watched(
+    trials: Iterable[Trial], options: SegmentOptions, study: Study | None, ends: dict[_Key, LoadedTest]
+) -> Iterator[Trial]:
+    """The same trials; each test up to its end goes to ``ends`` as it passes by."""
+    for raw in trials:
+        trial, decided, excluded = as_decided(raw, options, study)
+        if excluded is None:
+            # the fit refuses what can't be segmented, and says why
+            with contextlib.suppress(ArithmeticError, np.linalg.LinAlgError):
+                test = loaded_test(trial, segment(trial, options=decided))
+                if test is not None:
+                    ends[raw.source.path, raw.source.sheet] = test
+        yield raw
 
 
 def run_rupture(
@@ -94,9 +84,9 @@ def run_rupture(
     """
     fit_options = replace(with_model(options or IdentifyOptions(), study), posterior=None, required=())
     _refuse_yardstick(fit_options.fit.model or KELVIN_VOIGT)
-    ends = _Ends(study, fit_options.segment)
+    ends: dict[_Key, LoadedTest] = {}
     identification = identify(
-        ends.watch(trials),
+        _watched(trials, fit_options.segment, study, ends),
         study=study,
         options=fit_options,
         reload=reload,
@@ -115,7 +105,7 @@ def run_rupture(
         law = SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))
         tests = []
         for trial in fit.trials:
-            test = ends.found.get((trial.path, trial.sheet))
+            test = ends.get((trial.path, trial.sheet))
             why = None if test is None else _why_not(test, trial.contact_offset_mm)
             if test is None or why is not None:
                 left_out.append(LeftOut(trial.path, trial.sheet, why or "no loading to a depth was found"))
