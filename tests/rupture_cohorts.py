@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissueid.documents.rupture import Test as Failure
 from tissueid.model.kelvin_voigt import kelvin_voigt
-from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of
+from tissueid.rupture.failures import LoadedTest, SpecimenLaw, failures_of
 from tissueid.synth import Branch, Log, Move, Rupture, as_trials, recipe, simulate
 from tissueid.synth.response import crosshead_path, rupture_of
 from tissueid.trial import Trial

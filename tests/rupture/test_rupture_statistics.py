@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,8 +12,8 @@ from rupture_cohorts import known_cohort, recorded_cohort, typical_threshold
 from scipy.integrate import quad
 from scipy.stats import binom, norm
 
+from tissueid.documents.rupture import Test as Failure
 from tissueid.rupture.evidence import Outcomes, log_likelihood, specimen_means, standardised, threshold_of
-from tissueid.rupture.failures import Failure
 from tissueid.rupture.run import run_rupture
 from tissueid.rupture.study import KINDS, Decision, decide
 from tissueid.rupture_law import CRITERIA
@@ -60,17 +59,12 @@ def cohort():
 
 def in_other_units(failures: list[Failure], power: float) -> list[Failure]:
     """The same tests with the depth raised to a power: another measure of the same thing."""
-    return [
-        replace(
-            one,
-            measures={
-                "depth": structs.replace(
-                    one.measures["depth"], value=7.0 * one.measures["depth"].value ** power, growth=power
-                )
-            },
-        )
-        for one in failures
-    ]
+    found = []
+    for one in failures:
+        depth = one.measures.depth
+        other = structs.replace(depth, value=7.0 * depth.value**power, growth=power)
+        found.append(structs.replace(one, measures=structs.replace(one.measures, depth=other)))
+    return found
 
 
 def test_thresholds_do_not_depend_on_unit_or_power_and_of_one_test_each_are_their_mean(cohort):

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from rupture_cohorts import known_cohort, typical_threshold
 
+from tissueid.documents.rupture import Test as Failure
 from tissueid.errors import NotIdentifiedError
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rupture.evidence import Threshold
-from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of, loaded_test
+from tissueid.rupture.failures import SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.run import sentences
 from tissueid.rupture.study import change_with_speed, decide, direction, hardening_of, rupture_study
 from tissueid.rupture_law import CRITERIA
@@ -56,7 +58,7 @@ def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_thresh
     assert found.taken == "work"
     assert {name: law.threshold for name, law in found.laws.items()} == dict(work.specimens)
     for name, law in found.laws.items():
-        own = np.mean([np.log(one.test.work_N_mm) for one in cohort if one.specimen == name])
+        own = np.mean([np.log(one.work_N_mm) for one in cohort if one.specimen == name])
         # drawn a little toward the others: 5 % from test to test, 15 % between specimens
         assert np.log(law.threshold) == pytest.approx(own, abs=0.05)
         assert (law.residual, law.population, law.population_ci95) == (0.2, work.median, work.ci95)
@@ -64,7 +66,7 @@ def test_auto_takes_what_the_evidence_decides_for_with_each_specimens_own_thresh
 
 def only_own_speed(failures: list[Failure]) -> list[Failure]:
     """Each specimen at one speed of three: two specimens a speed, made three tests by repeats of names."""
-    return [replace(one, specimen=f"{one.test.speed_mm_s:.0f}-{k // 9}") for k, one in enumerate(failures)]
+    return [structs.replace(one, specimen=f"{one.speed_mm_s:.0f}-{k // 9}") for k, one in enumerate(failures)]
 
 
 def test_speeds_of_different_specimens_are_confounded_with_them_and_no_effect_is_claimed(cohort):
@@ -94,10 +96,7 @@ def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mea
     # toughness of specimens, however large, is no effect of speed
     force = {name: 10.0 ** (k % 3) for k, name in enumerate(dict.fromkeys(one.specimen for one in cohort))}
     made = [
-        replace(
-            one, test=replace(one.test, force_N=force[one.specimen] * (one.test.speed_mm_s / 2.0) ** -0.1)
-        )
-        for one in cohort
+        structs.replace(one, force_N=force[one.specimen] * (one.speed_mm_s / 2.0) ** -0.1) for one in cohort
     ]
     found = {one.quantity: one for one in change_with_speed(made)}
     assert found["force_N"].ratio == pytest.approx(10.0**-0.1, rel=1e-9)
@@ -106,11 +105,11 @@ def test_change_inside_specimens_is_the_slope_of_tests_about_their_specimens_mea
 
 def test_the_sign_test_leaves_out_what_ruptured_too_fast_for_it(cohort):
     found = hardening_of(cohort)
-    slow = [one for one in cohort if one.test.speed_mm_s < 30.0]
+    slow = [one for one in cohort if one.speed_mm_s < 30.0]
     assert found.ruptures == len(slow) == 12
     assert found.mean == pytest.approx(np.mean([one.hardening for one in slow]))
     assert found.direction == "falls"
-    assert hardening_of([one for one in cohort if one.test.speed_mm_s > 30.0]) is None
+    assert hardening_of([one for one in cohort if one.speed_mm_s > 30.0]) is None
 
 
 @pytest.mark.parametrize(
@@ -184,13 +183,11 @@ def test_shares_of_the_law_multiply_what_was_measured_and_its_draws_make_the_spr
     dynamic = 63.62 * v * 0.021
     share = dynamic / (6.0 * x + 0.4 * x**3 + dynamic)
     assert sure.dynamic_share == pytest.approx(share, rel=0.01)
-    assert sure.measures["weighted-force"].value == pytest.approx(
-        test.force_N * (1.0 + 0.5 * share), rel=0.005
-    )
-    assert sure.measures["work"].value == test.work_N_mm
+    assert sure.measures.weighted_force.value == pytest.approx(test.force_N * (1.0 + 0.5 * share), rel=0.005)
+    assert sure.measures.work.value == test.work_N_mm
     # 5 % of K is 5 % (1 - share) of the share; the sd of 40 draws is good to 11 %
-    more = open_.measures["weighted-force"].sd_ln ** 2 - sure.measures["weighted-force"].sd_ln ** 2
+    more = open_.measures.weighted_force.sd_ln**2 - sure.measures.weighted_force.sd_ln**2
     expected = 0.5 * share * (1.0 - share) * 0.05 / (1.0 + 0.5 * share)
     assert np.sqrt(more) == pytest.approx(expected, rel=0.4)
-    assert open_.measures["work"].sd_ln == sure.measures["work"].sd_ln
+    assert open_.measures.work.sd_ln == sure.measures.work.sd_ln
     assert (sure.hardening_sd, open_.hardening_sd > 0.0) == (0.0, True)

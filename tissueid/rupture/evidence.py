@@ -21,7 +21,7 @@ from scipy.stats import f as f_distribution
 
 from tissueid.arrays import FloatArray
 from tissueid.documents.rupture import Criterion, Threshold, Unit
-from tissueid.rupture.failures import Failure
+from tissueid.documents.rupture import Test as Failure
 from tissueid.rupture_law import THRESHOLD_UNITS
 
 #: Nodes of the quadrature over a specimen with censored tests.
@@ -130,7 +130,7 @@ INTERVAL = (0.025, 0.975)
 
 def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes, float, float]:
     """Outcomes in ln depth, typical growth of the measure, and ln of the density's factor."""
-    measures = [one.measures[criterion] for one in failures]
+    measures = [getattr(one.measures, criterion.replace("-", "_")) for one in failures]
     ruptured = np.array([one.ruptured for one in failures])
     ln_growth = np.log([one.growth for one in measures])
     typical = float(np.exp(ln_growth[ruptured].mean()))
@@ -230,7 +230,7 @@ def _trend(
     18 tests of 6 specimens chi-squared would be exceeded four times too often at 1 %.
     """
     at, ln_likelihood = fitted
-    speeds = np.log([one.test.speed_mm_s for one in failures])
+    speeds = np.log([one.speed_mm_s for one in failures])
     speeds = speeds - speeds.mean()
     names = list(dict.fromkeys(one.specimen for one in failures))
     broken = sum(one.ruptured for one in failures)

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.arrays import FloatArray
-from tissueid.documents.rupture import Limit
+from tissueid.documents.rupture import Limit, Measures
+from tissueid.documents.rupture import Test as Failure
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.rupture import hardening_ratio, rupture_measures
@@ -144,30 +145,6 @@ class SpecimenLaw:
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
-    """One test with its measures."""
-
-    test: LoadedTest
-    specimen: str
-    measures: Mapping[str, Limit]  # by criterion; lower bounds of thresholds where censored
-    depth_mm: float  # below the refined contact point
-    depth_sd_mm: float
-    force_sd_N: float
-    work_sd_N_mm: float
-    dynamic_share: float  # part of the force that relaxes, by the law
-    #: x F_s'/F.
-    hardening: float
-    hardening_sd: float
-    #: The depth is many times v tau of exponentials outside the convolution, as the sign test supposes.
-    settled: bool
-
-    @property
-    def ruptured(self) -> bool:
-        """False: censored."""
-        return self.test.ruptured
-
-
-@dataclass(frozen=True, slots=True)
 class _AtEnd:
     """Response of the law on one path: measures and their growth, shares, hardening."""
 
@@ -252,19 +229,26 @@ def _failure(
     for name, (value, own_sd, law_sd) in rows.items():
         growth = found.growth[name]
         sd_ln = float(np.sqrt((growth * step_sd / depth_mm) ** 2 + own_sd**2 + law_sd**2))
-        measures[name] = Limit(value=value, sd_ln=sd_ln, growth=growth)
+        measures[name.replace("-", "_")] = Limit(value=value, sd_ln=sd_ln, growth=growth)
     slope = test.force_N * found.growth["weighted-force"] / depth_mm
     slowest_mm = SETTLED * test.speed_mm_s * float(law.model.times(law.theta).max(initial=0.0))
     return Failure(
-        test=test,
+        path=test.path,
+        sheet=test.sheet,
         specimen=law.specimen,
-        measures=measures,
+        ruptured=test.ruptured,
+        speed_mm_s=test.speed_mm_s,
+        force_N=test.force_N,
+        force_sd_N=float(np.hypot(test.force_sd_N, slope * step_sd)),
         depth_mm=depth_mm,
         depth_sd_mm=float(np.hypot(test.contact_sd_mm, step_sd)),
-        force_sd_N=float(np.hypot(test.force_sd_N, slope * step_sd)),
+        work_N_mm=test.work_N_mm,
         work_sd_N_mm=test.work_N_mm * measures["work"].sd_ln,
         dynamic_share=found.dynamic_share,
         hardening=found.hardening,
         hardening_sd=spread([one.hardening for one in drawn]),
+        # exponentials outside the convolution, after many v tau, as the sign test supposes
         settled=law.model.viscous and depth_mm >= slowest_mm,
+        residual=test.residual,
+        measures=Measures(**measures),
     )

@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 
 from tissueid.documents import plain, typed
-from tissueid.documents.rupture import Change, LeftOut, Rupture, Test
+from tissueid.documents.rupture import Change, LeftOut, Rupture
+from tissueid.documents.rupture import Test as Failure
 from tissueid.errors import InputError, NotIdentifiedError, UsageError
 from tissueid.manifest import Study
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, candidates, rebuilt
 from tissueid.pipeline import IdentifyOptions, identify, with_model
 from tissueid.report.rupture_page import render_rupture
 from tissueid.result import Identification, Refusal
-from tissueid.rupture.failures import Failure, LoadedTest, SpecimenLaw, failures_of, loaded_test
+from tissueid.rupture.failures import LoadedTest, SpecimenLaw, failures_of, loaded_test
 from tissueid.rupture.study import RuptureStudy, rupture_study
 from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment
@@ -231,7 +232,7 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
         "speeds": study.speeds,
         "changes": study.changes,
         "hardening": study.hardening,
-        "tests": [_test(one) for one in study.failures],
+        "tests": study.failures,
         "laws": [
             {"specimen": name, "bundle": bundles[name], "law": law.as_json()}
             for name, law in study.laws.items()
@@ -241,11 +242,6 @@ def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
         "flags": study.flags,
         "provenance": dict(run.identification.provenance),
     }
-
-
-def _test(one: Failure) -> dict[str, Any]:
-    """Fields of a test's document: its measures, and what the failure does not say, of its loading."""
-    return {name: getattr(one if hasattr(one, name) else one.test, name) for name in Test.__struct_fields__}
 
 
 RUPTURE = "rupture.json"

@@ -28,18 +28,18 @@ from tissueid.documents.rupture import (
     Speed,
     Threshold,
 )
+from tissueid.documents.rupture import Test as Failure
 from tissueid.errors import NotIdentifiedError
 from tissueid.flags import Flag
 from tissueid.population.agreement import confounding_flags, confounding_of
 from tissueid.rupture.evidence import threshold_of
-from tissueid.rupture.failures import Failure
 from tissueid.rupture_law import CRITERIA, RuptureLaw
 
 #: What is quoted of a rupture.
 QUOTED: Mapping[Quantity, Callable[[Failure], float]] = {
-    "force_N": lambda one: one.test.force_N,
+    "force_N": lambda one: one.force_N,
     "depth_mm": lambda one: one.depth_mm,
-    "work_N_mm": lambda one: one.test.work_N_mm,
+    "work_N_mm": lambda one: one.work_N_mm,
 }
 CONFIDENCE = 0.95
 #: Specimens from which their own scatter gives the interval.
@@ -62,14 +62,12 @@ def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[Spe
     speeds = np.log(confounding.speeds_mm_s)
     groups: list[list[Failure]] = [[] for _ in speeds]
     for one in failures:
-        groups[int(np.argmin(np.abs(speeds - np.log(one.test.speed_mm_s))))].append(one)
+        groups[int(np.argmin(np.abs(speeds - np.log(one.speed_mm_s))))].append(one)
     found = []
     for speed, group in zip(confounding.speeds_mm_s, groups, strict=True):
         broken = [one for one in group if one.ruptured]
         near = [
-            one
-            for one in failures
-            if one.ruptured and abs(np.log(one.test.speed_mm_s / speed)) < SPEEDS_DIFFER
+            one for one in failures if one.ruptured and abs(np.log(one.speed_mm_s / speed)) < SPEEDS_DIFFER
         ]
         values = {name: np.array([of(one) for one in broken]) for name, of in QUOTED.items()}
         found.append(
@@ -93,7 +91,7 @@ def change_with_speed(failures: Sequence[Failure]) -> list[Change]:
     broken = [one for one in failures if one.ruptured]
     names = list(dict.fromkeys(one.specimen for one in broken))
     who = np.array([names.index(one.specimen) for one in broken], dtype=int)
-    speed = _inside(np.log10([one.test.speed_mm_s for one in broken]), who)
+    speed = _inside(np.log10([one.speed_mm_s for one in broken]), who)
     left = len(broken) - len(names) - 1
     if left < 1 or not np.abs(speed).max(initial=0.0) > SPEEDS_DIFFER:
         return []
@@ -222,9 +220,9 @@ def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "n
         raise NotIdentifiedError(msg)
     names = list(dict.fromkeys(one.specimen for one in broken))
     confounding = confounding_of(
-        [[one.test.speed_mm_s for one in broken if one.specimen == name] for name in names]
+        [[one.speed_mm_s for one in broken if one.specimen == name] for name in names]
     )
-    all_speeds = confounding_of([[one.test.speed_mm_s] for one in failures])
+    all_speeds = confounding_of([[one.speed_mm_s] for one in failures])
     assert confounding is not None  # noqa: S101 -- a loaded test has a speed
     assert all_speeds is not None  # noqa: S101
     thresholds = tuple(threshold_of(failures, criterion) for criterion in CRITERIA)
@@ -268,7 +266,7 @@ def _laws(
     found = next((one for one in thresholds if one.criterion == criterion), None)
     if found is None:
         return {}
-    residual = float(np.median([one.test.residual for one in failures if one.test.residual is not None]))
+    residual = float(np.median([one.residual for one in failures if one.residual is not None]))
     return {
         name: RuptureLaw(
             criterion=found.criterion,
