@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE
+from tissueid.haptics.registry import device_class
 from tissueid.haptics.ring import RingReader
 from tissueid.haptics.states import Fault
 from tissueid.rendering.bridge import BridgeRequest, UdpBridge
@@ -22,7 +24,9 @@ from tissueid.rendering.environment import SURFACE, TISSUE
 from tissueid.rendering.first_start import first_start
 from tissueid.rendering.recorder import Recorder, SessionSummary
 from tissueid.rendering.servo import ServoPlan, ServoProcess
+from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
 from tissueid.rendering.servo_spawn import SpawnedServo
+from tissueid.rendering.servo_tick import servo_here
 from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import Plane
@@ -208,11 +212,6 @@ class Session:
 
     def _virtual(self) -> Outcome:
         """The same loop without a clock: ticks are computed as fast as they go."""
-        from tissueid.haptics.parameter_block import COMMAND_ENGAGE
-        from tissueid.haptics.registry import device_class
-        from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
-        from tissueid.rendering.servo_tick import servo_here
-
         device = device_class(self.plan.device)(**self.plan.device_options)
         interrupted, now, steps = False, 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
         with servo_here(device) as (io, servo, ring, block):

@@ -7,7 +7,7 @@ well, share the last.  "undecided" and "none of them" are answers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,11 +36,7 @@ from tissueid.rupture.evidence import threshold_of
 from tissueid.rupture_law import CRITERIA, RuptureLaw
 
 #: What is quoted of a rupture.
-QUOTED: Mapping[Quantity, Callable[[Failure], float]] = {
-    "force_N": lambda one: one.force_N,
-    "depth_mm": lambda one: one.depth_mm,
-    "work_N_mm": lambda one: one.work_N_mm,
-}
+QUOTED: tuple[Quantity, ...] = ("force_N", "depth_mm", "work_N_mm")
 CONFIDENCE = 0.95
 #: Specimens from which their own scatter gives the interval.
 FEWEST_SPECIMENS = 3
@@ -69,7 +65,7 @@ def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[Spe
         near = [
             one for one in failures if one.ruptured and abs(np.log(one.speed_mm_s / speed)) < SPEEDS_DIFFER
         ]
-        values = {name: np.array([of(one) for one in broken]) for name, of in QUOTED.items()}
+        values = {name: np.array([getattr(one, name) for one in broken]) for name in QUOTED}
         found.append(
             Speed(
                 speed_mm_s=speed,
@@ -97,8 +93,8 @@ def change_with_speed(failures: Sequence[Failure]) -> list[Change]:
         return []
     found = []
     quantile = float(t_distribution.ppf(0.5 + CONFIDENCE / 2.0, left))
-    for name, of in QUOTED.items():
-        values = _inside(np.log([of(one) for one in broken]), who)
+    for name in QUOTED:
+        values = _inside(np.log([getattr(one, name) for one in broken]), who)
         total = float((speed**2).sum())
         slope = float((speed * values).sum()) / total
         error = float(np.sqrt(((values - slope * speed) ** 2).sum() / left / total))
