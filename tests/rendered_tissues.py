@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from fit_factory import identification, specimen_fit
 from tissueid.model.kelvin_voigt import kelvin_voigt
 from tissueid.rendering import environment as env
 from tissueid.rendering.tissue_block import Tissue
-from tissueid.store.bundle import Bundle, bundle_from_fit
+from tissueid.store.bundle import Bundle, bundle_from_fit, write_bundle
 
 DEPTH_MM = 8.0
 PAPER_A = Tissue(
@@ -72,3 +73,11 @@ def bundle_of(tissue: Tissue, *, draws: np.ndarray | None = None, **changes: Any
         draws=draws,
     )
     return replace(held, **changes)
+
+
+def write_bundles(folder: Path, ending: str = "") -> None:
+    """``a.h5`` and ``b.h5``: paper A's tissue under two names, with draws of 1 %."""
+    chance = np.random.default_rng(5)
+    for name in ("a", "b"):
+        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
+        write_bundle(bundle_of(replace(PAPER_A, name=name + ending), draws=draws), folder / f"{name}.h5")

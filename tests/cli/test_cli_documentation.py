@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import REPOSITORY, run, write_log, write_study
+from command_line import REPOSITORY, run, write_csv, write_log, write_study
 from identify_stand_ins import of_prior
 from test_cli_examples import README, any_path, unfit
 from test_cli_impact import WHOLE, recordings
@@ -126,10 +126,7 @@ def prepared(tmp_path_factory):
     force = np.linspace(0.0, 200.0, 400)
     for name in ("rigid-1.csv", "rigid-2.csv", "lab-a/steel/steel-1.csv", "lab-a/steel/steel-2.csv"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        table = np.column_stack([np.linspace(0.0, 4.0, 400), force / 1000.0, force])
-        np.savetxt(
-            folder / name, table, "%.5f", ",", header="Time (s),Displacement (mm),Force (N)", comments=""
-        )
+        write_csv(folder / name, np.linspace(0.0, 4.0, 400), force / 1000.0, force)
     (folder / "rig").mkdir()
     recordings(folder / "rig", WHOLE)
     for own, phantoms in (("a", (1, 3, 5)), ("b", (2, 4, 6))):

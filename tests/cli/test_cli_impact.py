@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import run, write_csv
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.rendering.scene import load_scene
@@ -31,9 +31,7 @@ def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
     plan = Recipe("wall", (Log("a", moves, repeats=2),), rate_Hz=100.0, sigma_N=0.1, contact_offset_mm=1.0)
     rng = np.random.default_rng(2)
     for log in simulate_contact_law(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng):
-        table = np.column_stack([log.time_s, log.displacement_mm, log.force_N])
-        head = "Time (s),Displacement (mm),Force (N)"
-        np.savetxt(folder / f"{log.name}.csv", table, "%.5f", ",", header=head, comments="")
+        write_csv(folder / f"{log.name}.csv", log.time_s, log.displacement_mm, log.force_N)
     return folder
 
 

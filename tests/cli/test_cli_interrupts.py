@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cohort_outputs import cohort_folder
-from command_line import QUICK, REPOSITORY, python, read_json, run, start, until, write_bundles, write_log
+from command_line import QUICK, REPOSITORY, python, read_json, run, start, until, write_log
 from identify_stand_ins import of_prior
+from rendered_tissues import write_bundles
 from test_cli_calibrate import RECIPE
 
 SAID = "tissueid: interrupted; what was finished is kept\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import REPOSITORY, read_json, run, write_study
+from command_line import REPOSITORY, read_json, run, write_csv, write_study
 
 from tissueid.cli.rupture_command import ASKED as OFFERED
 from tissueid.haptics.states import Lamp
@@ -103,17 +103,14 @@ def quasi_linear_cohort(folder: Path) -> None:
             measures = rupture_measures(model, theta, ContactPath(time, depth))
             force = np.where(measures["work"] < WORK_N_MM, 1.0, LEFT) * measures["force"]
             force += rng.normal(0.0, 0.1, time.size)
-            rows = [f"{t:.4f},{speed * t:.4f},{f:.3f}" for t, f in zip(time, force, strict=True)]
-            head = f'Text Inputs : Specimen label,"q-{specimen}"\n\nTime,Extension,Load\n(sec),(mm),(N)'
-            name = f"q-{specimen}-{speed:.0f}.csv"
-            (folder / name).write_text("\n".join([head, *rows, ""]), encoding="utf-8")
+            write_csv(folder / f"q-{specimen}-{speed:.0f}.csv", time, speed * time, force)
 
 
 def test_ruptures_under_a_quasi_linear_law_are_decided_and_felt(tmp_path):
     (tmp_path / "logs").mkdir()
     quasi_linear_cohort(tmp_path / "logs")
     out = tmp_path / "out"
-    asked = ("--model", QUASI_LINEAR, "--criterion", "auto", "--json")
+    asked = ("--model", QUASI_LINEAR, "--criterion", "auto", "--specimen-by", "(q-[0-9])", "--json")
     document = run("rupture", tmp_path / "logs", "-o", out, *asked).json()
     assert (document["decision"]["answer"], document["taken"]) == ("decided", "work")
     work = next(row for row in document["criteria"] if row["criterion"] == "work")

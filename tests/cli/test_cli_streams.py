@@ -11,8 +11,9 @@ from pathlib import Path
 
 import click
 import pytest
-from command_line import QUICK, Ended, Terminal, log_text, run, run_on, write_bundles, write_log
+from command_line import QUICK, Ended, Terminal, log_text, run, run_on, write_log
 from openpyxl import Workbook
+from rendered_tissues import write_bundles
 
 from tissueid.cli.flags import walk
 from tissueid.cli.main import cli

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study_folder import recording
+from command_line import read_json, write_log
 
 from tissueid.own_process import threads
 from tissueid.store.results import each_result
@@ -17,17 +16,12 @@ from tissueid.store.results import each_result
 STRIDE = 16
 
 
-def write_specimen(folder: Path, number: int, *, times: float = 1.0) -> list[Path]:
+def write_specimen(folder: Path, number: int, *, times: float = 1.0) -> None:
     """Two 6 Hz logs of specimen ``head-<number>``, forces scaled by specimen and by log."""
-    folder.mkdir(parents=True, exist_ok=True)
-    head = f'Text Inputs : Specimen label,"head-{number}"'
-    paths = []
     for log in range(2):
         scale = times * (1.0 + 0.05 * number + 0.01 * log)
         path = folder / f"h{number}-{log}.csv"
-        path.write_text(recording(times=scale, header=head, stride=STRIDE), encoding="ascii")
-        paths.append(path)
-    return paths
+        write_log(path, label=f"head-{number}", stride=STRIDE, force_times=scale)
 
 
 def write_cohort(folder: Path, specimens: int) -> Path:
@@ -38,7 +32,7 @@ def write_cohort(folder: Path, specimens: int) -> Path:
 
 def numbers_of(out: Path) -> dict[str, Any]:
     """Everything a run found, without times: the document, and hashes of every curve and draw."""
-    found: dict[str, Any] = {"document": json.loads((out / "identification.json").read_bytes())}
+    found: dict[str, Any] = {"document": read_json(out / "identification.json")}
     for specimen in found["document"]["specimens"]:
         if specimen["sampler"] is not None:
             del specimen["sampler"]["detail"]["wall_s"]

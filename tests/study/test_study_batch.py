@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cohort_lab import numbers_of, write_cohort, write_specimen
-from study_folder import QUICK
+from command_line import QUICK, Ended, read_json, run, write_study
 
 import tissueid
-from tissueid.cli.main import main
 from tissueid.documents import plain
 from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions
@@ -23,8 +22,9 @@ from tissueid.store.results import each_result, read_results
 from tissueid.study import batch, pages
 
 
-def fit(data: Path, out: Path, *args: str) -> int:
-    return main(["fit", str(data), "-o", str(out), *QUICK, "-q", *args])
+def fit(data: Path, out: Path, **expected: Any) -> Ended:
+    """A fit that ends as expected, or well."""
+    return run("fit", data, "-o", out, *QUICK, "-q", **({"code": {0, 4}} | expected))
 
 
 def keys(out: Path) -> dict[str, float]:
@@ -38,7 +38,7 @@ def cohort(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cohort")
     write_cohort(folder / "lab", 3)
     with contextlib.chdir(folder):
-        assert fit(Path("lab"), Path("out")) in (0, 4)
+        fit(Path("lab"), Path("out"))
     return folder
 
 
@@ -61,7 +61,7 @@ def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort):
     options = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
     with contextlib.chdir(cohort):
         expected = tissueid.identify(tissueid.read_trials("lab"), options=options)
-    found = json.loads((cohort / "out" / "identification.json").read_bytes())
+    found = read_json(cohort / "out" / "identification.json")
     document = plain(expected.as_json())
     for key in ("specimens", "refused", "unfitted_cycles", "study", "exit"):
         assert found[key] == document[key], key
@@ -75,7 +75,7 @@ def test_files_of_specimens_are_bundles_and_what_is_there_is_not_computed_again(
         assert (alone.theta == public.theta).all()
         assert alone.as_json()["parameters"] == public.as_json()["parameters"]
     before, numbers = keys(again / "out"), numbers_of(again / "out")
-    assert fit(again / "lab", again / "out") in (0, 4)
+    fit(again / "lab", again / "out")
     assert keys(again / "out") == before
     assert numbers_of(again / "out") == numbers
     assert read_status(again / "out")["specimens"]["known_before"] == 3
@@ -94,16 +94,15 @@ def test_a_new_specimen_leaves_the_others_alone_and_a_changed_one_is_computed_ag
     # files of nobody are gone with the commit
     assert len(changed) == 4
     assert len(added.items() & changed.items()) == 3
-    assert main(["validate", str(again / "out"), "-q"]) == 0
+    run("validate", again / "out", code=0)
 
 
 def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again):
-    study = again / "lab" / "study.toml"
-    study.write_text('schema = "tissueid/study/1"\n[study]\ntitle = "heads"\n', encoding="utf-8")
+    title = '[study]\ntitle = "heads"'
+    write_study(again / "lab", title)
     fit(again / "lab", again / "out")
     before = keys(again / "out")
-    entry = "[[override]]\nfile = 'h1-*.csv'\ncontact_mm = 0.0\nbecause = 'seen'\n"
-    study.write_text(study.read_text(encoding="utf-8") + entry, encoding="utf-8")
+    write_study(again / "lab", title, "[[override]]\nfile = 'h1-*.csv'\ncontact_mm = 0.0\nbecause = 'seen'")
     fit(again / "lab", again / "out")
     assert len(before.items() & keys(again / "out").items()) == 2
 
@@ -115,9 +114,9 @@ def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again):
     content = bytearray(second.read_bytes())
     content[len(content) // 2] ^= 0xFF
     second.write_bytes(content)
-    assert main(["validate", str(again / "out"), "-q"]) == 6
+    run("validate", again / "out", code=6)
     fit(again / "lab", again / "out")
-    assert main(["validate", str(again / "out"), "-q"]) == 0
+    run("validate", again / "out", code=0)
     assert numbers_of(again / "out") == numbers
 
 
@@ -126,7 +125,7 @@ def test_a_damaged_index_costs_time_and_no_result(again):
     for path in (again / "lab").glob("h[12]-*"):
         path.unlink()
     (again / "out" / "index.sqlite").write_bytes(b"not a database, but long enough to be looked at" * 20)
-    assert fit(again / "lab", again / "out") in (0, 4)
+    fit(again / "lab", again / "out")
     assert numbers_of(again / "out")["head-0"] == numbers["head-0"]
 
 
@@ -139,11 +138,11 @@ def test_a_large_cohort_has_pages_and_the_same_numbers(again, large):
     assert public == files
     assert {path.stem for path in (out / "pages").glob("*.html")} == set(keys(out))
     assert numbers_of(out) == numbers
-    assert main(["validate", str(out), "-q"]) == 0
+    run("validate", out, code=0)
     page = (out / "report.html").read_text(encoding="utf-8")
     for key in keys(out):
         assert f"pages/{key}.html" in page
-    assert main(["report", str(out), "-q"]) == 0
+    run("report", out, code=0)
     document, curves, posteriors = read_results(out)
     assert len(curves) == sum(len(one.trials) for one in document.specimens) == 6
     assert posteriors == ()
@@ -173,7 +172,7 @@ def test_a_page_that_can_not_be_made_costs_no_result(again, large):
     assert all("no page: internal error (AttributeError" in page for page in made)
 
 
-def test_a_bad_specimen_is_named_and_the_others_are_there(again, monkeypatch, capsys):
+def test_a_bad_specimen_is_named_and_the_others_are_there(again, monkeypatch):
     real = batch.fit_here
 
     def fails_once(job: object, **options: object) -> object:
@@ -184,40 +183,32 @@ def test_a_bad_specimen_is_named_and_the_others_are_there(again, monkeypatch, ca
     write_specimen(again / "lab", 3)
     with monkeypatch.context() as patch:
         patch.setattr(batch, "fit_here", fails_once)
-        assert fit(again / "lab", again / "out") == 7
-    said = capsys.readouterr().err
-    assert "refused (out_of_memory)" in said
-    assert "specimen 'head-3'" in said
-    document = json.loads((again / "out" / "identification.json").read_bytes())
+        fit(again / "lab", again / "out", code=7, said=("refused (out_of_memory)", "specimen 'head-3'"))
+    document = read_json(again / "out" / "identification.json")
     assert [one["specimen"] for one in document["specimens"]] == ["head-0", "head-1", "head-2"]
     assert document["exit"]["code"] == 7
     status = read_status(again / "out")
     assert status["specimens"]["failed"] == 1
     assert [one["specimen"] for one in status["failures"]] == ["head-3"]
-    assert fit(again / "lab", again / "out") in (0, 4)
-    assert main(["status", str(again / "out"), "-q"]) == 0
+    fit(again / "lab", again / "out")
+    run("status", again / "out", code=0)
 
 
-def test_status_names_what_was_refused(again, capsys):
+def test_status_names_what_was_refused(again):
     (again / "lab" / "torn.csv").write_text("Time,Extension,Load\n(s),(mm),(N)\n0,0,0\n1,x,2\n2,2,3\n")
-    assert fit(again / "lab", again / "out") == 7
-    capsys.readouterr()
-    assert main(["status", str(again / "out")]) == 7
-    said = capsys.readouterr().out
-    assert "specimens  3 of 3 done" in said
-    assert "torn.csv, line 4, column 2: 'x' stands where a number must be" in said
+    fit(again / "lab", again / "out", code=7)
+    told = ("specimens  3 of 3 done", "torn.csv, line 4, column 2: 'x' stands where a number must be")
+    run("status", again / "out", code=7, shown=told)
     status = read_status(again / "out")
     assert status["files"]["refused"] == len(status["refusals"]) == 1
     # nobody misses what the study leaves out anyway
-    study = again / "lab" / "study.toml"
-    head = 'schema = "tissueid/study/1"\n[study]\ntitle = "heads"\n'
-    study.write_text(head + "[[exclude]]\nfile = 'torn.csv'\nbecause = 'torn'\n", encoding="utf-8")
-    assert fit(again / "lab", again / "out") in (0, 4)
-    assert main(["status", str(again / "out"), "-q"]) == 0
+    write_study(again / "lab", "[[exclude]]\nfile = 'torn.csv'\nbecause = 'torn'")
+    fit(again / "lab", again / "out")
+    run("status", again / "out", code=0)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of resources here")
-def test_a_full_disk_is_named_and_the_same_command_goes_on_later(again, capsys):
+def test_a_full_disk_is_named_and_the_same_command_goes_on_later(again):
     import resource
 
     numbers = numbers_of(again / "out")
@@ -225,12 +216,10 @@ def test_a_full_disk_is_named_and_the_same_command_goes_on_later(again, capsys):
     # smaller than the file of a specimen: the system refuses the write as it would on a full disk
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
     try:
-        code = fit(again / "lab", again / "new")
+        fit(again / "lab", again / "new", code=6, said="the same command again")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert code == 6
-    assert "the same command again" in capsys.readouterr().err
     assert not (again / "new" / "identification.json").exists()
     assert not list((again / "new").rglob(".tmp-*"))
-    assert fit(again / "lab", again / "new") in (0, 4)
+    fit(again / "lab", again / "new")
     assert numbers_of(again / "new") == numbers

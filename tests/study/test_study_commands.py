@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_folder import fit, lab, recording, value
+from command_line import STUDY_HEAD, read_json, run, write_log
+from study_folder import fit, lab, value
 
-from tissueid.cli.main import main
 from tissueid.ingest import read_trials
 from tissueid.ingest.manifest import read_study
 from tissueid.manifest import Calibration, Entry, Study
-from tissueid.store.schema import first_problem
 from tissueid.study.completeness import ITEMS, completeness
 from tissueid.study.crate import Anonymiser
 from tissueid.study.draft import draft_study, programs_of
@@ -38,9 +36,9 @@ def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tm
     head = '"Operator","A. Tester"\n"Specimen label","kidney"\n"Tip radius","2.0","mm"'
     head += '\n"Load cell capacity","500","N"'
     for i in (1, 2, 10):
-        (tmp_path / f"run {i}.csv").write_text(recording(header=head), encoding="ascii")
+        write_log(tmp_path / f"run {i}.csv", head=head)
     (tmp_path / "broken.csv").write_text("nothing\n", encoding="ascii")
-    assert main(["study", "init", str(tmp_path), "-q"]) == 7
+    run("study", "init", tmp_path, "-q", code=7)
     text = (tmp_path / "study.toml").read_text(encoding="utf-8")
     study = read_study(tmp_path)
     assert study.about["operator"] == "A. Tester"
@@ -66,9 +64,9 @@ def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tm
 def test_an_existing_study_file_is_written_over_only_by_force(tmp_path):
     folder = lab(tmp_path, "# mine\n", a=1.0)
     before = (folder / "study.toml").read_bytes()
-    assert main(["study", "init", str(folder)]) == 2
+    run("study", "init", folder, code=2)
     assert (folder / "study.toml").read_bytes() == before
-    assert main(["study", "init", str(folder), "--force", "-q"]) == 0
+    run("study", "init", folder, "--force", "-q", code=0)
     assert (folder / "study.toml").read_bytes() != before
 
 
@@ -106,17 +104,12 @@ def test_a_study_is_graded_by_what_it_says_and_what_is_missing_is_named():
     assert "thickness_mm" not in {key for one in completeness(general).missing for key in one.keys}
 
 
-def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(tmp_path, capsys):
+def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(tmp_path):
     folder = lab(tmp_path, "[study]\nspecies = 'pig'\n[[trial]]\nfile = 'gone.csv'\n", a=1.0)
-    assert main(["study", "check", str(folder), "--json"]) == 7
-    document = json.loads(capsys.readouterr().out)
-    assert first_problem(document, "study-check") is None
+    document = run("study", "check", folder, "--json", code=7).json("study-check")
     assert document["unmatched"][0]["error"]["line"] == 4
     assert ["species"] not in [one["keys"] for one in document["missing"]]
-    assert main(["study", "check", str(folder)]) == 7
-    said = capsys.readouterr()
-    assert "grade F" in said.out
-    assert "gone.csv" in said.err
+    run("study", "check", folder, code=7, shown="grade F", said="gone.csv")
 
 
 COMMENTED = """# a study
@@ -131,12 +124,13 @@ file = "a.csv"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path, newline, capsys):
+def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path, newline):
     folder = lab(tmp_path / "lab", "", a=1.0, b=1.0)
     path = folder / "study.toml"
-    text = ('schema = "tissueid/study/1"\n' + COMMENTED).replace("\n", newline)
+    text = f"{STUDY_HEAD}\n{COMMENTED}".replace("\n", newline)
     path.write_bytes(text.encode())
-    assert main(["study", "exclude", str(folder / "b.csv"), "--because", 'it "slipped"', "-q"]) == 0
+    exclude = ("study", "exclude", folder / "b.csv", "--because")
+    run(*exclude, 'it "slipped"', "-q", code=0)
     changed = path.read_bytes().decode()
     assert changed.startswith(text)
     assert changed.count("\n") == changed.count(newline)
@@ -144,35 +138,30 @@ def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path, newli
     assert study.decision(str(folder / "b.csv"), None).excluded == 'it "slipped"'
     # a second reason takes the place of the first, which is told
     for because, told in (('it "slipped"', ""), ("thawed", 'because: it "slipped"')):
-        capsys.readouterr()
-        assert main(["study", "exclude", str(folder / "b.csv"), "--because", because]) == 0
-        said = capsys.readouterr().err
+        said = run(*exclude, because, code=0).stderr
         assert told in said if told else "excluded already" not in said
     assert [one.values["because"] for one in read_study(folder).exclusions] == ["thawed"]
-    assert main(["study", "exclude", str(folder / "a.csv"), "--because", "dry", "-q"]) == 0
+    run("study", "exclude", folder / "a.csv", "--because", "dry", "-q", code=0)
     assert len(read_study(folder).exclusions) == 2
     for name in ("a.csv", "b.csv"):
-        assert main(["study", "include", str(folder / name), "-q"]) == 0
+        run("study", "include", folder / name, "-q", code=0)
     assert path.read_bytes().decode().rstrip() == text.rstrip()
 
 
-def test_a_misspelt_recording_is_told_with_the_nearest_names(tmp_path, capsys):
+def test_a_misspelt_recording_is_told_with_the_nearest_names(tmp_path):
     folder = lab(tmp_path / "lab", "", kidney_1=1.0)
-    assert main(["study", "exclude", str(folder / "kidny_1.csv"), "--because", "x"]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "no such recording" in said
-    assert "did you mean kidney_1.csv?" in said
+    exclude = ("study", "exclude", folder / "kidny_1.csv", "--because", "x")
+    run(*exclude, code=2, said=("no such recording", "did you mean kidney_1.csv?"))
     # where there is no study file, that is said
     (folder / "study.toml").unlink()
-    assert main(["study", "exclude", str(folder / "kidny_1.csv"), "--because", "x"]) == 2
-    assert "there is no study.toml" in capsys.readouterr().err
+    run(*exclude, code=2, said="there is no study.toml")
 
 
 def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(tmp_path, monkeypatch):
     folder = lab(tmp_path / "lab", "", a=1.0)
     (folder / "meat.xlsx").write_bytes(b"")
     monkeypatch.chdir(tmp_path)
-    assert main(["study", "exclude", "meat.xlsx::Sheet 3", "--because", "x", "--study", "lab", "-q"]) == 0
+    run("study", "exclude", "meat.xlsx::Sheet 3", "--because", "x", "--study", "lab", "-q", code=0)
     (entry,) = read_study(folder).exclusions
     assert dict(entry.values) == {"file": "meat.xlsx", "sheet": "Sheet 3", "because": "x"}
 
@@ -186,25 +175,23 @@ def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(tmp_path, monkey
         (["include", "b.csv"], "line 2"),
     ],
 )
-def test_what_can_not_be_changed_is_said_and_left(tmp_path, args, words, capsys):
+def test_what_can_not_be_changed_is_said_and_left(tmp_path, args, words):
     folder = lab(tmp_path, "[[exclude]]\nfile = 'b*.csv'\nbecause = 'x'\n", a=1.0, b=1.0)
     before = (folder / "study.toml").read_bytes()
-    assert main(["study", *args, "--study", str(folder)]) == 2
-    assert words in capsys.readouterr().err
+    run("study", *args, "--study", folder, code=2, said=words)
     assert (folder / "study.toml").read_bytes() == before
 
 
 def crate(out: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """The metadata document and its entities by identifier."""
-    document = json.loads((out / "ro-crate-metadata.json").read_text(encoding="utf-8"))
+    document = read_json(out / "ro-crate-metadata.json")
     return document, {entity["@id"]: entity for entity in document["@graph"]}
 
 
 def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_asks(tmp_path):
     folder = lab(tmp_path / "lab", WHO, kidney_1=1.0, kidney_2=1.1)
     out = tmp_path / "crate"
-    args = ["study", "export", str(folder), "--crate", str(out), "--date", "2025-01-02", "-q"]
-    assert main(args) == 0
+    run("study", "export", folder, "--crate", out, "--date", "2025-01-02", "-q", code=0)
     document, entities = crate(out)
     # RO-Crate 1.1: a flat graph, each identifier once, the descriptor about the root
     assert len(entities) == len(document["@graph"])
@@ -230,12 +217,11 @@ def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_a
     assert {path.name for path in out.iterdir()} == {*listed, "ro-crate-metadata.json"}
 
 
-def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(tmp_path, capsys):
+def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(tmp_path):
     folder = lab(tmp_path / "lab", "", a=1.0)
-    assert main(["study", "export", str(folder), "--crate", str(tmp_path / "out")]) == 2
-    assert "licence" in capsys.readouterr().err
+    run("study", "export", folder, "--crate", tmp_path / "out", code=2, said="licence")
     lab(tmp_path / "lab", "[study]\nlicence = 'CC0-1.0'\n")
-    assert main(["study", "export", str(folder), "--crate", str(folder)]) == 2
+    run("study", "export", folder, "--crate", folder, code=2)
     assert not (folder / "ro-crate-metadata.json").exists()
 
 
@@ -243,10 +229,9 @@ def test_an_anonymised_crate_holds_no_name_and_the_same_numbers(tmp_path):
     folder = lab(tmp_path / "lab", WHO)
     head = '"Operator","Anna Muster"\n"Specimen label","kidney 7"\n"Start date","31/05/2024"'
     for i, times in ((1, 1.0), (2, 1.1), (3, 1.02)):
-        (folder / f"kidney_{i}.csv").write_text(recording(times=times, header=head), encoding="ascii")
+        write_log(folder / f"kidney_{i}.csv", head=head, force_times=times)
     out = tmp_path / "crate"
-    args = ["study", "export", str(folder), "--crate", str(out), "--anonymise", "--date", "2025-01-02", "-q"]
-    assert main(args) == 0
+    run("study", "export", folder, "--crate", out, "--anonymise", "--date", "2025-01-02", "-q", code=0)
     whole = "\n".join(path.read_text(encoding="utf-8") for path in out.iterdir())
     assert [name for name in (*NAMES, "Babe") if re.search(name, whole, re.IGNORECASE)] == []
     assert str(tmp_path) not in whole

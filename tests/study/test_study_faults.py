@@ -5,7 +5,6 @@ Tasks in processes of this machine: whatever happens to one, the others end well
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -18,9 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 from cohort_lab import numbers_of, write_cohort
-from study_folder import QUICK, REPOSITORY
+from command_line import QUICK, run, start, until
 
-from tissueid.cli.main import main
 from tissueid.errors import BundleError
 from tissueid.store.index import read_status
 from tissueid.study.tasks import InThisProcess, LocalProcesses, Outcome, Task
@@ -33,19 +31,12 @@ PATIENCE_S = 300.0
 
 def started(lab: Path, out: Path) -> subprocess.Popen[str]:
     """The fit by two processes, in a group of its own so that all of it can be killed."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "tissueid", "fit", lab, "-o", out, *QUICK, "-q", "--workers", "2"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
-    )
+    return start("fit", lab, "-o", out, *QUICK, "-q", "--workers", "2", start_new_session=True)
 
 
 def fitted(lab: Path, out: Path) -> Any:
     """What the same command finds in this process."""
-    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+    run("fit", lab, "-o", out, *QUICK, "-q", code={0, 4})
     return numbers_of(out)
 
 
@@ -66,8 +57,8 @@ def progress_of(out: Path) -> Any:
 
 def wait_for(out: Path, process: subprocess.Popen[str], *, done: int) -> Any:
     """The status once so many specimens are done and another is running; ``None`` where the run has ended."""
-    until = time.monotonic() + PATIENCE_S
-    while process.poll() is None and time.monotonic() < until:
+    end = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < end:
         status = progress_of(out) if out.is_dir() else None
         if status is not None and status["running"] and status["specimens"]["done"] >= done:
             return status
@@ -84,24 +75,19 @@ def kill_workers(status: Any) -> list[int]:
 
 
 def test_a_run_that_loses_worker_client_and_everything_in_turn_ends_as_if_nothing_had_been(
-    undisturbed, tmp_path, capsys
+    undisturbed, tmp_path
 ):
     lab, expected = undisturbed
     out = tmp_path / "out"
     with started(lab, out) as process:
         assert kill_workers(wait_for(out, process, done=0))
-        assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) == 6
-        assert f"process {process.pid} on" in capsys.readouterr().err
-        assert main(["status", str(out), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["specimens"]["total"] == SPECIMENS
+        run("fit", lab, "-o", out, *QUICK, "-q", code=6, said=f"process {process.pid} on")
+        assert run("status", out, "--json", code=0).json()["specimens"]["total"] == SPECIMENS
         status = wait_for(out, process, done=1)
         process.kill()
     pids = [int(row["worker"].split()[1]) for row in status["running"]]
     # a worker does not outlive who it works for
-    until = time.monotonic() + 10.0
-    while any(Path(f"/proc/{pid}").exists() for pid in pids) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), seconds=10.0)
     assert read_status(out)["state"] == "stopped"
     with started(lab, out) as process:
         assert wait_for(out, process, done=2) is not None
@@ -109,7 +95,7 @@ def test_a_run_that_loses_worker_client_and_everything_in_turn_ends_as_if_nothin
     assert not (out / "identification.json").exists()
     assert fitted(lab, out) == expected
     assert read_status(out)["specimens"]["known_before"] >= 2
-    assert main(["validate", str(out), "-q"]) == 0
+    run("validate", out, code=0)
 
 
 @pytest.mark.slow
@@ -144,10 +130,7 @@ def test_kills_at_twenty_random_moments(undisturbed, tmp_path, who):
 def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(undisturbed, tmp_path):
     lab, expected = undisturbed
     out = tmp_path / "out"
-    # a shell that runs these tests in the background lets its processes ignore it
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with started(lab, out) as process:
-        signal.signal(signal.SIGINT, before)
         assert wait_for(out, process, done=1) is not None
         # as a terminal does: to the whole group
         os.killpg(process.pid, signal.SIGINT)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from study_folder import QUICK, fit, fit_lab, lab, manifest_in, recording, specimen, value
+from command_line import QUICK, log_text, read_json, run, write_csv, write_log, write_study
+from study_folder import fit, lab, specimen, value
 
-from tissueid.cli.main import main
 from tissueid.store.schema import first_problem
 
 STIFFNESS = "static_1_N_per_mm"
@@ -39,7 +39,7 @@ def workbook(path: Path, *names: str) -> None:
     book.remove(book.active)
     for name in names:
         sheet = book.create_sheet(name)
-        for i, line in enumerate(recording().splitlines()):
+        for i, line in enumerate(log_text(label=None).splitlines()):
             sheet.append([cell if i < 2 else float(cell) for cell in line.split(",")])
     book.save(path)
 
@@ -50,7 +50,8 @@ def decided(tmp_path_factory):
     folder = tmp_path_factory.mktemp("decided")
     lab(folder / "lab", DECIDED, a1=1.0, b=1.5, c=1.0)
     (folder / "lab" / "a2.csv").write_text("not a recording\n", encoding="ascii")
-    odd = recording(times=1e-3, names="t,pos,F").replace("(sec),(mm),(N)\n", "")
+    odd = log_text(label=None, force_times=1e-3)
+    odd = odd.replace("Time,Extension,Load\n(sec),(mm),(N)", "t,pos,F")
     (folder / "lab" / "odd.csv").write_text(odd, encoding="ascii")
     workbook(folder / "lab" / "w.xlsx", "S1", "S2")
     return folder, *fit(folder / "lab", out=folder / "out")
@@ -60,7 +61,7 @@ def test_trials_are_of_the_specimens_that_the_study_names_and_covariates_hold_wh
     folder, _, document = decided
     assert first_problem(document, "identification") is None
     assert document["provenance"]["study"]["sha256"] == document["study"]["sha256"]
-    assert main(["validate", str(folder / "out")]) == 0
+    run("validate", folder / "out", code=0)
     logs = {one["specimen"]: len(one["trials"]) for one in document["specimens"]}
     assert logs == {"kidney": 3, "b": 1, "odd": 1}
     rows = {row["specimen"]: row for row in document["study"]["specimens"]}
@@ -110,51 +111,47 @@ def test_contact_columns_and_units_are_those_that_the_study_decides(decided):
     assert keys == ["columns", "units"]
 
 
-def test_where_nothing_is_left_to_fit_it_is_said(tmp_path, capsys):
-    folder = lab(tmp_path / "lab", "", a=1.0)
-    assert main(["fit", str(folder), "--exclude", "a*", "-o", str(tmp_path / "out")]) == 3
-    shown = capsys.readouterr()
-    assert "nothing is left to fit: 1 excluded" in shown.err
-    assert "with it" not in shown.out
+def test_where_nothing_is_left_to_fit_it_is_said(tmp_path):
+    folder, said = lab(tmp_path / "lab", "", a=1.0), "nothing is left to fit: 1 excluded"
+    ended = run("fit", folder, "--exclude", "a*", "-o", tmp_path / "out", code=3, said=said)
+    assert "with it" not in ended.stdout
 
 
-def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(tmp_path, capsys):
-    entry = "[[trial]]\nfile = 'a.csv'\nspecimen = 'liver'\n"
-    code, document = fit_lab(tmp_path, entry, "--specimen-by", r"(b)_\d", a=1.0, b_1=1.0)
-    assert code == 0
-    assert {one["specimen"] for one in document["specimens"]} == {"liver", "b"}
-    said = " ".join(capsys.readouterr().err.split())
-    assert "study.toml names the specimen of 1 recording: --specimen-by does not apply there" in said
-    assert "fits no recording" not in said
-    assert "its own specimen" not in said
+def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(tmp_path):
+    folder = lab(tmp_path / "lab", "[[trial]]\nfile = 'a.csv'\nspecimen = 'liver'\n", a=1.0, b_1=1.0)
+    said = "study.toml names the specimen of 1 recording: --specimen-by does not apply there"
+    asked = ("--specimen-by", r"(b)_\d", "-o", tmp_path / "out", "-q", *QUICK)
+    ended = run("fit", folder, *asked, code=0, said=said)
+    found = read_json(tmp_path / "out" / "identification.json")["specimens"]
+    assert {one["specimen"] for one in found} == {"liver", "b"}
+    assert "fits no recording" not in ended.stderr
+    assert "its own specimen" not in ended.stderr
 
 
-def test_a_study_is_found_named_or_left_out_and_may_want_nothing_that_it_does_not_list(tmp_path, capsys):
+def test_a_study_is_found_named_or_left_out_and_may_want_nothing_that_it_does_not_list(tmp_path):
     folder = lab(tmp_path / "lab", GROUPED, a1=1.0, a2=1.02)
     own = [str(folder / name) for name in ("a1.csv", "a2.csv")]
 
     def specimens(*args: object) -> list[str]:
-        assert main(["inspect", *map(str, args), "--json"]) == 0
-        return [one["specimen"] for one in json.loads(capsys.readouterr().out)]
+        return [one["specimen"] for one in run("inspect", *args, "--json", code=0).json()]
 
     for args in ([folder / "study.toml"], [folder, "--study", folder / "study.toml"], [folder]):
         assert specimens(*args) == ["kidney"] * 2, args
     assert specimens(folder, "--no-study") == own
-    (folder / "b.csv").write_text(recording(), encoding="ascii")
+    write_log(folder / "b.csv", label=None)
     assert specimens(folder) == ["kidney", "kidney", str(folder / "b.csv")]
-    manifest_in(folder, f"[study]\nonly_listed = true\n{GROUPED}")
+    write_study(folder, f"[study]\nonly_listed = true\n{GROUPED}")
     assert specimens(folder) == ["kidney"] * 2
 
 
-def test_two_studies_at_once_are_a_question_for_the_user(tmp_path, capsys):
+def test_two_studies_at_once_are_a_question_for_the_user(tmp_path):
     folders = [lab(tmp_path / name, GROUPED, a1=1.0) for name in ("x", "y")]
-    assert main(["fit", *map(str, folders), "-o", str(tmp_path / "out")]) == 2
-    assert "--study" in capsys.readouterr().err
+    run("fit", *folders, "-o", tmp_path / "out", code=2, said="--study")
 
 
 def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_path):
     manifest = GROUPED + "[[exclude]]\nfile = 'a3.csv'\nbecause = 'the tool <slipped>'\n"
-    code, document = fit_lab(tmp_path, manifest, a1=1.0, a2=1.0, a3=1.6)
+    code, document = fit(lab(tmp_path / "lab", manifest, a1=1.0, a2=1.0, a3=1.6), out=tmp_path / "out")
     assert code in (0, 4)
     assert not document["refused"]
     (row,) = document["study"]["exclusions"]
@@ -163,8 +160,7 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     without = value(document, "kidney", STIFFNESS)
     assert moved[STIFFNESS]["without"] == without
     # the same fit of all three, done apart
-    lab(tmp_path / "all", GROUPED, a1=1.0, a2=1.0, a3=1.6)
-    _, whole = fit(tmp_path / "all", out=tmp_path / "out-all")
+    _, whole = fit(lab(tmp_path / "all", GROUPED, a1=1.0, a2=1.0, a3=1.6), out=tmp_path / "out-all")
     assert moved[STIFFNESS]["with"] == pytest.approx(value(whole, "kidney", STIFFNESS), rel=1e-9)
     assert moved[STIFFNESS]["with"] > 1.05 * without
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
@@ -172,26 +168,23 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     assert "With it" in page
 
 
-def test_a_recording_named_alone_follows_the_study_beside_it(tmp_path, capsys):
+def test_a_recording_named_alone_follows_the_study_beside_it(tmp_path):
     said = "[[override]]\nfile = 'a1.csv'\ncontact_mm = 0.25\nbecause = 'x'\n"
     folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
     for options, specimen_name, followed in (
         ((), "kidney", True),
         (("--no-study",), str(folder / "a1.csv"), False),
     ):
-        assert main(["inspect", str(folder / "a1.csv"), "--json", *options]) == 0
-        (one,) = json.loads(capsys.readouterr().out)
+        (one,) = run("inspect", folder / "a1.csv", "--json", *options, code=0).json()
         assert one["specimen"] == specimen_name
         assert (one["contact"]["displacement_mm"] == 0.25) == followed
 
 
-def test_a_window_that_study_and_command_line_leave_empty_is_named(tmp_path, capsys):
+def test_a_window_that_study_and_command_line_leave_empty_is_named(tmp_path):
     said = "[[override]]\nfile = 'a1.csv'\nhold_from_s = 2.0\nbecause = 'moved'\n"
     folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
-    assert main(["inspect", str(folder / "a1.csv"), "--hold-to", "1.5"]) == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert "hold_from_s is 2.0 and end_s 1.5" in told
-    assert "moved" in told
+    told = ("hold_from_s is 2.0 and end_s 1.5", "moved")
+    run("inspect", folder / "a1.csv", "--hold-to", "1.5", code=2, said=told)
 
 
 def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path):
@@ -218,10 +211,9 @@ def test_the_load_cell_of_the_study_decides_what_is_a_small_force(tmp_path):
 
 def test_a_rigid_block_behind_the_frame_file_is_not_a_specimen(tmp_path):
     folder = lab(tmp_path / "lab", "[calibration]\nframe = 'frame.json'\n", a=1.0)
-    rows = [f"{i / 50:.3f},{0.004 * i:.5f},{max(0.0, 4.0 * (i - 20)):.4f}" for i in range(120)]
-    rigid = "\n".join(["Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
-    (folder / "rigid.csv").write_text(rigid, encoding="ascii")
-    assert main(["calibrate-frame", str(folder / "rigid.csv"), "-o", str(folder / "frame.json"), "-q"]) == 0
+    step = np.arange(120.0)
+    write_csv(folder / "rigid.csv", step / 50, 0.004 * step, np.maximum(0.0, 4.0 * (step - 20)))
+    run("calibrate-frame", folder / "rigid.csv", "-o", folder / "frame.json", "-q", code=0)
     code, document = fit(folder, out=tmp_path / "out")
     assert code in (0, 4), document["refused"]
     assert [entry["specimen"] for entry in document["specimens"]] == ["a"]
@@ -234,13 +226,10 @@ def test_a_rigid_block_behind_the_frame_file_is_not_a_specimen(tmp_path):
     assert document["provenance"]["study"]["calibration"]["frame"] == frame
 
 
-def test_a_damaged_frame_file_is_refused_by_name(tmp_path, capsys):
+def test_a_damaged_frame_file_is_refused_by_name(tmp_path):
     folder = lab(tmp_path / "lab", "[calibration]\nframe = 'frame.json'\n", a=1.0)
     (folder / "frame.json").write_text('{"schema": "tissueid/frame/1"}', encoding="utf-8")
-    assert main(["fit", str(folder), "-o", str(tmp_path / "out")]) == 3
-    said = capsys.readouterr().err
-    assert "frame.json" in said
-    assert "calibrate-frame" in said
+    run("fit", folder, "-o", tmp_path / "out", code=3, said=("frame.json", "calibrate-frame"))
 
 
 def found_in(document: dict[str, Any]) -> dict[str, Any]:
@@ -254,13 +243,10 @@ def found_in(document: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_a_study_at_a_url_is_that_of_a_folder(tmp_path, workers):
     fsspec = pytest.importorskip("fsspec")
-    folder = tmp_path / "lab"
-    folder.mkdir()
-    system = fsspec.filesystem("memory")
+    folder, system = tmp_path / "lab", fsspec.filesystem("memory")
     for name, times in (("a", 1.0), ("b", 1.3)):
-        text = recording(times=times)
-        (folder / f"{name}.csv").write_text(text, encoding="ascii")
-        system.pipe_file(f"/remote/{name}.csv", text.encode())
+        log = write_log(folder / f"{name}.csv", label=None, force_times=times)
+        system.pipe_file(f"/remote/{name}.csv", log.read_bytes())
     # a file system in memory is that of this process
     where = "memory://remote" if workers == "1" else f"file://{folder}"
     _, local = fit(folder, *QUICK, out=tmp_path / "local")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from study_folder import HEAD, manifest_in
+from command_line import STUDY_HEAD, write_study
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.manifest import line_of, lines_of_toml, read_study, unmatched_files
@@ -14,7 +14,7 @@ from tissueid.trial import Protocol
 
 def refused(folder: Path, text: str) -> InputError:
     with pytest.raises(InputError) as caught:
-        read_study(manifest_in(folder, text))
+        read_study(write_study(folder, text))
     assert caught.value.code == "invalid_study"
     assert caught.value.path == str(folder / "study.toml")
     return caught.value
@@ -40,7 +40,7 @@ def refused(folder: Path, text: str) -> InputError:
     ],
 )
 def test_one_quantity_has_one_key_and_one_unit_inside(tmp_path, table, line, key, value):
-    study = read_study(manifest_in(tmp_path, table + line + "\n"))
+    study = read_study(write_study(tmp_path, table + line + "\n"))
     tables = [study.about, study.tip, study.calibration.values, *study.specimens.values()]
     (found,) = [one for one in [*tables, *study.protocols.values()] if key in one]
     # a conversion through base units is good to a few units in the last place
@@ -91,10 +91,10 @@ def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(tmp_path, text, 
     [
         (b"[study]\n", None, "tissueid/study/1"),
         (b'\nschema = "tissueid/study/2"\n', 2, "tissueid/study/2"),
-        (HEAD.encode() + b"[study]\ntitle = 'M\xfcller'\n", 3, "UTF-8"),
+        (f"{STUDY_HEAD}\n".encode() + b"[study]\ntitle = 'M\xfcller'\n", 3, "UTF-8"),
         # a byte order mark and line ends of Windows
         (
-            f"\ufeff{HEAD}[study]\ntitle = 'Müller'\nspeces = 'pig'\n".replace("\n", "\r\n").encode(),
+            f"\ufeff{STUDY_HEAD}\n[study]\ntitle = 'Müller'\nspeces = 'pig'\n".replace("\n", "\r\n").encode(),
             4,
             "speces",
         ),
@@ -111,7 +111,7 @@ def test_a_missing_study_and_names_that_are_not_there_are_told(tmp_path):
     with pytest.raises(UsageError, match="study init"):
         read_study(tmp_path)
     study = read_study(
-        manifest_in(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
+        write_study(tmp_path, "[[trial]]\nfile = 'gone.csv'\n[[exclude]]\nfile='g*'\nbecause='x'\n")
     )
     found = unmatched_files(study)
     assert [(one.line, one.code) for one in found] == [(2, "study_unmatched"), (4, "study_unmatched")]
@@ -137,7 +137,7 @@ def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path):
     for name in ("a1.csv", "a2.csv", "b [1].csv"):
         (tmp_path / name).write_text("x")
     study = read_study(
-        manifest_in(
+        write_study(
             tmp_path,
             "[[trial]]\nfile = '*.csv'\nsite = 'A'\nrun = 1\n[[trial]]\nfile = 'a2.csv'\nrun = 2\n"
             "[[trial]]\nfile = 'b [1].csv'\nsheet = 'S'\nsite = 'B'\n"
@@ -172,7 +172,7 @@ def test_a_window_that_ends_before_it_starts_is_refused_whichever_tables_state_i
 def test_paths_are_compared_wherever_they_are_seen_from(tmp_path, monkeypatch):
     (tmp_path / "día 1").mkdir()
     (tmp_path / "día 1" / "a b.csv").write_text("x")
-    study = read_study(manifest_in(tmp_path, "[[trial]]\nfile = 'día 1\\a b.csv'\nsite = 'A'\n"))
+    study = read_study(write_study(tmp_path, "[[trial]]\nfile = 'día 1\\a b.csv'\nsite = 'A'\n"))
     monkeypatch.chdir(tmp_path / "día 1")
     assert study.decision("a b.csv", None).trial["site"] == "A"
     assert study.decision("../día 1/a b.csv", None).trial["site"] == "A"
@@ -181,7 +181,7 @@ def test_paths_are_compared_wherever_they_are_seen_from(tmp_path, monkeypatch):
 def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_path):
     (tmp_path / "a.csv").write_text("x")
     study = read_study(
-        manifest_in(
+        write_study(
             tmp_path,
             "[tip]\nradius_mm = 2.0\n"
             "[[protocol]]\nname = 'p'\nspeed_mm_s = 4.0\ndepth_mm = 8.0\nhold_s = 30.0\n"
@@ -191,7 +191,7 @@ def test_a_protocol_fills_in_what_files_do_not_state_and_a_frame_has_an_sd(tmp_p
     decision = study.decision(str(tmp_path / "a.csv"), None)
     stated = Protocol(kind="comp", speed_mm_s=1.0, hold_s=0.0)
     assert study.protocol(decision, stated) == Protocol("comp", 1.0, 8.0, 0.0, 2.0)
-    study = read_study(manifest_in(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
+    study = read_study(write_study(tmp_path, "[calibration]\nframe_stiffness_N_per_mm = 1000\n"))
     assert study.calibration.values["frame_stiffness_N_per_mm_sd"] == 100.0
     frame = study.calibration.frame
     # sd(1/k) = sd(k) / k^2

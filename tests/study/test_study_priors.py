@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from study_folder import fit, lab, manifest_in, specimen
+from command_line import run, write_study
+from study_folder import fit, lab, specimen
 
 from tissueid import FitOptions, IdentifyOptions, identify
-from tissueid.cli.main import main
 from tissueid.documents.base import typed
 from tissueid.documents.study import Priors as Recorded
 from tissueid.errors import InputError, UsageError
@@ -22,7 +22,7 @@ from tissueid.store.schema import first_problem
 
 
 def study_in(folder: Path, text: str) -> Study:
-    return read_study(manifest_in(folder, text))
+    return read_study(write_study(folder, text))
 
 
 def priors_in(folder: Path, text: str) -> Priors:
@@ -154,7 +154,7 @@ def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp
     time = next(one for one in specimen(document, "a")["parameters"] if one["name"] == "relaxation_time_s")
     sampled = time["detail"].get("posterior") or time
     assert sampled["sd"] <= 1.15 * 0.02 * 0.021
-    assert main(["validate", str(tmp_path / "out")]) == 0
+    run("validate", tmp_path / "out", code=0)
 
 
 def test_parameters_of_any_law_have_priors_and_are_recorded(tmp_path):

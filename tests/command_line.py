@@ -11,23 +11,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rendered_tissues import PAPER_A, bundle_of
-
 from tissueid.arrays import FloatArray
 from tissueid.cli.main import main
-from tissueid.store.bundle import write_bundle
 from tissueid.store.schema import first_problem
 
 #: One branch, constant K and no posterior: the quickest fit.
 QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[1]
 LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
 HEADER_LINES = 6
+#: First line of a study file.
+STUDY_HEAD = 'schema = "tissueid/study/1"'
 
 
 @dataclass(frozen=True)
@@ -109,13 +107,16 @@ def python(*args: str | Path, check: bool = True, **environment: str) -> subproc
     )
 
 
-def log_text(*, label: str | None = "tissue", stride: int = 4, force_times: float = 1.0) -> str:
-    """The 100 Hz ramp and hold, every ``stride``-th row of it, under another specimen label (or none)."""
+def log_text(
+    *, label: str | None = "tissue", head: str = "", stride: int = 4, force_times: float = 1.0
+) -> str:
+    """The 100 Hz ramp and hold, every ``stride``-th row of it, under another specimen label, head or none."""
     lines = LOG.read_text(encoding="ascii").splitlines()
     body = [line.split(",") for line in lines[HEADER_LINES : HEADER_LINES + 1600 : stride]]
     rows = [f"{t},{x},{float(f) * force_times:.4f}" for t, x, f in body]
-    head = [] if label is None else [f'Text Inputs : Specimen label,"{label}"']
-    return "\n".join([*head, "", "Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
+    if label is not None:
+        head = head or f'Text Inputs : Specimen label,"{label}"'
+    return "\n".join([*([head, ""] if head else []), "Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
 
 
 def write_log(path: Path, **options: Any) -> Path:
@@ -128,7 +129,7 @@ def write_log(path: Path, **options: Any) -> Path:
 def write_study(folder: Path, *tables: str) -> Path:
     """study.toml of a folder, with some tables."""
     path = folder / "study.toml"
-    path.write_text("\n".join(['schema = "tissueid/study/1"', *tables, ""]), encoding="utf-8")
+    path.write_text("\n".join([STUDY_HEAD, *tables, ""]), encoding="utf-8")
     return path
 
 
@@ -137,14 +138,6 @@ def write_csv(path: Path, time_s: FloatArray, travel_mm: FloatArray, force_N: Fl
     rows = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time_s, travel_mm, force_N, strict=True)]
     path.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows, ""]), encoding="ascii")
     return path
-
-
-def write_bundles(folder: Path, ending: str = "") -> None:
-    """``a.h5`` and ``b.h5``: paper A's tissue under two names, with draws of 1 %."""
-    chance = np.random.default_rng(5)
-    for name in ("a", "b"):
-        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
-        write_bundle(bundle_of(replace(PAPER_A, name=name + ending), draws=draws), folder / f"{name}.h5")
 
 
 def read_json(path: Path) -> Any:
