@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import unicodedata
+from typing import NoReturn
 
 EXIT_OK = 0
 EXIT_INTERRUPTED = 130
@@ -61,6 +62,11 @@ class UsageError(TissueidError):
     """A flag, option or path pattern makes no sense."""
 
     exit_status = 2
+
+
+def refuse(message: str) -> NoReturn:
+    """Refuse what makes no sense as it was typed, or stated: UsageError."""
+    raise UsageError(message)
 
 
 class InputError(TissueidError):

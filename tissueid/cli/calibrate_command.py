@@ -10,20 +10,11 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import (
-    checked,
-    created_now,
-    made_folder,
-    note,
-    progress_bar,
-    refuse,
-    refuse_foreign,
-    tell,
-)
+from tissueid.cli.output import checked, created_now, made_folder, note, progress_bar, refuse_foreign, tell
 from tissueid.cli.reading import read_all, recorded_options
 from tissueid.cli.synth_command import check_rate
 from tissueid.documents.selfcheck import SelfCheck
-from tissueid.errors import InputError, NotIdentifiedError, UsageError
+from tissueid.errors import InputError, NotIdentifiedError, UsageError, refuse
 
 if TYPE_CHECKING:
     from tissueid.priors import Priors
@@ -232,11 +223,10 @@ def bundle_file(path: Path) -> Path | None:
     if not (path / "identification.json").is_file():
         return None
     only = path / "bundle.h5"
-    if only.is_file():
-        return only
-    names = ", ".join(str(one) for one in sorted(path.glob("bundle*.h5")))
-    msg = f"{path} is the output of a fit of several specimens: name one bundle ({names or 'none there'})"
-    raise UsageError(msg)
+    if not only.is_file():
+        names = ", ".join(map(str, sorted(path.glob("bundle*.h5")))) or "none there"
+        refuse(f"{path} is the output of a fit of several specimens: name one bundle ({names})")
+    return only
 
 
 def _bundle(path: Path, flags: _CalibrateFlags, progress: _Progress) -> Found:

@@ -17,7 +17,6 @@ from tissueid.cli.output import (
     made_folder,
     note,
     progress_bar,
-    refuse,
     tell,
     write_output,
 )
@@ -25,7 +24,7 @@ from tissueid.cli.reading import ReadingFlags, read_all, read_options, segment_o
 from tissueid.digits import with_error
 from tissueid.documents import plain, typed
 from tissueid.documents.contrast import Contrast, MeasuredContrast, MeasuredNumber, MeasuredPair
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, refuse
 
 if TYPE_CHECKING:
     from tissueid.contrast.decision import Compared

@@ -11,8 +11,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from tissueid.cli.flags import OutputFlags, argument, below, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, refuse, write_output
-from tissueid.errors import UsageError
+from tissueid.cli.output import echo_bytes, echo_json, made_folder, note, write_output
+from tissueid.errors import refuse
 
 #: The variable by which a shell asks; click derives the same from the name of the program.
 VARIABLE = "_TISSUEID_COMPLETE"
@@ -67,9 +67,8 @@ def _target(shell: str) -> Path:
     """Folder in which a shell looks for completions of its user."""
     try:
         home = Path.home()
-    except RuntimeError as error:
-        msg = "there is no home folder to install into: print the script and place it yourself"
-        raise UsageError(msg) from error
+    except RuntimeError:
+        refuse("there is no home folder to install into: print the script and place it yourself")
     if shell == "bash":
         data = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
         return data / "bash-completion" / "completions" / "tissueid"

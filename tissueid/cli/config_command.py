@@ -14,8 +14,8 @@ import click
 
 from tissueid.cli.completion_command import subcommands
 from tissueid.cli.flags import OutputFlags, argument, below, subcommand, walk
-from tissueid.cli.output import refuse, tell
-from tissueid.errors import UsageError
+from tissueid.cli.output import tell
+from tissueid.errors import refuse
 
 if TYPE_CHECKING:
     from tissueid.manifest import TomlTable
@@ -160,11 +160,9 @@ def _parsed(path: Path, inside: tuple[str, ...]) -> SettingsFile:
         text = path.read_text(encoding="utf-8")
         table: Any = tomllib.loads(text)
     except OSError as error:
-        msg = f"{path}: can't be read ({error.strerror})"
-        raise UsageError(msg) from error
+        refuse(f"{path}: can't be read ({error.strerror})")
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        msg = f"{path}: is no valid TOML ({error}); correct it, or move it away"
-        raise UsageError(msg) from error
+        refuse(f"{path}: is no valid TOML ({error}); correct it, or move it away")
     for part in inside:
         table = table.get(part, {})
     if not isinstance(table, Mapping):
@@ -217,7 +215,7 @@ def _check_root(file: SettingsFile, root: click.Group) -> None:
         if key in GENERAL:
             continue
         if key not in names:
-            raise UsageError(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
+            refuse(_unknown(file, (key,), [*names, *GENERAL], "is no command and no general key"))
         if not isinstance(value, Mapping):
             refuse(f"{file.at(key)}: {key} is a command; its settings stand in a table [{key}]")
 
@@ -240,7 +238,7 @@ def _from_table(
         for key, own in table.items():
             part = below(command, (key,)) if key in names else None
             if part is None:
-                raise UsageError(_unknown(file, (*name, key), names, f"is no part of {' '.join(name)}"))
+                refuse(_unknown(file, (*name, key), names, f"is no part of {' '.join(name)}"))
             if not isinstance(own, Mapping):
                 refuse(f"{file.at(*name, key)}: {key} is a command; its settings stand in a table")
             found |= _from_table(file, part, (*name, key), own)
@@ -248,9 +246,8 @@ def _from_table(
     options = settable(command)
     for key, value in table.items():
         if key not in options:
-            raise UsageError(
-                _unknown(file, (*name, key), list(options), f"is no option of tissueid {' '.join(name)}")
-            )
+            words = f"is no option of tissueid {' '.join(name)}"
+            refuse(_unknown(file, (*name, key), list(options), words))
         found[*name, key] = _from_file(file, (*name, key), options[key], value)
     return found
 
@@ -259,8 +256,7 @@ def _from_file(file: SettingsFile, key: tuple[str, ...], option: click.Option, v
     try:
         return Setting(str(option.name), _fitting(option, value), file.at(*key))
     except ValueError as error:
-        msg = f"{file.at(*key)}: {key[-1]} = {value!r}: {error}"
-        raise UsageError(msg) from error
+        refuse(f"{file.at(*key)}: {key[-1]} = {value!r}: {error}")
 
 
 def _require(words: str, *, fits: bool) -> None:
@@ -324,8 +320,7 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
         try:
             found[*path, names[variable]] = Setting(str(option.name), _from_text(option, text), variable)
         except ValueError as error:
-            msg = f"environment variable {variable} = {text!r}: {error}"
-            raise UsageError(msg) from error
+            refuse(f"environment variable {variable} = {text!r}: {error}")
     return found
 
 

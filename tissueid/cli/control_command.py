@@ -20,10 +20,10 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import progress_bar, refuse, tell
+from tissueid.cli.output import progress_bar, tell
 from tissueid.documents import typed
 from tissueid.documents.control import Control, Device, Run
-from tissueid.errors import NotIdentifiedError
+from tissueid.errors import NotIdentifiedError, refuse
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings

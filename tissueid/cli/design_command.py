@@ -20,11 +20,10 @@ from tissueid.cli.output import (
     made_folder,
     note,
     progress_bar,
-    refuse,
     refuse_foreign,
 )
 from tissueid.documents.design import Design, Protocol
-from tissueid.errors import NotIdentifiedError
+from tissueid.errors import NotIdentifiedError, refuse
 
 if TYPE_CHECKING:
     from tissueid.design.machine import Machine

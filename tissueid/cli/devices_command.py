@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.flags import FROM_0, PATH, Flags, OutputFlags, argument, example_lines, option, subcommand
-from tissueid.cli.output import note, refuse, tell
+from tissueid.cli.output import note, tell
 from tissueid.digits import with_error
 from tissueid.documents import plain, typed
 from tissueid.documents.devices import Info
-from tissueid.errors import DeviceError
+from tissueid.errors import DeviceError, refuse
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo_bytes, echo_json, refuse, write_output
-from tissueid.errors import UsageError, printable
+from tissueid.cli.output import echo_bytes, echo_json, write_output
+from tissueid.errors import printable, refuse
 
 if TYPE_CHECKING:
     from tissueid.store.bundle import Bundle
@@ -106,10 +106,9 @@ def _write_tissues(flags: _ExportFlags) -> int:
             refuse("a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat")
         content = mat_bytes(bundles)
     elif len(bundles) > 1:
-        msg = f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
-            repr(bundle.specimen) for bundle in bundles[:LISTED]
-        )
-        raise UsageError(msg + (" ..." if len(bundles) > LISTED else ""))
+        names = ", ".join(repr(bundle.specimen) for bundle in bundles[:LISTED])
+        more = " ..." if len(bundles) > LISTED else ""
+        refuse(f"{flags.out} holds {len(bundles)} specimens: choose one with --specimen {names}{more}")
     else:
         content = _tissue_bytes(bundles[0], flags)
     _write(content, flags)

@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json_text, note, progress_bar, refuse
+from tissueid.cli.output import echo, echo_json_text, note, progress_bar
 from tissueid.cli.reading import (
     READING,
     PatternCheck,
@@ -24,7 +24,7 @@ from tissueid.cli.reading import (
 from tissueid.digits import with_error
 from tissueid.documents import typed
 from tissueid.documents.identification import Exclusion, Specimen
-from tissueid.errors import NotIdentifiedError, UsageError, exit_code
+from tissueid.errors import NotIdentifiedError, UsageError, exit_code, refuse
 from tissueid.report.specimen_lines import shared_codes, shared_lines, specimen_lines
 from tissueid.report.wording import whole_label
 from tissueid.store.results import load_identification
@@ -225,7 +225,7 @@ def _checked_model(flags: _FitFlags) -> _FitFlags:
     try:
         laws = candidates(flags.model or KELVIN_VOIGT)
     except ModelNameError as error:
-        raise UsageError(str(error)) from None
+        refuse(str(error))
     others = laws.paper is None or laws.choose
     if others and flags.unloading:
         refuse(f"--unloading follows the surface of a kelvin-voigt model, not of {flags.model!r}")
@@ -301,8 +301,7 @@ def _geometry(flags: _FitFlags) -> Geometry | None:
         tip = Indenter(shape, half_angle_deg=number) if shape == "cone" else Indenter(shape, number)
         return Geometry(tip, flags.thickness, flags.poisson)
     except ValueError as error:
-        msg = f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
-        raise UsageError(msg) from error
+        refuse(f"--tip {flags.tip}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)")
 
 
 #: Specimens from which on each gets one line of what was measured.

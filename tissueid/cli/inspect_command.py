@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 from msgspec import structs
 
 from tissueid.cli.flags import FILE, PATH, PORT, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, progress_bar, refuse, write_output
+from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
 from tissueid.cli.reading import ReadingFlags, read_in_order, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents.inspect import Trial, Watch
 from tissueid.documents.measured import MeasuredHold, MeasuredPush
-from tissueid.errors import exit_code, printable
+from tissueid.errors import exit_code, printable, refuse
 from tissueid.flags import FLAGS, harm_rank
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from tissueid.cli.flags import OutputFlags, argument, subcommand
-from tissueid.cli.output import MARGIN, labelled, refuse, tell
+from tissueid.cli.output import MARGIN, labelled, tell
+from tissueid.errors import refuse
 
 
 class _ModelsFlags(OutputFlags):

@@ -10,12 +10,12 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
 from tissueid.digits import plain_exponents, typeset
-from tissueid.errors import UsageError, printable
+from tissueid.errors import printable, refuse
 
 if TYPE_CHECKING:
     from tissueid.cli.flags import OutputFlags
@@ -159,11 +159,6 @@ def write_output(
     note(f"wrote {path}", quiet=quiet)
 
 
-def refuse(message: str) -> NoReturn:
-    """Refuse what makes no sense as it was typed."""
-    raise UsageError(message)
-
-
 def made_folder(path: str | Path, way_out: str = "choose another folder with -o") -> Path:
     """The folder the user named, made where it is missing."""
     folder = Path(path)
@@ -178,8 +173,7 @@ def refusing(path: str | Path, done: str, way_out: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        msg = f"{path}: can't be {done} ({error.strerror}); {way_out}"
-        raise UsageError(msg) from error
+        refuse(f"{path}: can't be {done} ({error.strerror}); {way_out}")
 
 
 def checked(written: Any, schema: str, kind: type[_T], *, where: str) -> tuple[Any, _T]:

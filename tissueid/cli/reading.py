@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tissueid.cli.completion_command import readers
 from tissueid.cli.flags import Flags, option
-from tissueid.cli.output import echo, refuse
-from tissueid.errors import InputError
+from tissueid.cli.output import echo
+from tissueid.errors import InputError, refuse
 
 if TYPE_CHECKING:
     from tissueid.ingest import ReadOptions

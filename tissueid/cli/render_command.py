@@ -15,9 +15,9 @@ import click
 
 from tissueid.cli.completion_command import presets, scenes
 from tissueid.cli.flags import ABOVE_0, PATH, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json, note, progress_bar, refuse
+from tissueid.cli.output import draw, echo, echo_json, note, progress_bar
 from tissueid.cli.view_command import ViewerFlags, served, telling_stop
-from tissueid.errors import DeviceError, exit_code
+from tissueid.errors import DeviceError, exit_code, refuse
 
 if TYPE_CHECKING:
     from tissueid.rendering.options import RenderOptions

@@ -19,10 +19,10 @@ from tissueid.cli.flags import (
     option,
     subcommand,
 )
-from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refuse, refusing, write_output
+from tissueid.cli.output import EXIT_INCOMPLETE, echo, echo_json, note, refusing, write_output
 from tissueid.cli.reading import ReadingFlags, read_all, read_options
 from tissueid.documents import plain
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 
 if TYPE_CHECKING:
     from tissueid.result import Refusal
@@ -189,9 +189,8 @@ def export(flags: _ExportFlags) -> int:
         refuse(f"{flags.study}: there is no study.toml; `tissueid study init` writes one")
     try:
         day = date.fromisoformat(flags.date) if flags.date else datetime.now(UTC).date()
-    except ValueError as error:
-        msg = f"--date is {flags.date!r}: write a day as 2024-05-31"
-        raise UsageError(msg) from error
+    except ValueError:
+        refuse(f"--date is {flags.date!r}: write a day as 2024-05-31")
     refused: list[Refusal] = []
     trials = list(read_all(paths, read_options(flags), study, refused))
     names = display_names([(trial.specimen, trial.source) for trial in trials])

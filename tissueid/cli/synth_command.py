@@ -9,7 +9,8 @@ import click
 
 from tissueid.cli.completion_command import dialects, recipes
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, echo_json, note, refuse, refusing
+from tissueid.cli.output import echo, echo_json, note, refusing
+from tissueid.errors import refuse
 
 #: No test machine logs faster; a slip of the keyboard must not fill the memory.
 HIGHEST_RATE_HZ = 1e5

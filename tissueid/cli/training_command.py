@@ -9,10 +9,10 @@ from typing import Any, Literal
 from msgspec.structs import asdict
 
 from tissueid.cli.flags import ABOVE_0, FILE, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import note, refuse, tell, write_output
+from tissueid.cli.output import note, tell, write_output
 from tissueid.documents import plain
 from tissueid.documents.session import Attempt, Learning, Refused, Training
-from tissueid.errors import BundleError, exit_code
+from tissueid.errors import BundleError, exit_code, refuse
 
 #: Measures that practice is looked for in, with their words.
 LEARNED: Mapping[Literal["end_error_mm", "angle_deg", "seconds"], str] = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.cli.output import made_folder, note, progress_bar, refuse, tell, write_output
+from tissueid.cli.output import made_folder, note, progress_bar, tell, write_output
+from tissueid.errors import refuse
 
 if TYPE_CHECKING:
     from tissueid.cli.render_command import RenderFlags

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.cli.flags import PATH, OutputFlags, argument, subcommand
-from tissueid.cli.output import echo, echo_json, refuse
-from tissueid.errors import BundleError
+from tissueid.cli.output import echo, echo_json
+from tissueid.errors import BundleError, refuse
 
 
 class _ValidateFlags(OutputFlags):

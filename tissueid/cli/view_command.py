@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissueid.cli.flags import FILE_THERE, PORT, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import echo, note, refuse
-from tissueid.errors import DeviceError
+from tissueid.cli.output import echo, note
+from tissueid.errors import DeviceError, refuse
 
 if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note, refuse
+from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import plain
 from tissueid.documents.inspect import Watch
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, UsageError, refuse
 
 if TYPE_CHECKING:
     from tissueid.ingest import ReadOptions

@@ -12,8 +12,16 @@ from concurrent.futures import CancelledError, Executor, Future
 from pathlib import Path
 from typing import Any, Self
 
-from tissueid.errors import BundleError, UsageError
-from tissueid.study.tasks import Fault, Futures, Outcome, Started, Task, attempt_beside_others, versions
+from tissueid.errors import BundleError, refuse
+from tissueid.study.tasks import (
+    Fault,
+    Futures,
+    Outcome,
+    Started,
+    Task,
+    attempt_beside_others,
+    versions,
+)
 
 #: Tasks in hand for every worker: one is computed while the next waits beside it.
 IN_HAND = 2
@@ -32,8 +40,7 @@ def compute(task: Task, folder: str, wanted: dict[str, str]) -> Outcome:
         from distributed import get_worker
 
         said = ", ".join(f"{name} {version} (not {wanted.get(name)})" for name, version in other.items())
-        msg = f"worker {get_worker().address} has {said}"
-        raise UsageError(msg)
+        refuse(f"worker {get_worker().address} has {said}")
     if Path(folder).is_dir() and Path.cwd() != Path(folder):
         os.chdir(folder)
     return attempt_beside_others(task)
@@ -52,8 +59,7 @@ class DaskWorkers(Futures):
 
     def __init__(self, address: str) -> None:
         if "://" not in address:
-            msg = f"--scheduler {address}: give an address, as tcp://HOST:8786, or local"
-            raise UsageError(msg)
+            refuse(f"--scheduler {address}: give an address, as tcp://HOST:8786, or local")
         self._address = address
         self._folder, self._versions = str(Path.cwd()), versions()
 
@@ -61,17 +67,15 @@ class DaskWorkers(Futures):
         try:
             import distributed  # noqa: F401
         except ImportError as error:
-            msg = f"--scheduler {self._address} needs Dask ({error}); pip install 'tissueid[cluster]'"
-            raise UsageError(msg) from error
+            refuse(f"--scheduler {self._address} needs Dask ({error}); pip install 'tissueid[cluster]'")
         try:
             self._connect(WORKERS_S)
         except (OSError, ValueError) as error:
             self._close()
-            msg = (
+            refuse(
                 f"{self._address}: no Dask scheduler with a worker answers there ({error}); start them by "
                 "`dask scheduler` and `dask worker ADDRESS --nthreads 1`"
             )
-            raise UsageError(msg) from error
         self._check_versions()
         return self
 
@@ -100,8 +104,7 @@ class DaskWorkers(Futures):
             found = self._client.run(_versions_there)
         except ImportError as error:
             self._close()
-            msg = f"{self._address}: a worker can't import tissueid ({error}); install it there"
-            raise UsageError(msg) from error
+            refuse(f"{self._address}: a worker can't import tissueid ({error}); install it there")
         others = [
             f"{worker}: {', '.join(f'{name} {has[name]} (here {wanted[name]})' for name in differ)}"
             for worker, has in found.items()
@@ -109,8 +112,7 @@ class DaskWorkers(Futures):
         ]
         if others:
             self._close()
-            msg = f"workers of {self._address} have other versions: {'; '.join(others)}"
-            raise UsageError(msg)
+            refuse(f"workers of {self._address} have other versions: {'; '.join(others)}")
 
     @property
     def most(self) -> int:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.documents.inspect import Trial as InspectedTrial
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.ingest import ReadOptions
 from tissueid.ingest.manifest import MANIFEST, SCHEMA, lines_of_toml, study_of
 from tissueid.manifest import Entry, Study, TomlTable
@@ -49,8 +49,7 @@ class Correction:
 
     def __post_init__(self) -> None:
         if self.value is not None and not self.because.strip():
-            msg = f"{self.key} needs a reason: write it beside the number"
-            raise UsageError(msg)
+            refuse(f"{self.key} needs a reason: write it beside the number")
 
     @property
     def where(self) -> dict[str, str]:
@@ -103,10 +102,9 @@ def _checked(text: str, wanted: TomlTable, table: str) -> str:
     except tomllib.TOMLDecodeError:
         found = {}
     if {key: value for key, value in wanted.items() if value != []} != found:
-        msg = (
+        refuse(
             f"{MANIFEST} can't be changed safely here: write its {table} as [[{table}]] tables of plain lines"
         )
-        raise UsageError(msg)
     return text
 
 
@@ -189,8 +187,7 @@ class CorrectedInspection:
             path, sheet, key = words.get("path"), words.get("sheet"), words.get("key")
             place = inspection.place(str(path), sheet)
             if place is None or key not in CORRECTED:
-                msg = "no such recording or decision on this page: load it again"
-                raise UsageError(msg)
+                refuse("no such recording or decision on this page: load it again")
             known = inspection.shown[place].document
             value = _value(str(key), words.get("value"), inspection.shown[place])
             file = relative_name(known.path, self.manifest.parent.resolve())
@@ -217,8 +214,7 @@ class CorrectedInspection:
         try:
             write_file(self.manifest, content)
         except OSError as error:
-            msg = f"{self.manifest}: can't be written ({error.strerror}); check the rights of the folder"
-            raise UsageError(msg) from error
+            refuse(f"{self.manifest}: can't be written ({error.strerror}); check the rights of the folder")
 
 
 def _refuse_hand(study: Study, key: str, known: InspectedTrial) -> None:
@@ -226,8 +222,7 @@ def _refuse_hand(study: Study, key: str, known: InspectedTrial) -> None:
     entries = _deciding(study, key, known.path, known.sheet)
     if entries:
         line = entries[-1].line
-        msg = f"line {line} of {MANIFEST} still says {key}: it was written by hand, so change it there"
-        raise UsageError(msg)
+        refuse(f"line {line} of {MANIFEST} still says {key}: it was written by hand, so change it there")
 
 
 def _value(key: str, value: Any, recording: InspectedRecording) -> float | bool | None:
@@ -237,12 +232,10 @@ def _value(key: str, value: Any, recording: InspectedRecording) -> float | bool 
     if key in _SWITCHES:
         return _SWITCHES[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        msg = f"{key} must be a number"
-        raise UsageError(msg)
+        refuse(f"{key} must be a number")
     low, high, unit = _range(key, recording)
     if not low < value <= high:
-        msg = f"{key} = {value:g} is outside the record: give {low:g} to {high:g} {unit}"
-        raise UsageError(msg)
+        refuse(f"{key} = {value:g} is outside the record: give {low:g} to {high:g} {unit}")
     return float(value)
 
 

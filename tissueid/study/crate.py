@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 import tomlkit
 
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.ingest.manifest import MANIFEST, SCHEMA
 from tissueid.manifest import Study
 from tissueid.store.files import json_bytes, write_file
@@ -166,8 +166,7 @@ def _as_they_are(study: Study, trials: Sequence[Trial]) -> list[CrateFile]:
     for path, about in paths.items():
         name = PurePosixPath(Path(os.path.relpath(os.path.realpath(path), os.path.realpath(root))).as_posix())
         if ".." in name.parts or name.is_absolute():
-            msg = f"{path} lies outside {root}: move it into the study's folder, or export with --anonymise"
-            raise UsageError(msg)
+            refuse(f"{path} lies outside {root}: move it into the study's folder, or export with --anonymise")
         files.append(CrateFile(str(name), Path(path).read_bytes(), about))
     return files
 
@@ -230,8 +229,7 @@ def crate_metadata(
     """The document of ``ro-crate-metadata.json``; UsageError where the study has no licence."""
     about = dict(study.about) if anonymiser is None else anonymiser.table(study.about)
     if "licence" not in about:
-        msg = f'{study.path}: a crate needs a licence: write licence = "CC-BY-4.0" (or yours) under [study]'
-        raise UsageError(msg)
+        refuse(f'{study.path}: a crate needs a licence: write licence = "CC-BY-4.0" (or yours) under [study]')
     licence = _licence(about["licence"])
     authors = [
         {"@id": f"#author-{i}", "@type": "Person", "name": name}
@@ -277,8 +275,7 @@ def crate_metadata(
 def write_crate(out: Path, files: Sequence[CrateFile], metadata: Mapping[str, Any]) -> None:
     """Write a crate into a folder that is empty or not there, the metadata last; else UsageError."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        msg = f"{out} is not an empty folder: choose another"
-        raise UsageError(msg)
+        refuse(f"{out} is not an empty folder: choose another")
     for file in files:
         target = out / file.name
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import tomlkit
 
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.store.files import write_file
@@ -22,27 +22,25 @@ def find_manifest(trial: str, named: str | None = None) -> Path:
         path = Path(named)
         return path / MANIFEST if path.is_dir() else path
     file = Path(picked_sheet(trial)[0]).absolute()
-    for folder in (*(file.parents if file.exists() else ()), Path.cwd(), *file.parents):
-        if (folder / MANIFEST).is_file():
-            return folder / MANIFEST
-    msg = (
-        f"there is no {MANIFEST} beside or above {trial}: name it with --study, or run `tissueid study init`"
-    )
-    raise UsageError(msg)
+    folders = (*(file.parents if file.exists() else ()), Path.cwd(), *file.parents)
+    found = next((folder / MANIFEST for folder in folders if (folder / MANIFEST).is_file()), None)
+    if found is None:
+        way_out = "name it with --study, or run `tissueid study init`"
+        refuse(f"there is no {MANIFEST} beside or above {trial}: {way_out}")
+    return found
 
 
 def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
     """File relative to the manifest's folder, and sheet; UsageError where there is no such recording."""
     name, sheet = picked_sheet(trial)
-    for file in (Path(name), manifest.parent / name):
-        if file.is_file():
-            relative = os.path.relpath(os.path.realpath(file), os.path.realpath(manifest.parent))
-            return Path(relative).as_posix(), sheet
-    beside = sorted({*_names(Path(name).parent), *_names(manifest.parent)})
-    near = get_close_matches(Path(name).name, beside, n=2)
-    hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    msg = f"{name}: there is no such recording, here or beside {manifest}{hint}"
-    raise UsageError(msg)
+    file = next((file for file in (Path(name), manifest.parent / name) if file.is_file()), None)
+    if file is None:
+        beside = sorted({*_names(Path(name).parent), *_names(manifest.parent)})
+        near = get_close_matches(Path(name).name, beside, n=2)
+        hint = f"; did you mean {' or '.join(near)}?" if near else ""
+        refuse(f"{name}: there is no such recording, here or beside {manifest}{hint}")
+    relative = os.path.relpath(os.path.realpath(file), os.path.realpath(manifest.parent))
+    return Path(relative).as_posix(), sheet
 
 
 def _names(folder: Path) -> list[str]:
@@ -81,8 +79,7 @@ def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | Non
     as it was.
     """
     if not because.strip():
-        msg = "an exclusion needs a reason: --because TEXT"
-        raise UsageError(msg)
+        refuse("an exclusion needs a reason: --because TEXT")
     file, sheet = _located(trial, manifest)
     _, document, crlf = _document(manifest)
     known = next((one for one in document.get("exclude", []) if _is(one, file, sheet)), None)
@@ -118,12 +115,10 @@ def include(trial: str, *, manifest: Path) -> str:
     if not own:
         decision = study.decision(str(manifest.parent / file), sheet)
         if decision.excluded is None:
-            msg = f"{trial} is not excluded in {manifest}"
-            raise UsageError(msg)
+            refuse(f"{trial} is not excluded in {manifest}")
         real = study.real_path(str(manifest.parent / file))
         line = next(entry.line for entry in study.exclusions if entry.names(real, sheet))
-        msg = f"{trial} is excluded with others by line {line} of {manifest}: change that table"
-        raise UsageError(msg)
+        refuse(f"{trial} is excluded with others by line {line} of {manifest}: change that table")
     for i in reversed(own):
         del tables[i]
     if not tables:

@@ -12,7 +12,7 @@ from tissueid.decided import as_decided
 from tissueid.documents import plain, typed
 from tissueid.documents.inspect import Trial as InspectedTrial
 from tissueid.documents.measured import Measured, MeasuredPush
-from tissueid.errors import UsageError
+from tissueid.errors import refuse
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
@@ -109,8 +109,7 @@ class Inspection:
         """A recording described anew, as another study has it; UsageError where it can't be segmented so."""
         made = self._made(trial, study)
         if isinstance(made, Refusal) or made.drawn is None:
-            msg = str(made) if isinstance(made, Refusal) else "this inspection draws nothing"
-            raise UsageError(msg)
+            refuse(str(made) if isinstance(made, Refusal) else "this inspection draws nothing")
         return made.drawn
 
     def put(self, position: int, recording: InspectedRecording, study: Study) -> None:

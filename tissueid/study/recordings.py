@@ -15,7 +15,7 @@ from typing import Any
 
 from tissueid.documents import members, plain
 from tissueid.documents.identification import Frame
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, refuse
 from tissueid.ingest import ReadOptions, each_input, read_each, read_one
 from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Entry, Study
@@ -36,8 +36,7 @@ def locate_study(
     """
     manifests = [path for path in paths if path.casefold().endswith(".toml")]
     if ignore and (named or manifests):
-        msg = f"--no-study, and yet {named or manifests[0]} is named: leave one out"
-        raise UsageError(msg)
+        refuse(f"--no-study, and yet {named or manifests[0]} is named: leave one out")
     if ignore:
         return None, tuple(paths)
     found = {named: named} if named else {}
@@ -48,11 +47,10 @@ def locate_study(
     if named and len({os.path.realpath(file) for file in found.values()}) == 1:
         found = {named: named}
     if len(found) > 1 and not named:
-        msg = (
+        refuse(
             f"{len(found)} studies at once ({', '.join(sorted(found.values()))}): fit them one by one, "
             "choose one with --study, or use --no-study"
         )
-        raise UsageError(msg)
     if not found:
         return None, tuple(paths)
     study = read_study(named or next(iter(found.values()))).of_sheets(_picked(paths))
