@@ -25,8 +25,7 @@ from tissueid.inspection import describe_segmented
 from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Source, Trial
-from tissueid.watch import FolderWatch, judge
-from tissueid.watch.session import WatchSession, load_log, quick_fit
+from tissueid.watch import FolderWatch, WatchSession, judge, load_log, quick_fit
 
 ONCE = ("--once", "--interval", "0.05")
 

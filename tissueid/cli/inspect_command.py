@@ -196,7 +196,7 @@ def _print_cycles(one: Trial) -> None:
 
 #: What a level asks for, and its colour.
 WORDS = {"good": "keep", "look": "look", "repeat": "push again"}
-COLOURS = {"good": None, "look": "yellow", "repeat": "red"}
+COLOURS = {"good": None, "look": "yellow", "repeat": "red", "refused": "red"}
 #: Times after the stop that stand in the line [s].
 TIMES_S = (1.0, 10.0)
 DIGITS = 4
@@ -208,22 +208,18 @@ MOST_SHARED = 5
 
 def names_of(described: Sequence[Trial]) -> list[tuple[str, str]]:
     """Heading, empty but before the first of several sheets of a file, and name of every recording."""
+    from tissueid.report.wording import whole_label
+
     folder = _shared_folder(described)
     sheets = Counter(one.path for one in described)
     found = []
     for before, one in zip([None, *described], described, strict=False):
         if one.sheet is None or sheets[one.path] == 1:
-            found.append(("", recording_name(one, folder)))
+            found.append(("", whole_label(one, folder)))
         else:
             first = before is None or before.path != one.path
             found.append((one.path.removeprefix(folder) * first, f"  {one.sheet}"))
     return found
-
-
-def recording_name(one: Trial | Watch, folder: str = "") -> str:
-    """Path, without a folder in front, and sheet."""
-    path = one.path.removeprefix(folder)
-    return path if one.sheet is None else f"{path} [{one.sheet}]"
 
 
 def _shared_folder(described: Sequence[Trial]) -> str:

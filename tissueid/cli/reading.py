@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
-    from tissueid.study.recordings import FileList, Named, StudyParts
+    from tissueid.study.recordings import FileList, Named
     from tissueid.trial import Trial
 
 #: Names shown where a pattern fits none.
@@ -205,15 +205,11 @@ class PatternCheck:
     """Check that ``--specimen-by`` named specimens of its own; those that a study names are not."""
 
     def __init__(self, pattern: str | None, study: Study | None) -> None:
-        self._pattern = pattern
-        self._study = study
-        self._parts: StudyParts | None = None
-        if pattern is not None and study is not None:
-            from tissueid.study.recordings import StudyParts
+        from tissueid.study.recordings import StudyParts
 
-            self._parts = StudyParts(study)
-        self._stated = 0
-        self._named = 0
+        self._pattern, self._study = pattern, study
+        self._parts = None if pattern is None or study is None else StudyParts(study)
+        self._stated = self._named = 0
         self._missed: list[str] = []
 
     def add(self, path: str, sheet: str | None) -> None:

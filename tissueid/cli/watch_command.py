@@ -14,20 +14,21 @@ from typing import TYPE_CHECKING
 import click
 
 from tissueid.cli.flags import FOLDER, PATH, OutputFlags, argument, option, subcommand
+from tissueid.cli.inspect_command import COLOURS, recording_lines
 from tissueid.cli.output import draw, echo, echo_json_text, made_folder, note
 from tissueid.cli.reading import ReadingFlags, read_options, segment_options
 from tissueid.digits import with_error
 from tissueid.documents import plain
 from tissueid.documents.inspect import Watch
 from tissueid.errors import InputError, UsageError, refuse
+from tissueid.report.wording import whole_label
 
 if TYPE_CHECKING:
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
     from tissueid.trial import Trial
-    from tissueid.watch.session import Happening, WatchSession
+    from tissueid.watch import Happening, WatchSession
 
-COLOURS = {"good": None, "look": "yellow", "repeat": "red", "refused": "red"}
 SHORTEST_INTERVAL_S = 0.05
 #: Looks after which a file that does not change is whole.
 LOOKS = 2
@@ -89,8 +90,7 @@ def _session(flags: _WatchFlags) -> WatchSession:
     # readers load it at their first table, which would be waited for with a specimen on the machine
     import_module("pandas")
     from tissueid.study.recordings import locate_study
-    from tissueid.watch import FolderWatch, judge
-    from tissueid.watch.session import LOG, WatchSession, fingerprint, load_log, quick_fit
+    from tissueid.watch import LOG, FolderWatch, WatchSession, fingerprint, judge, load_log, quick_fit
 
     folder = Path(flags.folder)
     if not folder.is_dir():
@@ -119,12 +119,10 @@ def _recordings(folder: Path) -> list[Path]:
 
     try:
         return [item for item in each_input([folder]) if isinstance(item, Path)]
-    except InputError as error:
-        if error.code == "no_recording":
+    except (InputError, UsageError) as error:
+        if isinstance(error, InputError) and error.code == "no_recording":
             return []
         raise OSError(error.message) from error
-    except UsageError as error:
-        raise OSError(str(error)) from error
 
 
 def _trials(
@@ -158,16 +156,13 @@ def _tell(happening: Happening, flags: _WatchFlags) -> None:
 
 def _print(one: Watch, flags: _WatchFlags, *, again: bool) -> None:
     """The line of ``inspect``: what was measured, and what to do."""
-    from tissueid.cli.inspect_command import recording_lines, recording_name
-
-    name = recording_name(one, os.path.join(flags.folder, ""))  # noqa: PTH118
-    level = one.verdict.level
     changed = "changed, judged again: " if again else ""
     if one.error is not None:
-        echo(f"{changed}refused ({one.error.code})  {one.verdict.reason}", fg=COLOURS[level])
+        lines = [f"{changed}refused ({one.error.code})  {one.verdict.reason}"]
     else:
-        for line in recording_lines(one, f"{changed}{name}"):
-            echo(line, fg=COLOURS[level])
+        lines = recording_lines(one, changed + whole_label(one, os.path.join(flags.folder, "")))  # noqa: PTH118
+    for line in lines:
+        echo(line, fg=COLOURS[one.verdict.level])
 
 
 def _print_fit(one: Watch) -> None:
@@ -181,8 +176,6 @@ def _print_fit(one: Watch) -> None:
 
 
 def _summary(session: WatchSession) -> None:
-    from tissueid.cli.inspect_command import recording_name
-
     count = {level: sum(one.verdict.level == level for one in session.verdicts) for level in COLOURS}
     words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
     told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
@@ -191,4 +184,4 @@ def _summary(session: WatchSession) -> None:
     for one in session.verdicts:
         level = one.verdict.level
         if level in {"repeat", "refused"}:
-            note(f"  {words[level]}: {recording_name(one)}")
+            note(f"  {words[level]}: {whole_label(one)}")

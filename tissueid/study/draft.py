@@ -15,7 +15,7 @@ import tomlkit
 
 from tissueid.collection import display_names
 from tissueid.digits import number
-from tissueid.documents.measured import Measured, MeasuredPush
+from tissueid.documents.measured import Measured
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.ingest.quality import capacity_in
 from tissueid.inspection import measured_of, segmented
@@ -190,15 +190,16 @@ def programs_of(trials: Sequence[Trial]) -> list[Program]:
 
 
 def _run(position: int, trial: Trial, divided: Segmentation, measured: Measured) -> _Run:
+    contact, push = divided.contact, measured.push
     steps = [
-        _step(hold.push, hold.length_s, hold.control) for hold in measured.holds if hold.push is not None
+        Step(hold.push.speed_mm_s, hold.push.travel_mm, hold.length_s, hold.control)
+        for hold in measured.holds
+        if hold.push is not None
     ]
-    if not steps and measured.push is not None:
-        steps = [_step(measured.push)]
+    if not steps and push is not None:
+        steps = [Step(push.speed_mm_s, push.travel_mm)]
     travel = divided.compression_sign * (trial.displacement_mm - trial.displacement_mm[0])
     shown = trial.axes.as_json()
-    contact = divided.contact
-    push = measured.push
     return _Run(
         position=position,
         specimen=trial.specimen,
@@ -213,10 +214,6 @@ def _run(position: int, trial: Trial, divided: Segmentation, measured: Measured)
         stated_hold=trial.protocol.hold_s,
         units=(shown["length"], shown["force"]),
     )
-
-
-def _step(push: MeasuredPush, hold_s: float | None = None, control: str = "position") -> Step:
-    return Step(push.speed_mm_s, push.travel_mm, hold_s, control)
 
 
 def _median_step(steps: Sequence[Step]) -> Step:
@@ -306,12 +303,8 @@ def _table(name: str, stated: Mapping[str, Any], offered: str, *, explain: bool 
     lines = [name, *(f"{key} = {_quoted(value)}" for key, value in stated.items() if value is not None)]
     for key in _OFFERED[offered]:
         if stated.get(key) is None:
-            meaning = (
-                f"  # {properties[key]['description']}"
-                if explain and "description" in properties[key]
-                else ""
-            )
-            lines.append(f"# {key} = {meaning}".rstrip())
+            meaning = properties[key].get("description") if explain else None
+            lines.append(f"# {key} =" + (f"   # {meaning}" if meaning else ""))
     return [*lines, ""]
 
 

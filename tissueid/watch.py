@@ -1,4 +1,7 @@
-"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on."""
+"""A session at the machine: looks, verdicts, a first fit, and a log from which the next session goes on.
+
+New recordings are noticed when they are whole, judged, and compared with earlier ones.
+"""
 
 from __future__ import annotations
 
