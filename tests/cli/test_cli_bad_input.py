@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import stat
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -123,18 +120,6 @@ def test_an_output_folder_that_is_a_file_or_below_one_is_refused(tmp_path):
         run(*args, "-o", log, code=2, said="is a file")
         run(*args, "-o", log / "out", code=below)
     assert log.read_text(encoding="ascii") == log_text()
-
-
-@pytest.mark.skipif(
-    sys.platform == "win32" or os.geteuid() == 0, reason="rights do not bind the superuser, or this system"
-)
-def test_rights_that_are_missing_are_told(tmp_path):
-    log, out = write_log(tmp_path / "log.csv"), tmp_path / "out"
-    out.mkdir()
-    out.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    assert run("fit", log, "-o", out, *QUICK).code == 6
-    log.chmod(0)
-    run("fit", log, "-o", tmp_path / "other", code=3, said="log.csv")
 
 
 def test_results_can_only_be_written_where_there_is_a_folder(fitted_log, tmp_path):

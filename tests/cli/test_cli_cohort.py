@@ -129,11 +129,6 @@ def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort):
     assert "population.json" in changed
 
 
-def test_a_folder_without_a_run_has_no_cohort(tmp_path):
-    (tmp_path / "empty").mkdir()
-    run("cohort", tmp_path / "empty", code=6, said="tissueid fit")
-
-
 def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path):
     folder = a_study(tmp_path / "heads", TIMES[:3], ("fresh, 4 C", "frozen at -20 C", "fresh"))
     said = ("head 2 thawed among 2 fresh", "--mix-states")

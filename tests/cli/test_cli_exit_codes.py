@@ -35,6 +35,7 @@ def junk(tmp_path):
 
 PRESET = ("control", "--preset", "paper-a")
 CALIBRATE = ("calibrate", "paper-a-30", "-o", "out")
+FIT = ("fit", "log.csv", "--model")
 
 
 @pytest.mark.parametrize(
@@ -73,6 +74,11 @@ CALIBRATE = ("calibrate", "paper-a-30", "-o", "out")
         ([*CALIBRATE, "--phi", "0.9"], "--phi is the correlation of --noise ar1"),
         ([*CALIBRATE, "--noise", "ar1"], "needs its correlation here: add --phi"),
         ([*CALIBRATE, "--simulations", "3"], "3 is not in the range x>=20"),
+        (["watch", "nowhere"], "there is no such folder"),
+        ([*FIT, "cubic * prony"], "there are exponential, flat"),
+        ([*FIT, "prony"], "STATIC * [STIFFNESS *] RELAXATION"),
+        ([*FIT, "polynomial * prony:7"], "7 branches"),
+        ([*FIT, "polynomial * prony", "--branches", "2"], "says it already"),
         (["reproduce", "shakespeare"], "sadeghnejad"),
         (["reproduce", "pires", "--set", "surface=torus"], "hyperboloid, cone"),
         (["reproduce", "pires", "-o", "/dev/null/out"], "choose another folder"),
@@ -163,9 +169,9 @@ def test_a_mixed_set_is_6(two_outs, tmp_path):
     run("validate", two_outs[1], out, code=6, said="report.html", shown=f"{two_outs[1]}: valid")
 
 
-@pytest.mark.parametrize("command", ["validate", "report", "export"])
+@pytest.mark.parametrize("command", ["validate", "report", "export", "cohort"])
 def test_a_folder_without_a_run_is_6(tmp_path, command):
-    run(command, tmp_path, code=6, said="no finished run")
+    run(command, tmp_path, code=6, said=("no finished run", "tissueid fit"))
 
 
 def test_a_second_writer_is_6(tmp_path):

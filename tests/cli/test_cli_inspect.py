@@ -77,8 +77,8 @@ def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path):
     aside = inspected(tmp_path, "--no-study")
     assert aside["contact"]["displacement_mm"] != 0.5
     assert aside["excluded"] is None
-    named = inspected(tmp_path / "läuft [3].csv", "--study", tmp_path / "study.toml")
-    assert named["contact"] == followed["contact"]
+    for named in ((), ("--study", tmp_path / "study.toml")):
+        assert inspected(tmp_path / "läuft [3].csv", *named)["contact"] == followed["contact"]
 
 
 def test_refused_files_stand_on_the_page_and_decide_the_exit_code(tmp_path):

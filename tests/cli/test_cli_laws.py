@@ -87,18 +87,6 @@ def test_a_law_is_fitted_written_felt_and_told(name, tmp_path):
         assert abs(truth[key] - 0.5 * (low + high)) <= high - low, key
 
 
-def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path):
-    recorded("power * prony", tmp_path / "log.csv")
-    for name, said in (
-        ("cubic * prony", "there are exponential, flat"),
-        ("prony", "STATIC * [STIFFNESS *] RELAXATION"),
-        ("polynomial * prony:7", "7 branches"),
-    ):
-        run("fit", tmp_path / "log.csv", "--model", name, "-o", tmp_path / "out", code=2, said=said)
-    twice = ("--model", "polynomial * prony", "--branches", "2")
-    run("fit", tmp_path / "log.csv", *twice, code=2, said="says it already")
-
-
 def test_models_lists_every_law_flat():
     rows = run("models", "--json").json()
     assert {row["key"] for row in rows} >= {*known_laws(), "kelvin-voigt"}

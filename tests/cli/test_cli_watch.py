@@ -314,10 +314,6 @@ def test_the_study_of_the_folder_is_followed(tmp_path):
     assert "slipped" in told["two.csv"]["excluded"]
 
 
-def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path):
-    run("watch", tmp_path / "nowhere", *ONCE, code=2, said="there is no such folder")
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
 def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path):
     data, log = tmp_path / "data", tmp_path / "out" / "watch.jsonl"

@@ -138,6 +138,9 @@ def test_a_study_is_found_named_or_left_out_and_may_want_nothing_that_it_does_no
     for args in ([folder / "study.toml"], [folder, "--study", folder / "study.toml"], [folder]):
         assert specimens(*args) == ["kidney"] * 2, args
     assert specimens(folder, "--no-study") == own
+    # a recording that is named alone follows the study beside it
+    assert specimens(folder / "a1.csv") == ["kidney"]
+    assert specimens(folder / "a1.csv", "--no-study") == own[:1]
     write_log(folder / "b.csv", label=None)
     assert specimens(folder) == ["kidney", "kidney", str(folder / "b.csv")]
     write_study(folder, f"[study]\nonly_listed = true\n{GROUPED}")
@@ -166,18 +169,6 @@ def test_an_excluded_trial_is_shown_with_the_numbers_it_would_have_moved(tmp_pat
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "the tool &lt;slipped&gt;" in page
     assert "With it" in page
-
-
-def test_a_recording_named_alone_follows_the_study_beside_it(tmp_path):
-    said = "[[override]]\nfile = 'a1.csv'\ncontact_mm = 0.25\nbecause = 'x'\n"
-    folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
-    for options, specimen_name, followed in (
-        ((), "kidney", True),
-        (("--no-study",), str(folder / "a1.csv"), False),
-    ):
-        (one,) = run("inspect", folder / "a1.csv", "--json", *options, code=0).json()
-        assert one["specimen"] == specimen_name
-        assert (one["contact"]["displacement_mm"] == 0.25) == followed
 
 
 def test_a_window_that_study_and_command_line_leave_empty_is_named(tmp_path):

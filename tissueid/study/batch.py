@@ -359,7 +359,7 @@ class _Cohort:
                 yield item
             inventory.put_down(file, found)
         self.request.all_read()
-        self.recent.clear()
+        self.recent = RecentTrials()
 
     def _job(self, position: int) -> SpecimenJob:
         """The job of the specimen at a position, made anew whenever it is needed."""

@@ -10,7 +10,7 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -45,10 +45,6 @@ SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "none": 0.2}
 Progress = Callable[[str, int, int], None]
 
 
-def _nothing(*_: Any) -> None:
-    """Told, and silent."""
-
-
 @dataclass(frozen=True, slots=True)
 class Request:
     """Request for a fit."""
@@ -57,14 +53,14 @@ class Request:
     reading: ReadOptions
     study: Study | None
     options: IdentifyOptions
-    provenance: Mapping[str, Any] = field(default_factory=dict)  # added to the provenance of the run
+    provenance: Mapping[str, Any]  # added to the provenance of the run
     #: Processes; ``None`` takes as many as there are processors, where the work is worth their start.
-    workers: int | None = None
-    scheduler: str = LOCAL  # ``local``, or the address of a Dask scheduler
-    one_order: bool = True  # specimens of a study have one law and order
-    read: Callable[[str, str | None], None] = _nothing  # told path and sheet of every recording
+    workers: int | None
+    scheduler: str  # ``local``, or the address of a Dask scheduler
+    one_order: bool  # specimens of a study have one law and order
+    read: Callable[[str, str | None], None]  # told path and sheet of every recording
     #: Told once, when every file was looked into and nothing is fitted yet.
-    all_read: Callable[[], None] = _nothing
+    all_read: Callable[[], None]
 
 
 def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> float:
@@ -225,11 +221,6 @@ class RecentTrials:
         if trial is not None:
             self._bytes -= 3 * trial.time_s.nbytes
         return trial
-
-    def clear(self) -> None:
-        """Forget all of them."""
-        self._trials.clear()
-        self._bytes = 0
 
 
 class Inventory:
