@@ -126,6 +126,22 @@ def write_log(path: Path, **options: Any) -> Path:
     return path
 
 
+def write_workbook(path: Path, *sheets: str, stride: int = 4) -> Path:
+    """A workbook with :func:`log_text` on every sheet."""
+    from openpyxl import Workbook
+
+    book = Workbook()
+    del book[book.sheetnames[0]]
+    rows = [line.split(",") for line in log_text(label=None, stride=stride).splitlines()]
+    for name in sheets:
+        sheet = book.create_sheet(name)
+        for number, cells in enumerate(rows):
+            # names and units, then numbers
+            sheet.append([cell if number < 2 else float(cell) for cell in cells])
+    book.save(path)
+    return path
+
+
 def write_study(folder: Path, *tables: str) -> Path:
     """study.toml of a folder, with some tables."""
     path = folder / "study.toml"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import QUICK, read_json, run, write_log
+from command_line import QUICK, read_json, run, write_log, write_workbook
 
 from tissueid.ingest import forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, simulate
@@ -62,18 +62,7 @@ def test_files_are_one_specimen_by_label_or_pattern_only(tmp_path, files, patter
 
 
 def test_each_sheet_is_its_own_specimen(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    source = write_log(tmp_path / "log.csv", label=None).read_text(encoding="ascii").splitlines()
-    for name in ("left", "right"):
-        sheet = book.create_sheet(name)
-        sheet.append(["Time", "Extension", "Load"])
-        sheet.append(["s", "mm", "N"])
-        for line in source[2:]:
-            sheet.append([float(cell) for cell in line.split(",")])
-    book.save(tmp_path / "book.xlsx")
-    document = fit(tmp_path / "out", tmp_path / "book.xlsx", *QUICK)
+    document = fit(tmp_path / "out", write_workbook(tmp_path / "book.xlsx", "left", "right"), *QUICK)
     assert logs_of(document) == {"left": 1, "right": 1}
     assert [one["trials"][0]["sheet"] for one in document["specimens"]] == ["left", "right"]
 

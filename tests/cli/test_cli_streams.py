@@ -7,12 +7,10 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import click
 import pytest
-from command_line import QUICK, Ended, Terminal, log_text, run, run_on, write_log
-from openpyxl import Workbook
+from command_line import QUICK, Ended, Terminal, log_text, run, run_on, write_log, write_workbook
 from rendered_tissues import write_bundles
 
 from tissueid.cli.flags import walk
@@ -109,17 +107,6 @@ def harmless(ended: Ended) -> str:
     return text
 
 
-def workbook(path: Path) -> None:
-    book = Workbook()
-    sheet = book.active
-    assert sheet is not None
-    sheet.title = "FF1\u202eA\u200f\x85"
-    for line in log_text(label=None, stride=16).splitlines():
-        cells = line.split(",")
-        sheet.append([float(cell) if re.fullmatch(r"-?[\d.]+", cell) else cell for cell in cells])
-    book.save(path)
-
-
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
     """A folder in which every name is hostile, its fit, and two bundles of such specimens."""
@@ -132,7 +119,7 @@ def prepared(tmp_path_factory):
     (lab / "study.toml").write_text(STUDY, encoding="utf-8")
     (folder / BAD).write_text("no\n", encoding="utf-8")
     write_log(folder / "other" / "log.csv")
-    workbook(folder / "meat.xlsx")
+    write_workbook(folder / "meat.xlsx", "FF1\u202eA\u200f\x85", stride=16)
     ended = run_on(Terminal, "fit", lab, folder / "meat.xlsx", "-o", folder / "out", "--no-study", *QUICK)
     assert ended.code in (0, 4, 7), ended.stderr
     harmless(ended)

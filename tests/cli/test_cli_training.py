@@ -20,15 +20,10 @@ from tissueid.rendering.scene import load_scene
 ENTRY_M = np.array([0.0, 0.0, 0.12])
 
 
-def session(
-    path: Path, *, error_mm: float, seconds: float, pseudonym: str = "P7", deep_mm: float = 21.0
-) -> Path:
+def session(path: Path, *, error_mm: float, seconds: float, deep_mm: float = 21.0) -> Path:
     """A log of a tip that comes down beside the axis."""
-    options = RenderOptions(
-        device="sim", seconds=1.0, scene=load_scene("hip-resurfacing"), pseudonym=pseudonym
-    )
-    plan = plan_session(options)
-    head = plan.head
+    scene = load_scene("hip-resurfacing")
+    head = plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene, pseudonym="P7")).head
     count = int(1000 * seconds)
     records = np.zeros(count, RECORD)
     records["tick"] = np.arange(count)

@@ -36,8 +36,8 @@ RETRACT = Recipe(
 CYCLIC = Path("instron-bluehill-cyclic-cc0")
 
 
-def trials_of(recipe: Recipe = RETRACT, seed: int = 0) -> list[Trial]:
-    return as_trials(simulate(recipe, rng=np.random.default_rng(seed)))
+def knee() -> list[Trial]:
+    return as_trials(simulate(RETRACT, rng=np.random.default_rng(0)))
 
 
 def options(**fit: object) -> IdentifyOptions:
@@ -46,7 +46,7 @@ def options(**fit: object) -> IdentifyOptions:
 
 def test_document_of_a_whole_run_is_valid_and_drawn() -> None:
     tip = Geometry(Indenter("flat", 2.0), thickness_mm=15.0)
-    run = identify(trials_of(), options=options(unloading=True, geometry=tip, depths_mm=(2.0,)))
+    run = identify(knee(), options=options(unloading=True, geometry=tip, depths_mm=(2.0,)))
     document = plain(run.as_json())
     check(document, "identification", where="test")
     (specimen,) = document["specimens"]
@@ -71,19 +71,19 @@ def test_tip_and_thickness_come_from_the_study_unless_they_are_given() -> None:
         tip={"shape": "sphere", "radius_mm": 3.0},
         specimens={"knee": {"thickness_mm": 12.0}},
     )
-    (fit,) = identify(trials_of(), study=study, options=options(poisson=0.45)).specimens
+    (fit,) = identify(knee(), study=study, options=options(poisson=0.45)).specimens
     assert fit.quoted is not None
     known = fit.quoted.assumptions
     assert (known.shape, known.radius_mm, known.thickness_mm) == ("sphere", 3.0, 12.0)
     assert known.poisson == 0.45
     given = Geometry(Indenter("flat", 1.0))
-    (fit,) = identify(trials_of(), study=study, options=options(geometry=given)).specimens
+    (fit,) = identify(knee(), study=study, options=options(geometry=given)).specimens
     assert fit.quoted is not None
     assert fit.quoted.assumptions.shape == "flat"
 
 
 def test_a_normalised_recording_has_no_modulus_of_a_tip() -> None:
-    (trial,) = trials_of()
+    (trial,) = knee()
     normalised = replace(trial, axes=Axes("1", "MPa"))
     (fit,) = identify([normalised], options=options(geometry=Geometry(Indenter("flat", 1.0)))).specimens
     assert fit.quoted is not None

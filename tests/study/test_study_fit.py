@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import QUICK, log_text, read_json, run, write_csv, write_log, write_study
+from command_line import QUICK, log_text, read_json, run, write_csv, write_log, write_study, write_workbook
 from study_folder import fit, lab, specimen, value
 
 from tissueid.store.schema import first_problem
@@ -32,18 +32,6 @@ DECIDED = (
 )
 
 
-def workbook(path: Path, *names: str) -> None:
-    """A sheet of the same recording under each name."""
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for name in names:
-        sheet = book.create_sheet(name)
-        for i, line in enumerate(log_text(label=None).splitlines()):
-            sheet.append([cell if i < 2 else float(cell) for cell in line.split(",")])
-    book.save(path)
-
-
 @pytest.fixture(scope="module")
 def decided(tmp_path_factory):
     """A lab of which a study says all of this, and what was found: exit code and identification.json."""
@@ -53,7 +41,7 @@ def decided(tmp_path_factory):
     odd = log_text(label=None, force_times=1e-3)
     odd = odd.replace("Time,Extension,Load\n(sec),(mm),(N)", "t,pos,F")
     (folder / "lab" / "odd.csv").write_text(odd, encoding="ascii")
-    workbook(folder / "lab" / "w.xlsx", "S1", "S2")
+    write_workbook(folder / "lab" / "w.xlsx", "S1", "S2")
     return folder, *fit(folder / "lab", out=folder / "out")
 
 
@@ -181,8 +169,8 @@ def test_a_window_that_study_and_command_line_leave_empty_is_named(tmp_path):
 def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path):
     said = [f"[[trial]]\nfile = 'w.xlsx'\nsheet = '{name}'\nspecimen = 'cut'\n" for name in ("S1", "S2")]
     folder = lab(tmp_path / "lab", "".join(said))
-    workbook(folder / "w.xlsx", "S1", "S2")
-    code, document = fit(f"{folder / 'w.xlsx'}::S1", out=tmp_path / "out")
+    book = write_workbook(folder / "w.xlsx", "S1", "S2")
+    code, document = fit(f"{book}::S1", out=tmp_path / "out")
     assert code in (0, 4)
     assert not document["refused"]
     assert [one["specimen"] for one in document["specimens"]] == ["cut"]

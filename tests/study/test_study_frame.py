@@ -109,9 +109,7 @@ def crosshead_and_force(log: Log, frame: Frame, time_s: FloatArray) -> tuple[Flo
     return travel, force
 
 
-def series_trials(
-    plan: Recipe, frame: Frame, *, sigma_N: float, rng: np.random.Generator, specimen: str = "tissue"
-) -> list[Trial]:
+def series_trials(plan: Recipe, frame: Frame, *, sigma_N: float, rng: np.random.Generator) -> list[Trial]:
     """The recordings of a recipe's program on a compliant frame, crosshead travel logged."""
     trials = []
     clean: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
@@ -125,7 +123,7 @@ def series_trials(
             time_s, travel, force = clean[log.name]
             noisy = force + sigma_N * rng.standard_normal(force.size)
             source = Source(path=f"{log.name}-{repeat}.csv", recipe="synthetic")
-            trials.append(Trial(specimen, time_s, travel, noisy, Protocol(), source))
+            trials.append(Trial("tissue", time_s, travel, noisy, Protocol(), source))
     return trials
 
 
@@ -158,9 +156,7 @@ def test_deflection_is_the_integral_of_a_compliance_and_of_a_spring_the_quotient
     assert model.tangent_stiffness_sd(frame, 50.0) == pytest.approx(10.0)
 
 
-def rigid_block(
-    frame: Frame, rng: np.random.Generator, *, scale: float = 1.0, sign: int = 1, path: str = "rigid.csv"
-) -> Trial:
+def rigid_block(frame: Frame, rng: np.random.Generator, *, scale: float = 1.0, sign: int = 1) -> Trial:
     """Press steel to 200 N at 0.1 mm/s, 100 Hz; sigma 0.3 N, travel logged in steps of 0.1 um, zero off."""
     force = np.linspace(0.0, 200.0, 4001)
     give = scale * np.array([frame.deflection(f) for f in force])
@@ -168,7 +164,9 @@ def rigid_block(
     travel = 0.1 * time - 0.3
     pressed = np.interp(travel, give, force, left=0.0) + 0.5 + 0.3 * rng.standard_normal(time.size)
     logged = np.round((travel + 3.0) / 1e-4) * 1e-4
-    return Trial("r", time, sign * logged, sign * pressed, Protocol(), Source(path=path, sha256="ab" * 32))
+    return Trial(
+        "r", time, sign * logged, sign * pressed, Protocol(), Source(path="rigid.csv", sha256="ab" * 32)
+    )
 
 
 def as_curve(document: dict[str, object]) -> FrameCurve:

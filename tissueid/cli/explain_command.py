@@ -63,5 +63,4 @@ def _each(entries: Sequence[Explanation]) -> Iterator[str]:
             ("what follows", entry.follows),
             ("what to do", entry.remedy),
         ):
-            if text:
-                yield from labelled(label, text)
+            yield from labelled(label, text)

@@ -77,7 +77,7 @@ def echo_lines(lines: Iterable[str]) -> None:
 
 
 def labelled(label: str, text: str) -> list[str]:
-    """A text behind its label, in lines that a terminal holds."""
+    """A text behind its label, in lines that a terminal holds; no line of an empty one."""
     first = f"  {label + ':':<{MARGIN - 2}}"
     return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)
 

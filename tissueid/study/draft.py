@@ -291,9 +291,9 @@ def _stated(trials: Sequence[Trial], pattern: re.Pattern[str]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _agreed(values: Sequence[float | None], digits: int = 3) -> float | None:
-    """One number where all that is stated agrees to so many digits."""
-    found = {float(f"{value:.{digits}g}") for value in values if value is not None}
+def _agreed(values: Sequence[float | None]) -> float | None:
+    """One number where all that is stated agrees to three digits."""
+    found = {float(f"{value:.3g}") for value in values if value is not None}
     return found.pop() if len(found) == 1 else None
 
 
