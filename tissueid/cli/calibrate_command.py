@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from tissueid.cli.flags import FOLDER, FROM_0, FROM_1, PATH, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import checked, created_now, made_folder, note, progress_bar, refuse_foreign, tell
+from tissueid.cli.output import checked, made_folder, note, progress_bar, refuse_foreign, tell
 from tissueid.cli.reading import read_all, recorded_options
 from tissueid.cli.synth_command import check_rate
 from tissueid.documents.selfcheck import SelfCheck
@@ -80,7 +80,7 @@ def command(flags: _CalibrateFlags) -> int:
     from tissueid.selfcheck.records import Checkpoint, fingerprint, run_simulations
     from tissueid.selfcheck.tissue import described, tissue_check
     from tissueid.selfcheck.verdicts import Asked, check_document
-    from tissueid.store.files import json_bytes, write_file
+    from tissueid.store.files import json_bytes, time_now, write_file
 
     if flags.phi is not None and flags.noise != "ar1":
         refuse("--phi is the correlation of --noise ar1: give both, or neither")
@@ -108,7 +108,7 @@ def command(flags: _CalibrateFlags) -> int:
     written, verdict = check_document(asked, found.protocol, check, records)
     document, read = checked(written, "selfcheck", SelfCheck, where=_FILES[0])
     write_file(out / _FILES[0], json_bytes(document))
-    write_file(out / _FILES[1], render_selfcheck(read, created=created_now()).encode("utf-8"))
+    write_file(out / _FILES[1], render_selfcheck(read, created=time_now()).encode("utf-8"))
     tell(flags, document, _lines(check, found.protocol, verdict, flags.out))
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=flags.quiet)

@@ -12,7 +12,6 @@ from tissueid import __version__
 from tissueid.cli.flags import ABOVE_0, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import (
     checked,
-    created_now,
     echo_lines,
     made_folder,
     note,
@@ -103,11 +102,11 @@ def command(flags: _CompareFlags) -> int:
 def _write(written: Any, document: Contrast, target: Path, *, quiet: int) -> None:
     """Write document and page, both or with a message that names what is in the way."""
     from tissueid.report.contrast_page import render_contrast
-    from tissueid.store.files import json_bytes
+    from tissueid.store.files import json_bytes, time_now
 
     if target.suffix not in {".json", ".html"}:
         target = made_folder(target) / "contrast.html"
-    page = render_contrast(document, created=created_now())
+    page = render_contrast(document, created=time_now())
     write_output(target.with_suffix(".json"), json_bytes(written))
     write_output(target.with_suffix(".html"), page.encode("utf-8"))
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)

@@ -13,7 +13,6 @@ import click
 from tissueid.cli.flags import FOLDER, FROM_1, PATH, OutputFlags, argument, option, subcommand
 from tissueid.cli.output import (
     checked,
-    created_now,
     echo,
     echo_json,
     echo_table,
@@ -221,11 +220,11 @@ def _write(out: Path, plan: Plan, machine: Machine, tissues: Tissues, asked: Ask
     """All files of the plan but design.json."""
     from tissueid.design.document import has_recipe, recipe_text, study_text, test_sheet
     from tissueid.report.design_page import render_design
-    from tissueid.store.files import write_file
+    from tissueid.store.files import time_now, write_file
 
     title = f"Plan for {tissues.name}"
     texts = {
-        "design.html": render_design(document, created=created_now()),
+        "design.html": render_design(document, created=time_now()),
         "study.toml": study_text(plan.best, machine, asked, title=title),
         "test-sheet.csv": test_sheet(plan.best, asked),
     }

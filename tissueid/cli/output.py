@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -191,11 +190,6 @@ def refuse_foreign(folder: Path, names: Iterable[str], maker: str, why: str) -> 
     foreign = [name for name in names if (folder / name).exists()]
     if foreign and not (folder / maker).exists():
         refuse(f"{folder} holds {', '.join(foreign)} {why}: choose another folder with -o")
-
-
-def created_now() -> str:
-    """Time at which a page is written, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 @contextmanager

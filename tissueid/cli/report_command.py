@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.cli.flags import PATH, THERE, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import created_now, echo_json, note, progress_bar, write_output
+from tissueid.cli.output import echo_json, note, progress_bar, write_output
 from tissueid.errors import BundleError
 
 
@@ -29,7 +29,7 @@ def command(flags: _ReportFlags) -> int:
 
 def _written(target: str | None, out: Path) -> tuple[str, bytes]:
     """Write the report; its place and content."""
-    from tissueid.store.files import CURVES, REPORT
+    from tissueid.store.files import CURVES, REPORT, time_now
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_plain, read_results, read_twin
     from tissueid.study.pages import report_page, write_report
@@ -41,7 +41,7 @@ def _written(target: str | None, out: Path) -> tuple[str, bytes]:
         raise BundleError(msg)
     if not large:
         _, curves, posteriors = read_results(out)
-        twin, created = read_twin(out), created_now()
+        twin, created = read_twin(out), time_now()
         page = report_page(read_plain(out), curves, posteriors, twin=twin, created=created).encode("utf-8")
     if target is not None:
         write_output(target, page)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Literal
 
 from tissueid.cli.flags import FOLDER, FROM_0, OutputFlags, argument, option, subcommand
-from tissueid.cli.output import checked, created_now, made_folder, note, progress_bar, tell
+from tissueid.cli.output import checked, made_folder, note, progress_bar, tell
 from tissueid.documents.reproduction import Reproduction
 
 FILES = ("reproduction.json", "reproduction.html")
@@ -47,7 +47,7 @@ def command(flags: _ReproduceFlags) -> int:
     from tissueid.reproduce.document import PAPERS, reproduction
     from tissueid.reproduce.published import readings_from
     from tissueid.reproduce.recordings import Effort
-    from tissueid.store.files import json_bytes, write_file
+    from tissueid.store.files import json_bytes, time_now, write_file
 
     readings = readings_from(flags.settings)
     out = made_folder(flags.out)
@@ -59,7 +59,7 @@ def command(flags: _ReproduceFlags) -> int:
         found = reproduction(papers, readings, effort)
     written, document = checked(found, "reproduction", Reproduction, where=FILES[0])
     write_file(out / FILES[0], json_bytes(written))
-    write_file(out / FILES[1], render_reproduction(document, created=created_now()).encode("utf-8"))
+    write_file(out / FILES[1], render_reproduction(document, created=time_now()).encode("utf-8"))
     tell(flags, written, _lines(document))
     note(f"{out / FILES[1]}", quiet=flags.quiet)
     return 0

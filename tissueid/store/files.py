@@ -23,6 +23,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Self
@@ -77,6 +78,11 @@ def replacing(path: Path) -> Iterator[Path]:
         replace_file(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def time_now() -> str:
+    """Time at which a page is written, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def write_file(path: Path, content: bytes) -> None:

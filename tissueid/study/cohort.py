@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 from tissueid.documents import plain
@@ -15,7 +14,7 @@ from tissueid.population.document import as_document, members_of, population_bun
 from tissueid.population.members import thawed_among_fresh
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
-from tissueid.store.files import IDENTIFICATION, json_bytes, sha256_of
+from tissueid.store.files import IDENTIFICATION, json_bytes, sha256_of, time_now
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import each_result, read_identification
 from tissueid.store.schema import check
@@ -70,8 +69,7 @@ def write_population(
         bundle = population_bundle(fit, document.provenance)
         if bundle is not None:
             write_bundle(bundle, run.path(_BUNDLE))
-        created = datetime.now(UTC).isoformat(timespec="seconds")
-        run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
+        run.write(_PAGE, render_population(document, bundle, created=time_now()).encode("utf-8"))
         run.commit()
     return WrittenPopulation(document=document, fit=fit, felt=bundle is not None)
 

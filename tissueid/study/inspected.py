@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from tissueid.inspection import describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
+from tissueid.store.files import time_now
 from tissueid.trial import Trial
 
 if TYPE_CHECKING:
@@ -131,8 +131,7 @@ class Inspection:
             if (self._root / MANIFEST).is_file()
             else f"{MANIFEST} in {self._root.name or self._root}"
         )
-        created = datetime.now(UTC).isoformat(timespec="seconds")
-        return render_inspection(self.shown, self.refused, study=study, created=created, served=served)
+        return render_inspection(self.shown, self.refused, study=study, created=time_now(), served=served)
 
     def _made(self, trial: Trial, study: Study | None) -> _Made | Refusal:
         trial, options, excluded = as_decided(trial, self._options, study)

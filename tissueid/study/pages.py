@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from tissueid.report.rendering_words import NORMALISED, RefusedDevice, RenderedD
 from tissueid.report.twin_page import twin_sections
 from tissueid.report.wording import whole_label
 from tissueid.store.curves import TrialCurve, load_curves
-from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, json_bytes, write_file
+from tissueid.store.files import CURVES, IDENTIFICATION, POSTERIORS, REPORT, json_bytes, time_now, write_file
 from tissueid.store.merged import LISTED, SPECIMENS, load_record, load_specimen, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import StoredPosterior, load_posteriors
@@ -197,7 +196,7 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
 
 def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
     """Write the report into a set that holds the other files already."""
-    created = datetime.now(UTC).isoformat(timespec="seconds")
+    created = time_now()
     if run.path(CURVES).is_file():
         sampled = run.path(POSTERIORS)
         page = report_page(
